@@ -96,6 +96,10 @@ pub enum Mutation {
     IgnoreEpochs,
     /// A robot goes on without an answer of the voters for as long as its node talks.
     IgnoreStaleness,
+    /// The approval of the one who proposed a set of policies counts twice.
+    CountTheProposerTwice,
+    /// A revocation list is taken that was made before the one that the ledger has.
+    TakeAnOlderList,
 }
 
 /// Is this bug turned on?

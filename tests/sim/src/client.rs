@@ -2,12 +2,16 @@
 
 mod contest;
 mod enrol;
+mod govern;
 mod intent;
 mod pass_on;
+mod publish;
 mod subscribe;
 mod tasks;
 
 pub use contest::Terms;
+pub(crate) use govern::Book;
+pub use govern::Draft;
 pub use intent::{Call, SERVICES, robots};
 pub(crate) use subscribe::READERS;
 pub use tasks::Heard;
@@ -138,6 +142,7 @@ impl World {
         }
         self.enrol();
         self.employ_a_robot();
+        self.employ_a_chief();
     }
 
     /// Adds a client that does only what it is told, and tells it.
@@ -330,6 +335,7 @@ impl World {
         {
             self.coverage.contest("place full");
         }
+        self.coverage.governs(&call, code);
         let client = &mut self.clients[number];
         if let Some(order) = client.orders.first() {
             // What is not settled is tried again.

@@ -1,8 +1,11 @@
 //! The damage that was really done to the cluster, counted where it is done: a fault that was only planned tests
 //! nothing.
 
+mod governance;
+
 use crate::client::READERS;
 use crate::world::Untruth;
+use governance::GOVERNANCE;
 use ledger::Outcome;
 use ledger_rejection::Code;
 use ledger_storage::result::Event;
@@ -177,6 +180,8 @@ pub struct Coverage {
     pub untruths: BTreeMap<Untruth, u64>,
     /// The events where several wanted a service, or of robots in an emergency.
     pub contests: BTreeMap<&'static str, u64>,
+    /// The answers to admins about sets of policies and revocation lists.
+    pub governance: BTreeMap<&'static str, u64>,
     /// Questions of robots, answers that were believed, and why others were not.
     pub questions: u64,
     /// See `questions`.
@@ -221,6 +226,10 @@ impl Coverage {
                 ("abac", "left") => "sent away from the line",
                 ("abac", "stopped") => "stopped",
                 ("abac", "resumed") => "resumed",
+                ("abac", "policy_approvals") => {
+                    *self.governance.entry("rule of the network in force").or_default() += 1;
+                    continue;
+                }
                 _ => continue,
             };
             self.contest(what);
@@ -249,6 +258,9 @@ impl Coverage {
         }
         for (what, count) in &other.contests {
             *self.contests.entry(what).or_default() += count;
+        }
+        for (what, count) in &other.governance {
+            *self.governance.entry(what).or_default() += count;
         }
         for (code, count) in &other.unbelieved {
             *self.unbelieved.entry(*code).or_default() += count;
@@ -285,7 +297,8 @@ impl Coverage {
         let refusals = [Code::LineFull, Code::Stopped].into_iter().filter(|code| !refused(code));
         let refusals = refusals.map(|code| format!("refused with {}", code.name()));
         let never = never.map(|fault| fault.name().to_owned()).chain(untold.map(Untruth::to_string));
-        never.chain(idle).chain(contests).chain(refusals).collect()
+        let ungoverned = GOVERNANCE.into_iter().filter(|what| !self.governance.contains_key(what)).map(str::to_owned);
+        never.chain(idle).chain(contests).chain(ungoverned).chain(refusals).collect()
     }
 
     /// Was so much done that every kind of fault should have happened?
@@ -376,6 +389,10 @@ impl fmt::Display for Coverage {
         writeln!(f, "contests and emergencies")?;
         for (what, count) in &self.contests {
             writeln!(f, "  {what:<26} {count:>9}")?;
+        }
+        writeln!(f, "policies and revocation lists")?;
+        for (what, count) in &self.governance {
+            writeln!(f, "  {what:<40} {count:>9}")?;
         }
         writeln!(f, "answers that a robot did not believe")?;
         for (code, count) in &self.unbelieved {

@@ -23,7 +23,7 @@
 //! | [`plan`], [`coverage`] | what a seed decides; what was really done |
 //! | [`world`] | the event queue, and what happens: starts, threads, gateways, chaos, the operator |
 //! | [`node`], [`links`], [`clock`] | machines, network, time |
-//! | [`client`], [`people`], [`policy`] | who wants what, and who they are |
+//! | [`client`], [`people`], [`policy`], [`lists`] | who wants what, who they are, and whom their CAs revoke |
 //! | [`robot`] | a robot with the real gate, whose node may lie |
 //! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
 //! | [`run`], [`trace`] | one seed from beginning to end |
@@ -41,6 +41,7 @@ pub mod coverage;
 pub mod history;
 pub mod invariant;
 pub mod links;
+pub mod lists;
 pub mod node;
 pub mod oracle;
 pub mod people;

@@ -1,7 +1,7 @@
 //! The organisations of the simulated network, their people, and what they sign. Keys come from fixed seeds, so that
 //! every transaction has the same bytes in every run.
 
-use crate::clock::EPOCH;
+use crate::clock::{EPOCH, SECOND};
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
 use ledger_hash::Hash;
@@ -26,7 +26,7 @@ const ED25519_PKCS8: &[u8] =
     &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
 
 /// The identity: organisation, name, role, attributes; an attribute without another value is `true`.
-const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
+const PEOPLE: [(&str, &str, &str, &[&str]); 10] = [
     ("Org1", "admin", "admin", &[]),
     ("Org1", "Salma", "member", &["Turtlebot4", "Husky", "rank=2"]),
     ("Org1", "Farhad", "member", &["Turtlebot4", "rank=1"]),
@@ -37,7 +37,15 @@ const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
     // Trusted by nobody, whatever the own CA signs.
     ("Org3", "Trudy", "member", &["Turtlebot4", "Husky", "rank=9"]),
     ("Org2", "Mallory", "member", &[]),
+    // Where two must agree, one is not enough.
+    ("Org2", "chief", "admin", &[]),
 ];
+
+/// Those who have left: a certificate that has ended, by organisation.
+const FORMER: [(&str, &str); 4] = [("Org1", "Ada"), ("Org1", "Ben"), ("Org2", "Cleo"), ("Org2", "Dan")];
+
+/// A time at which their certificates counted: 60 days before the simulation begins.
+const WHILE_THEY_WERE_THERE: u64 = EPOCH - 60 * 24 * 3600 * SECOND;
 
 /// The certificates of robots: one of a bridge, and one of a robot that reports how far its tasks are.
 const ROBOTS: [(&str, &str, &str); 2] = [("Org2", "Rover", "robot"), ("Org2", "Turtlebot4", "robot")];
@@ -60,7 +68,9 @@ pub struct People {
     pub organisations: Vec<FoundingOrganisation>,
     /// Every certificate: those of one person follow each other.
     pub all: Vec<Person>,
-    /// How many of them are people's.
+    /// The certificates of those who have left, which have ended.
+    pub former: Vec<Person>,
+    /// How many of all are people's.
     persons: usize,
 }
 
@@ -132,7 +142,19 @@ impl People {
             let identity = msps.verify(&certificate, &[], EPOCH).unwrap();
             all.push(Person { identity, certificate, key, nth: 0 });
         }
-        Self { organisations, all, persons }
+        let former = FORMER.iter().enumerate().map(|(at, (organisation, name))| {
+            let key = key(&format!("{organisation}/{name}"));
+            let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+            let mut params = params(name, "member");
+            params.not_after = date_time_ymd(2029, 12, 1);
+            params.serial_number = Some(SerialNumber::from(at as u64 + 500));
+            let certificate = params.signed_by(&public, &authorities[*organisation]).unwrap();
+            let certificate = Bytes::copy_from_slice(certificate.der());
+            let identity = msps.verify(&certificate, &[], WHILE_THEY_WERE_THERE).unwrap();
+            Person { identity, certificate, key, nth: 0 }
+        });
+        let former = former.collect();
+        Self { organisations, all, former, persons }
     }
 
     /// The certificates of people; the others are those of nodes.
@@ -189,7 +211,7 @@ pub fn ca_key(organisation: &str) -> SigningKey {
 fn authority(name: &str) -> CertifiedIssuer<'static, KeyPair> {
     let mut params = params(&format!("{name}-ca"), "ca");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     params.serial_number = Some(SerialNumber::from(1u64));
     let key = ca_key(name);
     let pair = KeyPair::from_pkcs8_der_and_sign_algo(&key.to_pkcs8_der().into(), &PKCS_ED25519).unwrap();

@@ -48,6 +48,8 @@ pub struct Plan {
     pub contests: bool,
     /// Users also submit tasks, and the readers of services are limited.
     pub tasks: bool,
+    /// Admins apply, propose and approve whole sets of policies, and bring the lists of their CAs.
+    pub governs: bool,
 }
 
 /// The network's treatment of messages.
@@ -117,6 +119,7 @@ impl Plan {
             // Drawn from nothing: the other seeds go on as they did, and with them the bugs that they notice.
             contests: seed.is_multiple_of(3),
             tasks: seed.is_multiple_of(6),
+            governs: seed.is_multiple_of(2),
             network,
             faults,
         }

@@ -92,6 +92,25 @@ fn play(world: &mut World) -> Check {
     oracle::judge(world)
 }
 
+/// The owner's admins put a set in force under which a user is served. All whose approval may be needed give it.
+fn last_agreement(world: &mut World, deadline: u64) -> Check {
+    if !world.governs_now() {
+        return Ok(());
+    }
+    let proposal = world.last_proposal();
+    obey(world, deadline, "Org2/admin", proposal)?;
+    for (admin, orders) in world.last_approvals() {
+        obey(world, deadline, admin, orders)?;
+    }
+    Ok(())
+}
+
+/// Somebody does what they are told, whatever comes of it.
+fn obey(world: &mut World, deadline: u64, person: &str, orders: Vec<Call>) -> Check {
+    let client = world.employ_for(person, orders, true);
+    until(world, deadline, "an admin does what is wanted", |world| world.clients[client].orders.is_empty())
+}
+
 /// A user who has done nothing so far takes every service, uses it and gives it back.
 fn last_word(world: &mut World, deadline: u64) -> Check {
     let policies = [crate::policy::Policy::ErringForbid, crate::policy::Policy::ForbidFarhad];
@@ -100,8 +119,8 @@ fn last_word(world: &mut World, deadline: u64) -> Check {
     orders.push(Call::Resume { robot: "*" });
     orders.push(Call::Put(crate::policy::Policy::Trusted));
     orders.extend(SERVICES.map(|service| Call::Release { service: service.to_owned() }));
-    let owner = world.employ_for("Org2/admin", orders, true);
-    until(world, deadline, "the owner puts everything right", |world| world.clients[owner].orders.is_empty())?;
+    last_agreement(world, deadline)?;
+    obey(world, deadline, "Org2/admin", orders)?;
     let orders = SERVICES.iter().flat_map(|service| {
         let service = (*service).to_owned();
         [

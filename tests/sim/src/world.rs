@@ -25,12 +25,13 @@ pub use operator::Replacement;
 pub use robot::Untruth;
 pub use statements::Keys;
 
-use crate::client::{Client, Heard};
+use crate::client::{Book, Client, Heard};
 use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
 use crate::coverage::{Coverage, Fault};
 use crate::history::History;
 use crate::invariant::{Check, Invariants, Violation};
 use crate::links::Links;
+use crate::lists::Lists;
 use crate::node::{Answer, Node, Reply, Request};
 use crate::people::{People, organisation_of};
 use crate::plan::Plan;
@@ -127,6 +128,7 @@ pub(crate) struct Randoms {
     pub(crate) statements: Random,
     pub(crate) robot: Random,
     pub(crate) contests: Random,
+    pub(crate) governance: Random,
 }
 
 /// A block as the first node executed it.
@@ -167,6 +169,10 @@ pub struct World {
     pub(crate) clients: Vec<Client>,
     /// The newest tasks that clients have heard of and that may not have ended.
     pub(crate) tasks: BTreeMap<u64, Heard>,
+    /// The sets and proposals of policies, as admins read them.
+    pub(crate) book: Book,
+    /// Every revocation list that a CA has signed.
+    pub(crate) lists: Lists,
     pub(crate) links: Links,
     pub(crate) random: Randoms,
     /// Faults still happen.
@@ -220,6 +226,7 @@ impl World {
             statements: sequence("statements"),
             robot: sequence("robot"),
             contests: sequence("contests"),
+            governance: sequence("governance"),
         };
         let (voters, all) = (plan.voters, plan.voters + plan.learners);
         let statements = &mut random.statements;
@@ -255,6 +262,8 @@ impl World {
             genesis,
             clients: Vec::new(),
             tasks: BTreeMap::new(),
+            book: Book::default(),
+            lists: Lists::default(),
             links: Links::new(plan.network.clone()),
             random,
             chaos: true,

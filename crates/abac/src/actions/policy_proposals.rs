@@ -21,6 +21,7 @@ use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_contract::{PolicyApproval, PolicyProposal, PolicyProposalTexts};
 use ledger_hash::Hash;
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
 /// Most proposals of one organisation.
@@ -235,6 +236,8 @@ fn told(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<PolicyProposal, Re
     let counted: Vec<&Approval> = proposed.counted(now).collect();
     let admins =
         counted.iter().map(|approval| (approval.principal.organisation.as_str(), approval.principal.name.as_str()));
+    let again = active(Mutation::CountTheProposerTwice).then_some((proposed.organisation.as_str(), ""));
+    let admins = admins.chain(again);
     let needs = policy_rules::needs(ctx, &proposed.organisation, admins)?;
     let approved =
         counted.iter().map(|approval| PolicyApproval { who: approval.principal.id(), until: approval.until });

@@ -5,8 +5,8 @@ use super::intent::SERVICES;
 use crate::world::World;
 use testkit::Random;
 
-/// The rules that brought lines, limits and stops.
-const SINCE: u32 = 3;
+/// The rules that brought lines, limits, stops and whole sets of policies.
+pub(super) const SINCE: u32 = 3;
 /// Every setting of a service's rule.
 const KEYS: &str = r#"["publishers","subscribers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","delegable","confirm","confirm_within_ms"]"#;
 

@@ -2,6 +2,7 @@
 
 use super::READER;
 use super::contest::Terms;
+use super::govern::{ADMINS, Draft};
 use super::tasks::ROBOT;
 use crate::clock::EPOCH;
 use crate::history::Asks;
@@ -174,6 +175,39 @@ pub enum Call {
     Put(Policy),
     /// To remove a policy.
     Remove(Policy),
+    /// To replace the whole set of policies.
+    Apply(Draft),
+    /// That others agree to a set of policies.
+    Propose(Draft),
+    /// To agree to a proposed set.
+    Approve {
+        /// The proposal.
+        id: String,
+    },
+    /// To take a proposed set back, or the own approval.
+    Withdraw {
+        /// The proposal.
+        id: String,
+    },
+    /// To put a proposed set in force.
+    Enact {
+        /// The proposal.
+        id: String,
+        /// Without those whom the own rule demands?
+        breaks: bool,
+    },
+    /// That the network demands that others agree to sets of policies.
+    ProposeRule {
+        /// The rule.
+        quorum: &'static str,
+    },
+    /// To bring a revocation list.
+    Publish {
+        /// The list, DER in hexadecimal.
+        list: String,
+        /// Certificates that have ended, DER in hexadecimal.
+        ended: Vec<String>,
+    },
     /// To revoke a certificate: issuer and serial in hexadecimal.
     Revoke {
         /// SHA-256 of the issuer's name.
@@ -262,6 +296,23 @@ impl Call {
             Self::Setup { open } => ("abac", "replace", robots(*open).iter().map(|robot| text(robot)).collect()),
             Self::Put(policy) => ("abac", "policy", vec![text("put"), text(policy.id()), text(&policy.text())]),
             Self::Remove(policy) => ("abac", "policy", vec![text("remove"), text(policy.id())]),
+            Self::Apply(draft) => ("abac", "policy", vec![text("apply"), text(&draft.json())]),
+            Self::Propose(draft) => ("abac", "policy", vec![text("propose"), text(&draft.json())]),
+            Self::Approve { id } => ("abac", "policy", vec![text("approve"), text(id)]),
+            Self::Withdraw { id } => ("abac", "policy", vec![text("withdraw"), text(id)]),
+            Self::Enact { id, breaks } => {
+                let breaks = breaks.then(|| text("break-glass"));
+                ("abac", "policy", [text("enact"), text(id)].into_iter().chain(breaks).collect())
+            }
+            Self::ProposeRule { quorum } => {
+                let args = [hex::encode(quorum)];
+                let call = json!({"chaincode": "abac", "function": "set_policy_approvals", "args": args});
+                ("msp", "propose", vec![text(&call.to_string())])
+            }
+            Self::Publish { list, ended } => {
+                let record = json!({"list": list, "ended": ended});
+                ("msp", "record_revocation_list", vec![text(&record.to_string())])
+            }
             Self::Speak { newest } => {
                 ("msp", "speak", vec![text(&format!(r#"{{"newest":{newest},"release":"9.0.0"}}"#))])
             }
@@ -281,6 +332,7 @@ impl Call {
         match self {
             Self::Put(policy) => format!("policy put {}", policy.id()),
             Self::Remove(policy) => format!("policy remove {}", policy.id()),
+            Self::Publish { ended, .. } => format!("list with {} certificates", ended.len()),
             other => format!("{other:?}"),
         }
     }
@@ -326,6 +378,12 @@ impl World {
         if client.obedient {
             return None;
         }
+        if ADMINS.contains(&&*client.person) && (client.ready || client.person != "Org2/admin") {
+            if let Some(call) = self.govern(number) {
+                return Some(call);
+            }
+        }
+        let client = &self.clients[number];
         let service = self.random.clients.pick(&SERVICES).copied().unwrap_or(SERVICES[0]).to_owned();
         match &*client.person {
             "Org2/admin" if !client.ready => Some(Call::Setup { open: true }),

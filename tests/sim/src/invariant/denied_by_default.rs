@@ -56,7 +56,8 @@ impl DeniedByDefault {
                 );
             let rules = matches!(
                 (&*body.chaincode, &*body.function),
-                ("abac", "setup" | "replace" | "configure" | "remove" | "policy") | ("msp", "revoke")
+                ("abac", "setup" | "replace" | "configure" | "remove" | "policy")
+                    | ("msp", "revoke" | "record_revocation_list" | "propose")
             );
             if (uses && has_no_right(person)) || (rules && person.identity.role != Role::Admin) {
                 return Err(Violation::new(

@@ -6,6 +6,7 @@
 //! Told by the events of the blocks, whatever nodes tell the robot.
 
 use super::{Check, Executed, Violation};
+use crate::lists;
 use crate::people::{People, Person};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
@@ -129,6 +130,9 @@ impl GateKeepsTheRules {
                     let key = (text(0).unwrap_or_default(), text(1).unwrap_or_default());
                     self.revoked.entry(key).or_insert(now);
                 }
+                ("msp", _) => lists::listed(body).into_iter().for_each(|listed| {
+                    self.revoked.entry(listed).or_insert(now);
+                }),
                 ("abac", "configure") => self.configured(&body.args, now),
                 ("abac", "replace") => body.args.iter().for_each(|robot| self.described(robot, now)),
                 _ => {}

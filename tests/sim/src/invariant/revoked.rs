@@ -2,6 +2,7 @@
 //! effect, and the grants that it held have ended in that block.
 
 use super::{Check, Executed, Violation};
+use crate::lists;
 use crate::people::People;
 use ledger_rejection::Code;
 use std::collections::BTreeMap;
@@ -45,6 +46,9 @@ impl RevokedStaysRevoked {
             if let ("msp", "revoke", [issuer, serial, ..]) = (&*body.chaincode, &*body.function, body.args.as_slice()) {
                 let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).to_ascii_lowercase();
                 self.revoked.entry((text(issuer), text(serial))).or_insert(height);
+            }
+            for certificate in lists::listed(body) {
+                self.revoked.entry(certificate).or_insert(height);
             }
         }
         Ok(())

@@ -6,11 +6,15 @@ mod delegate;
 mod ends;
 mod enrol;
 mod grants;
+mod lists;
 mod network;
 mod policies;
+mod proposals;
 mod services;
+mod sets;
 mod tasks;
 
+use crate::lists::Lists;
 use crate::people::{People, Person};
 use crate::plan::Plan;
 use crate::policy::Policy;
@@ -43,6 +47,9 @@ pub(super) struct Model {
     robots: BTreeMap<String, Robot>,
     /// By organisation and id.
     policies: BTreeMap<(String, String), Policy>,
+    governance: sets::Governance,
+    proposals: proposals::Proposals,
+    lists: lists::Kept,
     /// Newest epoch of each service.
     epochs: BTreeMap<String, u64>,
     /// Of each service, oldest first.
@@ -81,7 +88,7 @@ pub(super) struct Grant {
 }
 
 /// A verdict, and what of the response can be told.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Judged {
     pub(super) code: Code,
     /// Of a grant: epoch and expiry.
@@ -90,18 +97,29 @@ pub(super) struct Judged {
     pub(super) place: Option<(u64, i64, u64)>,
     /// Of a task: number, state, and how many points were reached.
     pub(super) task: Option<(u64, State, u64)>,
+    /// Of policies that changed: the number of the set.
+    pub(super) version: Option<u64>,
+    /// Of a proposed set.
+    pub(super) agreed: Option<Agreed>,
+}
+
+/// The admins who agree to a set, and how many more must.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Agreed {
+    pub(super) by: BTreeSet<String>,
+    pub(super) missing: u64,
 }
 
 impl From<Code> for Judged {
     fn from(code: Code) -> Self {
-        Self { code, grant: None, place: None, task: None }
+        Self { code, grant: None, place: None, task: None, version: None, agreed: None }
     }
 }
 
 type Verdict = Result<Judged, Code>;
 
 impl Model {
-    pub(super) fn new(people: &Arc<People>, network: Hash, plan: &Plan) -> Self {
+    pub(super) fn new(people: &Arc<People>, network: Hash, plan: &Plan, signed: &Lists) -> Self {
         Self {
             people: Arc::clone(people),
             network,
@@ -111,6 +129,9 @@ impl Model {
             done: BTreeSet::new(),
             robots: BTreeMap::new(),
             policies: BTreeMap::new(),
+            governance: sets::Governance::default(),
+            proposals: proposals::Proposals::new(),
+            lists: lists::Kept::new(signed),
             epochs: BTreeMap::new(),
             grants: BTreeMap::new(),
             lines: BTreeMap::new(),
@@ -239,7 +260,7 @@ impl Model {
             ("abac", "declare") if self.robots.contains_key(&first) => Ok(Code::Ok.into()),
             ("abac", "declare") => Err(Code::UnknownRobot),
             ("abac", "replace") => self.replace(who, &body.args, time),
-            ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
+            ("abac", "policy") => self.policy((who, person), &first, &text(1).unwrap_or_default(), text(2), time),
             ("msp", "join_node") => self.network_of_nodes.join(who, &first),
             ("msp", "set_node_role") => self.network_of_nodes.set_role(who, &first),
             ("msp", "carry_ca") => self.carry(who, &first),
@@ -247,6 +268,8 @@ impl Model {
             ("msp", "speak") => self.network_of_nodes.speak(who, &first),
             ("msp", "activate_rules") => self.network_of_nodes.activate(who, &first),
             ("msp", "attest") => self.network_of_nodes.attest(who, &first),
+            ("msp", "propose") => self.propose_rule((who, person), &first),
+            ("msp", "record_revocation_list") => self.record_list(who, &first, time),
             ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default(), time),
             (chaincode, function) => panic!("the model does not know {chaincode} {function}"),
         }
@@ -264,24 +287,48 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    fn policy(&mut self, who: &Person, verb: &str, id: &str, text: Option<String>, time: u64) -> Verdict {
+    fn policy(
+        &mut self,
+        (who, person): (&Person, usize),
+        verb: &str,
+        argument: &str,
+        text: Option<String>,
+        time: u64,
+    ) -> Verdict {
+        match verb {
+            "put" | "remove" => self.change_policy(who, argument, text, time),
+            _ if !self.has_contests() => only_admins(who).and(Err(Code::BadArgument)),
+            "apply" => self.apply(who, argument, time),
+            "propose" => self.propose((who, person), argument, time),
+            "approve" => self.approve((who, person), argument, time),
+            "withdraw" => self.withdraw(who, argument, time),
+            "enact" => self.enact(who, argument, text.is_some(), time),
+            verb => panic!("the model does not know policy {verb}"),
+        }
+    }
+
+    fn change_policy(&mut self, who: &Person, id: &str, text: Option<String>, time: u64) -> Verdict {
         only_admins(who)?;
-        let key = (who.identity.organisation.clone(), id.to_owned());
-        let (before, unreachable) = (self.policies.clone(), self.unreachable(&who.identity.organisation, time));
-        match (verb, text) {
-            ("put", Some(text)) => {
-                let policy = Policy::read(id, &text).unwrap_or_else(|| panic!("no policy of the collection: {text}"));
-                self.policies.insert(key, policy);
-            }
-            _ => drop(self.policies.remove(&key).ok_or(Code::NotFound)?),
-        }
         let organisation = &who.identity.organisation;
-        if self.has_contests() && !self.unreachable(organisation, time).is_subset(&unreachable) {
-            self.policies = before;
-            return Err(Code::NobodyMayPublish);
+        let key = (organisation.clone(), id.to_owned());
+        let policy =
+            text.map(|text| Policy::read(id, &text).unwrap_or_else(|| panic!("no policy of the collection: {text}")));
+        if policy.is_none() && !self.policies.contains_key(&key) {
+            return Err(Code::NotFound);
         }
-        let has_own = self.policies.keys().any(|(owner, _)| owner == organisation);
-        if has_own && !self.has_contests() {
+        if self.has_contests() {
+            self.alone(who)?;
+            let change = |policies: &mut sets::Policies| match policy {
+                Some(policy) => drop(policies.insert(id.to_owned(), policy)),
+                None => drop(policies.remove(id)),
+            };
+            return self.with_one_changed(organisation, change, time);
+        }
+        match policy {
+            Some(policy) => drop(self.policies.insert(key, policy)),
+            None => drop(self.policies.remove(&key)),
+        }
+        if self.policies.keys().any(|(owner, _)| owner == organisation) {
             self.uncounted.insert(organisation.clone());
         } else {
             self.uncounted.remove(organisation);
@@ -297,13 +344,19 @@ impl Model {
             return Err(Code::NotAdmin);
         }
         self.revoked.insert((issuer.to_owned(), serial.to_owned()));
-        let people = Arc::clone(&self.people);
-        let revoked = people.all.iter().filter(|person| self.is_revoked(person)).map(Person::fingerprint);
-        let revoked: BTreeSet<Hash> = revoked.collect();
-        let is_theirs = |grant: &Grant| grant.certificates().any(|certificate| revoked.contains(certificate));
-        self.end_everywhere(Why::Failed, time, is_theirs);
-        self.leave_all(|certificate| revoked.contains(certificate), time);
+        self.forget_the_revoked(time);
         Ok(Code::Ok.into())
+    }
+
+    /// Whoever has a revoked certificate holds nothing by it, waits for nothing, and agrees to nothing.
+    fn forget_the_revoked(&mut self, time: u64) {
+        let people = Arc::clone(&self.people);
+        let revoked: BTreeSet<usize> = (0..people.all.len()).filter(|person| self.is_revoked_now(*person)).collect();
+        let fingerprints: BTreeSet<Hash> = revoked.iter().map(|person| people.all[*person].fingerprint()).collect();
+        let is_theirs = |grant: &Grant| grant.certificates().any(|certificate| fingerprints.contains(certificate));
+        self.end_everywhere(Why::Failed, time, is_theirs);
+        self.leave_all(|certificate| fingerprints.contains(certificate), time);
+        self.approvals_without(|person| revoked.contains(&person));
     }
 }
 

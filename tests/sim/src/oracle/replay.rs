@@ -1,5 +1,6 @@
 //! The chain through the model: every verdict, every refusal, every read.
 
+mod policies;
 mod told;
 
 use super::model::{Judged, Model, State};
@@ -76,7 +77,7 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
     let mut claims = claims(world);
     claims.sort_by_key(|(height, ..)| *height);
     let mut claims = claims.into_iter().peekable();
-    let mut model = Model::new(&world.people, world.network, &world.plan);
+    let mut model = Model::new(&world.people, world.network, &world.plan, &world.lists);
     let mut standing = Standing::default();
     let (mut time, mut checks) = (0, 0);
     for height in 0..=world.blocks.len() as u64 {
@@ -112,6 +113,7 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
                 {
                     return Err(wrong(format!("task {:?}, the model says {task:?}", found.task)));
                 }
+                policies::check(&mut model, &judged, result).map_err(wrong)?;
                 checks += 1;
             }
             standing.follow(&block.outcome);
@@ -138,6 +140,8 @@ fn answered(result: &TransactionResult) -> Judged {
         code: result.code(),
         grant: own.or(grant).map(|Granted { epoch, expires }| (epoch, expires)),
         place: queued.map(|Place { position, priority, until }| (position, priority, until)),
+        version: None,
+        agreed: None,
         task: task_itself
             .or(task.and_then(|task| serde_json::from_value(task).ok()))
             .map(|OfTask { id, state, reached }| (id, state, reached)),

@@ -93,6 +93,7 @@ impl World {
                 *self.coverage.verdicts.entry(result.code()).or_default() += 1;
             }
             self.coverage.follow(outcome);
+            self.book.follow(&self.people, &transactions, outcome);
             self.coverage.blocks += 1;
             if self.invariants.rules_by_height.decided(outcome) {
                 self.coverage.fault(Fault::Activation);

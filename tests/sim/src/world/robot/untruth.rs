@@ -119,7 +119,7 @@ impl World {
                 batch.push(own(vec![old]));
             }
             Untruth::Withhold => {
-                let ends = |event: &Told| matches!(&*event.name, "released" | "revoked" | "robot");
+                let ends = |event: &Told| matches!(&*event.name, "released" | "revoked" | "revocation_list" | "robot");
                 if !batch.iter().flat_map(|delivery| &delivery.events).any(ends) {
                     return;
                 }
