@@ -12,7 +12,7 @@ use crate::denials::Denials;
 use crate::early::Early;
 use bytes::Bytes;
 use futures::FutureExt;
-use ledger::transaction::Transaction;
+use ledger::transaction::claimed_creator;
 use ledger::{Ledger, Outcome};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use ledger_hash::Hash;
@@ -370,8 +370,7 @@ impl Subscription {
         if transaction.is_empty() {
             return Bytes::new();
         }
-        let Ok(transaction) = Transaction::decode(transaction.clone()) else { return Bytes::new() };
-        let creator = transaction.creator();
+        let Some(creator) = claimed_creator(transaction) else { return Bytes::new() };
         if !self.shown.insert(creator) {
             return Bytes::new();
         }

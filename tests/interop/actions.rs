@@ -11,13 +11,18 @@ const TYPE: &str = "example_interfaces/action/Fibonacci";
 /// A goal that does not end within a test.
 const LONG: &str = "1000000";
 /// A machine under load must not be taken for a network that is silent.
-const PATIENT: &str = "stale_after_ms = 10000";
+pub(crate) const PATIENT: &str = "stale_after_ms = 10000";
 
 /// A network whose robot has the action, in this mode and with a lease of five seconds.
 async fn with_action(mode: &str) -> (World, Client) {
+    with_action_of(TYPE, mode).await
+}
+
+/// The same with another type.
+pub(crate) async fn with_action_of(of: &str, mode: &str) -> (World, Client) {
     let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
     let owner = owner_of(&world).await;
-    let service = |topic: &str, direction: &str, mode: &str| serde_json::json!({ "topic": topic, "type": TYPE, "direction": direction, "mode": mode, "max_age_ms": 5000, "lease_ms": 5000 });
+    let service = |topic: &str, direction: &str, mode: &str| serde_json::json!({ "topic": topic, "type": of, "direction": direction, "mode": mode, "max_age_ms": 5000, "lease_ms": 5000 });
     let services = [service("/count", "command", mode), service("/count/_reply", "feed", "open")];
     let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "services": services });
     call(&owner, "replace", &[&spec.to_string()]).await;
@@ -25,7 +30,12 @@ async fn with_action(mode: &str) -> (World, Client) {
 }
 
 fn bridge(world: &World, name: &str, domain: u16, direction: &str, more: &str) -> Process {
-    let route = format!("[[route]]\nservice = 'Rover/count'\ndirection = '{direction}'\ntype = '{TYPE}'\n{more}\n");
+    bridge_of(TYPE, world, (name, domain), direction, more)
+}
+
+/// The same for another type.
+pub(crate) fn bridge_of(of: &str, world: &World, (name, domain): (&str, u16), direction: &str, more: &str) -> Process {
+    let route = format!("[[route]]\nservice = 'Rover/count'\ndirection = '{direction}'\ntype = '{of}'\n{more}\n");
     world.start_bridge_as(name, &format!("domain_id = {domain}\nshared_memory = false\n{route}"), &[])
 }
 

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 const TYPE: &str = "std_srvs/srv/SetBool";
 
 /// A network whose robot has the service, in this mode, beside the one for its replies.
-async fn with_light(mode: &str) -> (World, Client) {
+pub(crate) async fn with_light(mode: &str) -> (World, Client) {
     let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
     let owner = owner_of(&world).await;
     let service = |topic: &str, direction: &str, mode: &str| serde_json::json!({ "topic": topic, "type": TYPE, "direction": direction, "mode": mode, "max_age_ms": 5000 });
@@ -25,7 +25,7 @@ async fn with_light(mode: &str) -> (World, Client) {
     (world, owner)
 }
 
-fn bridge(world: &World, name: &str, domain: u16, direction: &str, more: &str) -> Process {
+pub(crate) fn bridge(world: &World, name: &str, domain: u16, direction: &str, more: &str) -> Process {
     let route = format!("[[route]]\nservice = 'Rover/light'\ndirection = '{direction}'\ntype = '{TYPE}'\n{more}\n");
     world.start_bridge_as(name, &format!("domain_id = {domain}\nshared_memory = false\n{route}"), &[])
 }

@@ -2,7 +2,7 @@
 //! the routes carry messages again, and nobody starts anything anew.
 
 use crate::peer::{PEERS, Peer, number};
-use crate::python::Python;
+use crate::python::{CYCLONE, Python};
 use crate::world::{self, World};
 use crate::{call, network};
 use std::process::Command;
@@ -102,5 +102,52 @@ fn an_interface_that_went_and_came_back_carries_messages_again() {
                 before = hears_beyond(&world, &mut robot, before);
             }
         }
+    });
+}
+
+/// CycloneDDS on the interface `robot0`, with a peer at this address of it.
+fn on_robot0(address: &str) -> String {
+    CYCLONE.replace("name='lo'", "name='robot0'").replace("127.0.0.1", address)
+}
+
+fn ip(words: &str) {
+    assert!(Command::new("ip").args(words.split(' ')).status().unwrap().success(), "ip {words}");
+}
+
+/// Gives the interface another address, and nodes of the graph there that were started after that.
+fn graph_at(address: &str) -> (Python, Python) {
+    let cyclone = on_robot0(address);
+    let stream = |args: &[&str]| Python::start_within(&[], &cyclone, "stream.py", args);
+    let mut robot = stream(&["sub", "3", TOPIC, "0", "90", "0"]);
+    assert_eq!(robot.line().as_deref(), Some("ready"));
+    (robot, stream(&["pub", "1", TOPIC, "100000", "50", "0"]))
+}
+
+#[test]
+fn an_interface_that_comes_back_with_another_address_carries_messages_again() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    ip("link add robot0 type veth peer name robot1");
+    ip("address add 10.77.0.1/24 dev robot0");
+    ["robot0", "robot1"].into_iter().for_each(|name| ip(&format!("link set {name} up")));
+    world::run(async {
+        let world = World::start("/cmd_vel", TYPE).await;
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
+        let _bridges = [("Salma", 1, "to_ledger"), ("Rover", 3, "from_ledger")]
+            .map(|(name, domain, way)| world.start_bridge(name, domain, way, "/cmd_vel", TYPE));
+        let (mut robot, teleop) = graph_at("10.77.0.1");
+        assert_eq!(robot.line().as_deref(), Some("matched"));
+        hears_beyond(&world, &mut robot, 20);
+        drop((robot, teleop));
+
+        ip("address del 10.77.0.1/24 dev robot0");
+        ip("address add 10.77.0.2/24 dev robot0");
+        for name in ["Salma", "Rover"] {
+            world.line(name, &["the addresses of this host have changed", "10.77.0.2"]).await;
+        }
+        let (mut robot, _teleop) = graph_at("10.77.0.2");
+        assert_eq!(robot.line().as_deref(), Some("matched"), "{}", world.logs());
+        hears_beyond(&world, &mut robot, 20);
     });
 }

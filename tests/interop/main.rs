@@ -29,13 +29,16 @@ mod parameters;
 mod passing;
 mod peer;
 mod python;
+mod rclpy;
 mod readers;
 mod readme;
+mod real_ros;
 mod recording;
 mod reloading;
 mod robot_stands;
 mod sharing;
 mod side_door;
+mod sros2;
 mod stop_early;
 #[path = "../support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]

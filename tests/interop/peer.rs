@@ -49,6 +49,20 @@ impl Peer {
     }
 }
 
+/// Fast DDS with DDS Security, and the files of an enclave; or without both.
+pub(crate) fn secured(
+    enclave: Option<&Path>,
+    role: &str,
+    domain: u16,
+    topic: &str,
+    (count, about): (u32, u32),
+) -> Python {
+    let mut command = Command::new(fast_dds());
+    command.args([role, &domain.to_string(), topic, &count.to_string(), &about.to_string(), "0"]);
+    enclave.map(|enclave| command.env("STREAM_ENCLAVE", enclave));
+    Python::run(command)
+}
+
 /// The number of the next sample that a subscriber has.
 pub(crate) fn number(subscriber: &mut Python) -> Option<u32> {
     Some(subscriber.line()?.split_once(' ')?.0.parse().expect("a number"))

@@ -7,8 +7,10 @@ use crate::world::{self, World};
 use crate::{call, network};
 use ledger_abac::{RobotAsset, SideDoor};
 use ledger_api::{Client, Subscription};
+use ledger_gate::sample::Sample;
 use ledger_rejection::Code;
-use std::process::Command;
+use ros_bridge::{names::TopicName, shm};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 const TYPE: &str = "geometry_msgs/msg/Twist";
@@ -75,6 +77,47 @@ fn a_stranger_on_the_robots_topic_is_reported_to_the_ledger_and_shown_to_all_mem
         for (rogue, robot) in PEERS.into_iter().zip(PEERS.into_iter().rev()) {
             is_reported(rogue, robot).await;
         }
+    });
+}
+
+/// Tells the process below which topic to publish on.
+const CHILD_TOPIC: &str = "LEDGERD_TEST_SIDE_DOOR";
+/// Shared memory has no namespaces: a domain that no other test has.
+const SHARED_DOMAIN: u16 = 203;
+
+/// Not a test of its own: a stranger in shared memory.
+#[test]
+fn child_publishes_in_shared_memory_until_it_is_killed() {
+    let Ok(topic) = std::env::var(CHILD_TOPIC) else { return };
+    world::run(async {
+        let stranger = shm::Node::open(SHARED_DOMAIN, "stranger", [3; 16]).await.unwrap();
+        let publisher = stranger.publisher(&TopicName::parse(&topic).unwrap()).await.unwrap();
+        let sample = Sample::new([0, 1], &[7; 48]).unwrap();
+        loop {
+            publisher.write(&sample).unwrap();
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+}
+
+#[test]
+fn a_stranger_in_shared_memory_is_reported_to_the_ledger_too() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let topic = format!("/cmd_vel{}", std::process::id());
+        let world = World::start(&topic, TYPE).await;
+        let _bridge = world.start_shared_memory_bridge("Rover", SHARED_DOMAIN, "from_ledger", &topic, TYPE);
+        world.line("Rover", &["route 1: "]).await;
+        assert!(world.has_not_said("Rover", "beside this bridge"));
+        let mut child = Command::new(std::env::current_exe().unwrap());
+        child.args(["--exact", "side_door::child_publishes_in_shared_memory_until_it_is_killed"]);
+        let stranger = world::Process::new(child.env(CHILD_TOPIC, &topic).stdout(Stdio::null()).spawn().unwrap());
+        let pid = format!("process={}", stranger.id());
+        world.line("Rover", &["WARN", "beside this bridge on /cmd_vel", "in shared memory", &pid]).await;
+        world.line("Rover", &["the ledger was told that 1 publish beside this bridge"]).await;
+        assert_eq!(shown(&world.farhad).await.unwrap().publishers, 1);
     });
 }
 

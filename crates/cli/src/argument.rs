@@ -4,6 +4,7 @@ pub(crate) mod attribute;
 pub(crate) mod bytes;
 pub(crate) mod capability;
 pub(crate) mod destination;
+pub(crate) mod domain;
 pub(crate) mod message;
 pub(crate) mod moment;
 pub(crate) mod number;

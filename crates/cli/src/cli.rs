@@ -2,8 +2,8 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger, light,
-    message, network, policy, record, replay, robot, task, whoami,
+    bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger,
+    light, message, network, policy, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -87,6 +87,8 @@ enum Command {
     Record(record::Record),
     Replay(replay::Replay),
     #[command(subcommand)]
+    Bridge(bridge::Bridge),
+    #[command(subcommand)]
     Policy(policy::Policy),
     Can(can::Can),
     Invoke(chaincode::Invoke),
@@ -142,6 +144,7 @@ impl Cli {
             Command::Echo(command) => command.run(global, output).await,
             Command::Record(command) => command.run(global, output).await,
             Command::Replay(command) => command.run(output).await,
+            Command::Bridge(command) => command.run(global, output).await,
             Command::Policy(command) => command.run(global, output).await,
             Command::Can(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,

@@ -1,5 +1,6 @@
 //! The commands, one file per group. Each is a struct of its arguments and a `run`.
 
+pub(crate) mod bridge;
 pub(crate) mod ca;
 pub(crate) mod can;
 pub(crate) mod chaincode;

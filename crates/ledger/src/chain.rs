@@ -15,6 +15,7 @@ use crate::chaincode::{Context, Environment, Meter, Registry};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
+use crate::large::Large;
 use crate::members::Membership;
 use crate::msp::{
     self, LIST_KEYS, MspChaincode, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, revoked_key,
@@ -59,6 +60,7 @@ pub struct Ledger {
     roots: Mutex<Option<Roots>>,
     identities: Identities,
     verified: Verified,
+    large: Large,
     /// Ids of executed transactions that block time has not passed.
     window: RwLock<Window>,
     writes: Mutex<RecentWrites>,
@@ -168,6 +170,7 @@ impl Ledger {
             schedule: RwLock::new(schedule),
             snapshot_every: founding.snapshot_every,
             verified: Verified::default(),
+            large: Large::default(),
             window: RwLock::new(window),
             writes: Mutex::default(),
             flushing: Mutex::default(),
@@ -229,6 +232,7 @@ impl Ledger {
             identities: &self.identities,
             state: Arc::clone(&self.state) as Arc<dyn StateRead>,
             verified: &|leaf| self.verified.take(leaf),
+            read: &|encoded| self.large.take(encoded),
             window: &self.window,
         };
         let execution = executor.execute(&previous, entry)?;

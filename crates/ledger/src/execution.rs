@@ -36,6 +36,8 @@ pub(crate) struct Executor<'a> {
     pub(crate) state: Arc<dyn StateRead>,
     /// Was the signature of exactly these bytes (by their [`leaf`]) verified by this node before?
     pub(crate) verified: &'a dyn Fn(&Hash) -> bool,
+    /// The transaction of exactly these bytes, if this node has read it before: a shortcut for large ones.
+    pub(crate) read: &'a dyn Fn(&Bytes) -> Option<Transaction>,
     /// Ids executed before this block.
     pub(crate) window: &'a RwLock<Window>,
 }
@@ -66,7 +68,8 @@ impl Executor<'_> {
             EntryKind::Normal => (BlockKind::Transactions, Payload::from_bytes(entry.data.clone()).ok()),
             EntryKind::ConfChange | EntryKind::ConfChangeV2 => (BlockKind::Membership, None),
         };
-        let leaves: Option<Vec<Hash>> = payload.as_ref().map(|p| p.transactions.iter().map(|t| leaf(t)).collect());
+        let decoded = payload.as_ref().map(|payload| self.decoded(&payload.transactions));
+        let (decoded, leaves) = decoded.map_or_else(|| (Vec::new(), None), |(decoded, leaves)| (decoded, Some(leaves)));
         let root = leaves.clone().map_or_else(|| opaque_root(&entry.data), merkle::root);
         let Payload { time, transactions } = payload.unwrap_or_default();
         let time = time.max(previous.time);
@@ -79,7 +82,6 @@ impl Executor<'_> {
         let mut results = Vec::with_capacity(transactions.len());
         let mut ids = Vec::with_capacity(transactions.len());
         let mut foretold = Vec::with_capacity(transactions.len());
-        let decoded: Vec<_> = transactions.iter().map(|encoded| Transaction::decode(encoded.clone())).collect();
         let verified = self.verify_together(&decoded, &leaves.unwrap_or_default(), time);
         for (position, (decoded, verified)) in (0u32..).zip(decoded.into_iter().zip(verified)) {
             let mut emitted = Vec::new();
@@ -192,6 +194,16 @@ impl Executor<'_> {
             }
             events.extend(emitted.into_iter().map(|event| EmittedEvent { index: None, event }));
         }
+    }
+
+    /// The transactions, and their leaves.
+    fn decoded(&self, transactions: &[Bytes]) -> (Vec<Result<Transaction, Rejection>>, Vec<Hash>) {
+        let decode = |encoded: &Bytes| match (self.read)(encoded) {
+            Some(transaction) => (transaction.leaf(), Ok(transaction)),
+            None => (leaf(encoded), Transaction::decode(encoded.clone())),
+        };
+        let (leaves, decoded) = transactions.iter().map(|encoded| decode(encoded)).unzip();
+        (decoded, leaves)
     }
 
     /// The signers whose signatures this node has verified, now or before.

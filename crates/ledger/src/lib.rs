@@ -48,6 +48,7 @@ mod execution;
 mod facts;
 mod foretold;
 mod identities;
+mod large;
 pub mod members;
 pub mod msp;
 pub mod network;

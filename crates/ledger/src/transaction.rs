@@ -4,7 +4,7 @@
 //! stored as the exact bytes that its creator sent. Its id is the SHA-256 of its body, so a rewritten signature (ECDSA
 //! allows many) is still the same transaction.
 
-use crate::block::PAYLOAD_BYTES_MAX;
+use crate::block::{PAYLOAD_BYTES_MAX, leaf};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -12,7 +12,7 @@ use ledger_identity::key::{PublicKey, SigningKey};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::retention::KEPT_MIN_US;
 use prost::Message;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// How far `not_after` may lie ahead of block time, and so how long ids must be remembered: microseconds.
 pub const NOT_AFTER_AHEAD_MAX: u64 = 120_000_000;
@@ -66,12 +66,21 @@ struct Envelope {
 }
 
 /// A transaction whose form has been checked; its signature has not (see [`Transaction::verify`]).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Transaction {
     id: Hash,
     body: Body,
     envelope: Envelope,
     encoded: Bytes,
+    /// Calculated when somebody asks: hashing megabytes takes a millisecond.
+    leaf: OnceLock<Hash>,
+}
+
+/// By its bytes, from which everything else follows.
+impl PartialEq for Transaction {
+    fn eq(&self, other: &Self) -> bool {
+        self.encoded == other.encoded
+    }
 }
 
 impl Transaction {
@@ -112,7 +121,7 @@ impl Transaction {
         check_encoding("Transaction", &envelope, encoded.len())?;
         check_encoding("TransactionBody", &body, envelope.body.len())?;
         check_form(&body)?;
-        Ok(Self { id: Hash::of(&[&envelope.body]), body, envelope, encoded })
+        Ok(Self { id: Hash::of(&[&envelope.body]), body, envelope, encoded, leaf: OnceLock::new() })
     }
 
     fn from_envelope(envelope: Envelope) -> Result<Self, Rejection> {
@@ -122,6 +131,11 @@ impl Transaction {
     /// SHA-256 of the body.
     pub fn id(&self) -> Hash {
         self.id
+    }
+
+    /// Its leaf in the Merkle tree of a block.
+    pub fn leaf(&self) -> Hash {
+        *self.leaf.get_or_init(|| leaf(&self.encoded))
     }
 
     /// The signed bytes.

@@ -12,9 +12,13 @@ use futures::{
 use ledger_api::{Client, Context, home, read_checkpoint};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
-use tokio::{sync::watch, task::JoinHandle};
+use tokio::{
+    sync::watch,
+    task::{JoinHandle, JoinSet, spawn_blocking},
+};
 
 use crate::{
+    addresses::Addresses,
     config::{Config, IdentitySource, RouteConfig},
     count::{RouteSummary, line},
     discover::Watch,
@@ -57,6 +61,10 @@ pub struct Bridge {
     stop_reporter: watch::Sender<bool>,
     /// Has a route ended that nobody stopped?
     ended: watch::Receiver<bool>,
+    /// Have the addresses of this host changed, so that the graph must be joined anew? Says how.
+    outdated: watch::Receiver<Option<String>>,
+    /// The task that looks at them.
+    _looking: JoinSet<()>,
     #[cfg(test)]
     local: Local,
 }
@@ -124,6 +132,7 @@ async fn keep_running(
             () = &mut stop => return Ok(last),
             started = start(&config) => match started {
                 Ok((mut bridge, mut renewed)) => {
+                    told.clear();
                     let lost = loop {
                         tokio::select! {
                             () = &mut stop => break None,
@@ -183,6 +192,10 @@ impl Bridge {
         }
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
+        let looked = reach.clone();
+        let addresses = spawn_blocking(move || Addresses::now(&looked)).await.map_err(|error| {
+            Rejection::new(Code::Internal, format!("the addresses of this host cannot be read: {error}"))
+        })?;
         let local = Local::open(domain.id, &reach, &config.node_name, config.shared_memory).await?;
         let checkpoint =
             config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
@@ -207,6 +220,11 @@ impl Bridge {
             Reporter::ready(&config, context, (domain, &reach), Arc::clone(&gateway), local, Arc::clone(&roster));
         let reporter = tokio::spawn(reporter.run(told));
         let watch = Watching::start(&config, &gateway, &table);
+        let (tell, outdated) = watch::channel(None);
+        let mut looking = JoinSet::new();
+        looking.spawn(async move {
+            tell.send_replace(Some(addresses.outdated().await));
+        });
         Ok(Self {
             config,
             domain: domain.id,
@@ -218,6 +236,8 @@ impl Bridge {
             reporter,
             stop_reporter,
             ended,
+            outdated,
+            _looking: looking,
             #[cfg(test)]
             local: kept,
         })
@@ -249,14 +269,24 @@ impl Bridge {
         );
     }
 
-    /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then stop it, and start another bridge.
+    /// Waits until the local graph is lost, and says why: a route has ended that nobody stopped, so the middleware has ended; or
+    /// the addresses of this host are others. Then stop the bridge, and start another one.
     pub async fn ended(&self) -> Rejection {
-        // An error means that every route has ended.
-        drop(self.ended.clone().wait_for(|ended| *ended).await);
-        Rejection::new(Code::MiddlewareFailed, "the local ROS 2 graph is lost")
-            .found("DDS has ended: one of its threads is gone")
-            .wanted("a running DDS")
-            .next("it is joined again by itself; look at the interfaces of this machine if that does not help")
+        let (mut ended, mut outdated) = (self.ended.clone(), self.outdated.clone());
+        tokio::select! {
+            // An error means that every route has ended.
+            _ = ended.wait_for(|ended| *ended) => Rejection::new(Code::MiddlewareFailed, "the local ROS 2 graph is lost")
+                .found("DDS has ended: one of its threads is gone")
+                .wanted("a running DDS")
+                .next("it is joined again by itself; look at the interfaces of this machine if that does not help"),
+            Ok(found) = outdated.wait_for(Option::is_some) => {
+                let found = found.clone().unwrap_or_default();
+                Rejection::new(Code::MiddlewareFailed, "the addresses of this host have changed")
+                    .found(found)
+                    .wanted("the addresses with which DDS began")
+                    .next("the graph is joined again by itself, with the new ones")
+            }
+        }
     }
 
     /// The counters of the routes so far.

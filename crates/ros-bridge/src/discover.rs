@@ -22,13 +22,14 @@ mod watch;
 
 use std::{collections::BTreeMap, ops::RangeInclusive};
 
+use ledger_contract::RobotAsset;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 
 use self::pattern::{Numbered, Pattern};
 pub(crate) use self::watch::Watch;
 use crate::{
-    config::SAMPLE_BYTES_RANGE,
+    config::{RouteConfig, SAMPLE_BYTES_RANGE},
     names::TopicName,
     route::{
         RATE_HZ_MAX,
@@ -121,6 +122,12 @@ impl Settings {
         let matches = |patterns: &Vec<Pattern>| patterns.iter().any(|pattern| pattern.matches(service));
         self.allow.get(kind.name).is_none_or(matches) && !self.deny.get(kind.name).is_some_and(matches)
     }
+}
+
+/// The routes that there are to be for these robots, if all rights permit them.
+pub(crate) fn offered(settings: &Settings, robots: &[RobotAsset]) -> Vec<RouteConfig> {
+    let (found, _) = offer::candidates(settings, robots);
+    found.into_iter().map(|candidate| candidate.route).collect()
 }
 
 /// The kinds that can be discovered.

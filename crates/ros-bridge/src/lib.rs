@@ -16,10 +16,11 @@
 //! | `keeper`, `roster` | keeps them open; how they stand |
 //! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
 //! | `grants` | a robot's grant from ROS: `/<robot>/acquire`, `release`, `stop` |
+//! | `guarded` | [`Guarded`]: where in the graph of a robot nobody but a bridge should publish |
 //! | `gateway`, `service` | what is asked of the ledger, and what it answers |
 //! | `standing` | asks how a robot stands |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |
-//! | [`domain`], [`reach`] | which ROS domain it joins, and with which hosts |
+//! | [`domain`], [`reach`], `addresses` | which ROS domain it joins, with which hosts, and when it must do so anew |
 //! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
 //! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
 //! | [`qos`] | the quality-of-service settings of a route |
@@ -46,6 +47,7 @@
 //! # Ok(()) }
 //! ```
 
+mod addresses;
 mod bridge;
 pub mod config;
 mod count;
@@ -59,6 +61,7 @@ mod fake;
 mod fit;
 mod gateway;
 mod grants;
+mod guarded;
 mod keeper;
 pub mod mark;
 pub mod names;
@@ -80,4 +83,5 @@ mod typed;
 pub use bridge::{Bridge, Summary, context_of, run};
 pub use config::{Config, IdentitySource};
 pub use count::{Latency, RouteSummary};
+pub use guarded::Guarded;
 pub use renewal::keep_renewed;

@@ -8,6 +8,8 @@
 //!   `origin` (16, the publisher), `sequence` (8, little endian, counts from 1) and `mark` (8, little endian). A
 //!   process that publishes by itself takes any origin that is unique, best random; zero is allowed and stands for
 //!   "unknown". Its mark is zero: others are set by bridges on what came from the ledger ([`Mark::nanos`]).
+//! - **Name of the node**: any; that of a bridge ends with `@` and its origin, so that bridges of one service know each
+//!   other. Everybody else who publishes where a bridge delivers commands is reported as a side door.
 //! - **Event service** of the same name: notify it after each publication, wait on it for news.
 //! - A bridge drops what carries its own origin, or the mark of its network, so nothing goes in circles.
 //! - All processes run as the same user. The first one to open a service sets its limits; ours are [`PUBLISHERS_MAX`],
@@ -20,6 +22,8 @@
 //! iceoryx2 would take over SIGINT and SIGTERM; that is switched off. Arrays of bytes are sendable without any
 //! `unsafe`, which is the other reason for the plain header.
 
+mod peers;
+
 use std::{
     sync::{
         Arc,
@@ -29,6 +33,7 @@ use std::{
 };
 
 use iceoryx2::{
+    identifiers::UniqueNodeId,
     node::{Node as IoxNode, NodeBuilder, NodeCreationFailure},
     port::backpressure_strategy::BackpressureStrategy,
     port::{listener::Listener, notifier::Notifier, publisher, subscriber},
@@ -44,6 +49,7 @@ use iceoryx2::{
 };
 use ledger_gate::sample::Sample;
 
+pub(crate) use self::peers::{Peers, Publisher as OtherPublisher, bridge_name};
 use crate::{
     dds::Role,
     door::{Door, Entry},
@@ -129,6 +135,7 @@ impl Node {
                 port,
                 notifier,
                 data: Arc::new(data),
+                node: *node.node.id(),
                 origin: node.origin,
                 mark,
                 sequence: AtomicU64::new(0),
@@ -171,7 +178,7 @@ impl Node {
             };
             let thread = std::thread::Builder::new().name("bridge-shm".to_owned());
             thread.spawn(move || pump.run()).map_err(|error| failed(&what, &error))?;
-            Ok(Subscriber { queue, data: Arc::new(data), stop, waker })
+            Ok(Subscriber { queue, data: Arc::new(data), node: *node.node.id(), stop, waker })
         })
         .await
     }
@@ -224,6 +231,7 @@ pub struct Publisher {
     port: publisher::Publisher<Service, [u8], Header>,
     notifier: Notifier<Service>,
     data: Arc<DataService>,
+    node: UniqueNodeId,
     origin: [u8; 16],
     mark: Option<Mark>,
     sequence: AtomicU64,
@@ -252,7 +260,7 @@ impl Publisher {
 
     /// The subscribers, to count them later.
     pub(crate) fn peers(&self) -> Peers {
-        Peers { data: Arc::clone(&self.data), role: Role::Subscriber }
+        Peers { data: Arc::clone(&self.data), role: Role::Subscriber, own: self.node }
     }
 }
 
@@ -260,6 +268,7 @@ impl Publisher {
 pub struct Subscriber {
     queue: Arc<Queue>,
     data: Arc<DataService>,
+    node: UniqueNodeId,
     stop: Arc<AtomicBool>,
     waker: Notifier<Service>,
 }
@@ -282,7 +291,7 @@ impl Subscriber {
 
     /// The publishers, to count them later.
     pub(crate) fn peers(&self) -> Peers {
-        Peers { data: Arc::clone(&self.data), role: Role::Publisher }
+        Peers { data: Arc::clone(&self.data), role: Role::Publisher, own: self.node }
     }
 
     /// Samples dropped so far: not valid, too large, or pushed out of a full queue.
@@ -297,28 +306,6 @@ impl Drop for Subscriber {
         // Without the wake-up the thread sees the flag within WAIT_MAX.
         if let Err(error) = self.waker.notify() {
             tracing::debug!(%error, "the thread of shared memory was not woken");
-        }
-    }
-}
-
-/// Counts who uses a topic in shared memory.
-#[derive(Clone)]
-pub(crate) struct Peers {
-    data: Arc<DataService>,
-    role: Role,
-}
-
-impl Peers {
-    /// The endpoints that it counts.
-    pub(crate) fn role(&self) -> Role {
-        self.role
-    }
-
-    /// How many there are now. Those of a process that was killed count until another one cleans up.
-    pub(crate) fn count(&self) -> usize {
-        match self.role {
-            Role::Publisher => self.data.dynamic_config().number_of_publishers(),
-            Role::Subscriber => self.data.dynamic_config().number_of_subscribers(),
         }
     }
 }

@@ -8,6 +8,8 @@ use ledger_rejection::{Code, Rejection};
 use ros_message::{ByteOrder, Fault, Library, Message, Time, Written};
 use serde_json::{Value, json};
 
+use crate::names::TypeName;
+
 /// A built-in type.
 ///
 /// # Errors
@@ -23,6 +25,22 @@ pub(crate) fn of(message: &str) -> Result<Message, Rejection> {
 pub(crate) fn sample(message: &Message, value: &Value) -> Result<Sample, Rejection> {
     let written = Written::parse(&value.to_string()).map_err(|fault| internal(&fault))?;
     let bytes = message.encode(&written, ByteOrder::Little, Time::default()).map_err(|fault| internal(&fault))?;
+    Sample::from_wire(Bytes::from(bytes), SAMPLE_BYTES_MAX)
+}
+
+/// A sample with the values that a person has written as JSON or YAML; fields that are not named are zero.
+///
+/// # Errors
+/// [`Code::BadArgument`] if they are not of the type, or if its definition is not known.
+pub(crate) fn written(message: &TypeName, text: &str) -> Result<Sample, Rejection> {
+    let encode = || {
+        let of = Library::builtin().message(&message.to_string())?;
+        of.encode(&Written::parse(text)?, ByteOrder::Little, Time::default())
+    };
+    let bytes = encode().map_err(|Fault { message: what, found, wanted, next, .. }| {
+        let rejection = Rejection::new(Code::BadArgument, format!("this is no {message}: {what}"));
+        rejection.found(found).wanted(wanted).next(if next.is_empty() { "stop_hex takes CDR".to_owned() } else { next })
+    })?;
     Sample::from_wire(Bytes::from(bytes), SAMPLE_BYTES_MAX)
 }
 

@@ -1,21 +1,32 @@
-//! A bridge in the graph of a real ROS 2: `ros2`, rclpy and tf2 are the judges. Only where one is sourced; elsewhere each test
-//! says that it is skipped, and only what reads the output of `ros2` is tested.
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
+//! A bridge in the graph of a real ROS 2: `ros2`, rclpy and tf2 are the judges. rclpy is that of PyPI where no ROS 2 is sourced. A test
+//! that needs more than that says there that it is skipped, and only what reads the output of `ros2` is tested.
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::print_stdout,
+    reason = "tests"
+)]
 
 #[path = "../../../tests/support/own_network.rs"]
 mod network;
 #[path = "../../../tests/interop/python.rs"]
 mod python;
+#[path = "../../../tests/interop/rclpy.rs"]
+mod rclpy;
 #[path = "ros2/said.rs"]
 mod said;
 
 use std::{
+    ffi::OsString,
     process::{Command, Output},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use ledger_gate::sample::{CDR_LE, Sample};
-use python::{CYCLONE, Python, source};
+use python::{Python, source};
+use rclpy::in_domain;
 use ros_bridge::{
     dds::{Participant, Reader, Writer},
     names::{TopicName, TypeName},
@@ -27,48 +38,33 @@ use said::{Endpoint, endpoints, rate, under};
 const DEADLINE: Duration = Duration::from_secs(60);
 const DOMAIN: u16 = 5;
 const TWIST: &str = "geometry_msgs/msg/Twist";
+const TWIST_HASH: &str = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
 const LATCHED: Qos =
     Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 100, keyed: false };
 
-/// Why there is no real ROS 2 here; none = there is one.
-fn missing(distribution: Option<&str>) -> Option<String> {
-    let sourced = distribution.is_some_and(|name| !name.is_empty());
-    (!sourced).then(|| {
-        "skipped: ROS_DISTRO is not set. Source the setup of a ROS 2 first: it runs this with ros2, rclpy and tf2"
-            .to_owned()
-    })
-}
-
-/// Is a real ROS 2 sourced? Otherwise it says why the test is skipped.
+/// Is a whole ROS 2 sourced? Otherwise it says why the test is skipped.
 fn is_sourced() -> bool {
-    let missing = missing(std::env::var("ROS_DISTRO").ok().as_deref());
-    missing.iter().for_each(|reason| println!("{reason}"));
-    missing.is_none()
-}
-
-/// The same network and domain for programs of ROS 2, whichever RMW they have.
-fn in_our_graph(mut command: Command) -> Command {
-    command.env("ROS_DOMAIN_ID", DOMAIN.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-    command.env("CYCLONEDDS_URI", CYCLONE);
-    command
+    let sourced = rclpy::is_sourced();
+    if !sourced {
+        println!("skipped: ROS_DISTRO is not set. Source the setup of a ROS 2 first: it runs this with ros2 and tf2");
+    }
+    sourced
 }
 
 /// The output of `ros2`. Warnings of endpoints without a hash of their type would stand on its standard error.
 fn ros2(words: &[&str]) -> String {
     let mut command = Command::new("timeout");
     command.args(["60", "ros2"]).args(words);
-    let Output { status, stdout, stderr } = in_our_graph(command).output().unwrap();
-    let (said, complained) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
-    assert!(status.success(), "ros2 {words:?}: {status}\n{said}{complained}");
-    assert!(!complained.contains("type hash"), "{complained}");
-    said.into_owned()
+    output(in_domain(command, DOMAIN), &format!("ros2 {words:?}"))
 }
 
-/// A script of tests/ros, with the Python of ROS 2.
-fn script(name: &str, args: &[&str]) -> Python {
-    let mut command = Command::new("python3");
-    command.arg(source(&format!("../ros/{name}"))).args(args);
-    Python::run(in_our_graph(command))
+/// The output of a program that has nothing to complain about the bridge.
+fn output(mut command: Command, what: &str) -> String {
+    let Output { status, stdout, stderr } = command.output().unwrap();
+    let (said, complained) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
+    assert!(status.success(), "{what}: {status}\n{said}{complained}");
+    assert!(!complained.contains("type hash"), "{complained}");
+    said.into_owned()
 }
 
 fn names(topic: &str, message: &str) -> (TopicName, TypeName) {
@@ -104,13 +100,29 @@ async fn ros2_node_and_topic_show_the_bridge_like_any_node() {
     let topics = ros2(&[["topic", "list", "-t"].as_slice(), &direct].concat());
     assert!(topics.lines().any(|line| line == "/cmd_vel [geometry_msgs/msg/Twist]"), "{topics}");
     let info = ros2(&[["topic", "info", "-v", "/cmd_vel"].as_slice(), &direct].concat());
-    let hash = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
     let [Endpoint { node, role, type_hash, reliability }] = endpoints(&info).try_into().unwrap();
     assert_eq!(
         (&*node, &*role, &*type_hash, &*reliability),
-        ("ledgerd_bridge", "PUBLISHER", hash, "RELIABLE"),
+        ("ledgerd_bridge", "PUBLISHER", TWIST_HASH, "RELIABLE"),
         "{info}"
     );
+}
+
+#[tokio::test]
+async fn rclpy_shows_the_bridge_like_any_node_and_complains_of_nothing() {
+    if !rclpy::is_there() || !network::isolated(&|| ()) {
+        return;
+    }
+    let _bridge = bridge().await;
+    let graph = || output(rclpy::command("graph.py", DOMAIN, &["ledgerd_bridge", "/cmd_vel"]), "graph.py");
+    let shown = tokio::task::spawn_blocking(graph).await.unwrap();
+    let wanted = [
+        "node ledgerd_bridge",
+        "publishes /cmd_vel geometry_msgs/msg/Twist",
+        "subscribes /driven geometry_msgs/msg/Twist",
+        &format!("publisher ledgerd_bridge {TWIST_HASH} RELIABLE VOLATILE"),
+    ];
+    assert_eq!(shown.lines().collect::<Vec<_>>(), wanted);
 }
 
 #[tokio::test]
@@ -132,7 +144,7 @@ async fn ros2_topic_echo_and_hz_hear_the_bridge() {
         // It has no end of its own.
         let mut command = Command::new("timeout");
         command.args(["-s", "INT", "15", "ros2", "topic", "hz", "/cmd_vel"]).env("PYTHONUNBUFFERED", "1");
-        let said = in_our_graph(command).output().unwrap().stdout;
+        let said = in_domain(command, DOMAIN).output().unwrap().stdout;
         let said = String::from_utf8_lossy(&said);
         assert!(rate(&said).is_some_and(|hertz| hertz > 0.0), "{said}");
     });
@@ -142,17 +154,17 @@ async fn ros2_topic_echo_and_hz_hear_the_bridge() {
 
 #[tokio::test]
 async fn rclpy_publishes_to_the_bridge_and_hears_it() {
-    if !is_sourced() || !network::isolated(&|| ()) {
+    if !rclpy::is_there() || !network::isolated(&|| ()) {
         return;
     }
     let (_bridge, writer, mut reader) = bridge().await;
-    let mut talker = script("talker.py", &["/driven", "50", "50"]);
+    let mut talker = rclpy::script("talker.py", DOMAIN, &["/driven", "50", "50"]);
     assert_eq!(talker.line().as_deref(), Some("matched"));
     for wanted in 0..50 {
         let incoming = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
         assert_eq!(incoming.sample, twist(wanted));
     }
-    let mut listener = script("listener.py", &["/cmd_vel", "50"]);
+    let mut listener = rclpy::script("listener.py", DOMAIN, &["/cmd_vel", "50"]);
     assert_eq!(listener.line().as_deref(), Some("ready"));
     assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
     let mut due = tokio::time::interval(Duration::from_millis(20));
@@ -174,7 +186,7 @@ async fn a_static_transform_passes_from_tf2_through_two_bridges_to_tf2() {
     let mut command = Command::new("ros2");
     command.args(["run", "tf2_ros", "static_transform_publisher", "--x", "1", "--y", "2", "--z", "3"]);
     command.args(["--frame-id", "map", "--child-frame-id", "base"]);
-    let _publisher = Python::run(in_our_graph(command));
+    let _publisher = Python::run(in_domain(command, DOMAIN));
     let bridge = Participant::open(DOMAIN, "ledgerd_bridge").await.unwrap();
     let (topic, message) = names("/tf_static", "tf2_msgs/msg/TFMessage");
     let mut reader = bridge.reader(&topic, &message, &LATCHED, Limits::default()).unwrap();
@@ -184,25 +196,78 @@ async fn a_static_transform_passes_from_tf2_through_two_bridges_to_tf2() {
     let other = Participant::open(DOMAIN + 1, "ledgerd_bridge").await.unwrap();
     let writer = other.writer(&topic, &message, &LATCHED).unwrap();
     writer.write(&latched.sample).unwrap();
-    let mut command = Command::new("python3");
-    command.arg(source("../ros/transform.py")).args(["map", "base"]);
-    let mut command = in_our_graph(command);
-    command.env("ROS_DOMAIN_ID", (DOMAIN + 1).to_string());
-    assert_eq!(Python::run(command).line().as_deref(), Some("1.0 2.0 3.0"));
+    assert_eq!(rclpy::script("transform.py", DOMAIN + 1, &["map", "base"]).line().as_deref(), Some("1.0 2.0 3.0"));
+}
+
+/// The relay for a domain that SROS2 secures, as people run it; without security here.
+#[tokio::test]
+async fn the_relay_carries_a_topic_into_another_domain_and_nothing_while_a_stranger_publishes_it_too() {
+    if !rclpy::is_there() || !network::isolated(&|| ()) {
+        return;
+    }
+    let (_bridge, writer, _reader) = bridge().await;
+    let topic = format!("/cmd_vel={TWIST}");
+    let domains = [DOMAIN, DOMAIN + 1].map(|domain| domain.to_string());
+    let args = [&domains[0], &domains[1], &topic].map(String::as_str);
+    let mut relay = rclpy::script("../../examples/sros2/relay.py", DOMAIN, &args);
+    assert_eq!(relay.line().as_deref(), Some("ready"));
+    let robot = Participant::open(DOMAIN + 1, "robot").await.unwrap();
+    let (topic, message) = names("/cmd_vel", TWIST);
+    let mut heard = robot.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let mut due = tokio::time::interval(Duration::from_millis(20));
+    let mut number = 0;
+    // Until all have found each other.
+    let deadline = Instant::now() + DEADLINE;
+    while heard.try_next().is_none() {
+        assert!(Instant::now() < deadline, "nothing is carried over");
+        due.tick().await;
+        number += 1;
+        writer.write(&twist(number)).unwrap();
+    }
+    let stranger = Participant::open(DOMAIN, "stranger").await.unwrap();
+    let other = stranger.writer(&topic, &message, &Qos::default()).unwrap();
+    // The bridge's reader does not count here: the relay and the stranger have to find each other.
+    assert!(tokio::time::timeout(DEADLINE, other.matched().at_least(1)).await.unwrap());
+    let silent = async {
+        let mut last = Instant::now();
+        while last.elapsed() < Duration::from_secs(2) {
+            due.tick().await;
+            [&writer, &other].into_iter().for_each(|writer| writer.write(&twist(7)).unwrap());
+            while heard.try_next().is_some() {
+                last = Instant::now();
+            }
+        }
+    };
+    tokio::time::timeout(DEADLINE, silent).await.unwrap();
+    drop((other, stranger));
+    let again = async {
+        while heard.try_next().is_none() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            writer.write(&twist(8)).unwrap();
+        }
+    };
+    tokio::time::timeout(DEADLINE, again).await.unwrap();
 }
 
 #[test]
-fn without_a_real_ros_2_these_tests_say_that_they_are_skipped_and_why() {
-    for none in [None, Some("")] {
-        let reason = missing(none).unwrap();
-        assert!(reason.starts_with("skipped: ROS_DISTRO is not set"), "{reason}");
-    }
-    assert_eq!(missing(Some("jazzy")), None);
+fn a_ros_2_that_is_sourced_counts_before_the_one_that_the_tests_installed() {
+    let installed = || Some(OsString::from("/installed/python"));
+    assert_eq!(rclpy::interpreter(true, installed()), Some("python3".into()));
+    assert_eq!(rclpy::interpreter(false, installed()), installed());
+    assert_eq!((rclpy::interpreter(false, None), rclpy::interpreter(false, Some("".into()))), (None, None));
 }
 
 #[test]
 fn the_scripts_for_a_real_ros_2_are_python() {
-    for name in ["talker.py", "listener.py", "transform.py"] {
+    for name in [
+        "../../examples/sros2/relay.py",
+        "action.py",
+        "graph.py",
+        "listener.py",
+        "service.py",
+        "talker.py",
+        "transform.py",
+    ] {
         let check = "import ast, sys; ast.parse(open(sys.argv[1]).read())";
         let script = source(&format!("../ros/{name}"));
         assert!(Command::new("python3").args(["-c", check]).arg(script).status().unwrap().success(), "{name}");

@@ -10,7 +10,8 @@
 // SIZE 0 is geometry_msgs/msg/Twist, more is sensor_msgs/msg/Image with so many bytes of data. Samples are those of
 // stream.py. A transient-local publisher does not wait for a reader, and stays for 30 s. QoS is as ROS 2 has it by default: reliable, the last 10.
 //
-// With STREAM_ENCLAVE=DIRECTORY it takes part in DDS Security with the files of an enclave, named as SROS2 names them.
+// With STREAM_ENCLAVE=DIRECTORY it takes part in DDS Security with the files of an enclave, named as SROS2 names them. What
+// DDS does not let it do then, it says: "refused: …", and ends with 4.
 
 #include <chrono>
 #include <cstdint>
@@ -145,6 +146,11 @@ void secure(DomainParticipantQos& qos, const std::string& enclave) {
     set("access.builtin.Access-Permissions.permissions", file("permissions.p7s"));
 }
 
+int refused(const char* what) {
+    std::cout << "refused: " << what << std::endl;
+    return 4;
+}
+
 template <typename Qos>
 void demand(Qos& qos, const std::set<std::string>& words) {
     const bool reliable = words.count("best_effort") == 0;
@@ -255,8 +261,7 @@ int main(int argc, char** argv) {
     }
     auto* participant = factory->create_participant(domain, qos);
     if (participant == nullptr) {
-        std::cerr << "no participant\n";
-        return 1;
+        return refused("no participant");
     }
     TypeSupport type(new Raw(size == 0 ? "geometry_msgs::msg::dds_::Twist_" : "sensor_msgs::msg::dds_::Image_", IMAGE_DATA + size + 64));
     type.register_type(participant);
@@ -265,10 +270,16 @@ int main(int argc, char** argv) {
         DataWriterQos writer_qos = DATAWRITER_QOS_DEFAULT;
         demand(writer_qos, words);
         auto* writer = participant->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic, writer_qos);
+        if (writer == nullptr) {
+            return refused("no writer");
+        }
         return publish(writer, count, rate_or_seconds, size, words);
     }
     DataReaderQos reader_qos = DATAREADER_QOS_DEFAULT;
     demand(reader_qos, words);
     auto* reader = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, reader_qos);
+    if (reader == nullptr) {
+        return refused("no reader");
+    }
     return subscribe(reader, count, rate_or_seconds, size, words);
 }

@@ -4,6 +4,7 @@ mod cast;
 mod lookout;
 mod summary;
 
+use crate::argument::domain;
 use crate::argument::remap::Remap;
 use crate::failure::Failure;
 use crate::output::Output;
@@ -12,7 +13,7 @@ use cast::Cast;
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
 use ledger_rejection::{Code, Rejection};
 use lookout::Lookout;
-use ros_bridge::dds::{DOMAIN_MAX, Participant};
+use ros_bridge::dds::Participant;
 use ros_bridge::error::Error;
 use ros_bridge::reach::{Reach, Settings};
 use std::path::PathBuf;
@@ -44,7 +45,7 @@ pub(crate) struct Replay {
     /// The recording, or another MCAP file with messages of ROS 2
     file: PathBuf,
     /// The ROS domain to publish in
-    #[arg(long, value_name = "N", value_parser = domain)]
+    #[arg(long, value_name = "N", value_parser = domain::parse)]
     domain: u16,
     /// So many times as fast
     #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = rate)]
@@ -52,13 +53,6 @@ pub(crate) struct Replay {
     /// Publish a topic under another name; may be given several times
     #[arg(long = "topic", value_name = "FROM:=TO")]
     remaps: Vec<Remap>,
-}
-
-fn domain(text: &str) -> Result<u16, String> {
-    text.parse()
-        .ok()
-        .filter(|domain| *domain <= DOMAIN_MAX)
-        .ok_or_else(|| format!("wanted a ROS domain, 0 to {DOMAIN_MAX}"))
 }
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -134,12 +128,12 @@ mod tests {
 
     #[test]
     fn a_rate_and_a_domain_are_bounded() {
-        assert_eq!((rate("0.5"), domain("232")), (Ok(0.5), Ok(232)));
+        assert_eq!((rate("0.5"), domain::parse("232")), (Ok(0.5), Ok(232)));
         for text in ["0", "-1", "nan", "inf", "1e9", "fast"] {
             assert!(rate(text).is_err_and(|told| told.contains("0.001 to 1000")), "{text}");
         }
         for text in ["233", "-1", "x", ""] {
-            assert!(domain(text).is_err_and(|told| told.contains("0 to 232")), "{text}");
+            assert!(domain::parse(text).is_err_and(|told| told.contains("0 to 232")), "{text}");
         }
     }
 }

@@ -7,7 +7,6 @@
 //! its first attempt.
 
 use super::Ledger;
-use crate::block::leaf;
 use crate::execution::check_network;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use bytes::Bytes;
@@ -244,13 +243,14 @@ impl Ledger {
         let call = self.call(&identity, time, transaction.id(), &body.chaincode, &body.function, &body.args);
         call.map_err(|rejection| Judged { who: Some(Arc::clone(&identity)), rejection, basis: Basis::Call })?;
         self.verified.insert(leaf);
+        self.large.insert(transaction);
         Ok(())
     }
 
     /// The verified signer of a transaction, and its leaf.
     pub(super) fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
         let judged = |basis, rejection| Judged { who: None, rejection, basis };
-        let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
+        let (overlay, leaf) = (self.overlay(), transaction.leaf());
         let at = (time, self.rules());
         let (identity, _) = self.identities.creator(transaction, &overlay, at).map_err(|rejection| {
             // A revocation is never taken back.
@@ -279,7 +279,7 @@ impl Ledger {
     /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each
     /// costs alone. Only admission tells what is wrong with one.
     pub fn verify_together<'a>(&self, transactions: impl Iterator<Item = &'a Transaction>, now: u64) {
-        let leaves = transactions.map(|transaction| (leaf(transaction.encoded()), transaction));
+        let leaves = transactions.map(|transaction| (transaction.leaf(), transaction));
         let unverified = leaves.filter(|(leaf, _)| !self.verified.contains(leaf));
         self.identities.verify_together(unverified, now).into_iter().for_each(|leaf| self.verified.insert(leaf));
     }

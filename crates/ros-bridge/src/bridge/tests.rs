@@ -47,6 +47,11 @@ struct Bench {
 
 /// A bridge with one route, and another ROS 2 node beside it.
 async fn bench(mode: &str, more: &str, prepare: impl FnOnce(&Fake)) -> Bench {
+    bench_with("shared_memory = false", mode, more, prepare).await
+}
+
+/// The same with these settings of the bridge.
+async fn bench_with(settings: &str, mode: &str, more: &str, prepare: impl FnOnce(&Fake)) -> Bench {
     let network = Network::until(2900);
     let fake = Fake::new(mode, &network);
     prepare(&fake);
@@ -54,7 +59,7 @@ async fn bench(mode: &str, more: &str, prepare: impl FnOnce(&Fake)) -> Bench {
     let patient = more.contains("from_ledger") && !more.contains("command_timeout_ms");
     let more = if patient { format!("{more}\ncommand_timeout_ms = 0") } else { more.to_owned() };
     let text = format!(
-        "domain_id = {DOMAIN}\nshared_memory = false\n[[route]]\nservice = 'T/cmd_vel'\n\
+        "domain_id = {DOMAIN}\n{settings}\n[[route]]\nservice = 'T/cmd_vel'\n\
          type = 'geometry_msgs/msg/Twist'\n{more}"
     );
     let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();

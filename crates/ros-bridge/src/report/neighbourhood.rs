@@ -17,6 +17,7 @@ use crate::{
     queue::Limits,
     roster::{Roster, Watched},
     route::{kind::Beside, local::Local, silence::Surroundings},
+    shm::OtherPublisher,
 };
 
 /// At most so many lines about those who come and leave ...
@@ -25,6 +26,9 @@ const LINES_MAX: u32 = 20;
 const LINES_IN: Duration = Duration::from_secs(10);
 /// Most publishers of other bridges that are listened to.
 const LISTENED_MAX: usize = 16;
+
+/// For so long a publisher in shared memory that says to be a bridge's may be unknown on DDS.
+const INTRODUCTION: Duration = Duration::from_secs(5);
 
 /// The known neighbours.
 pub(super) struct Neighbourhood {
@@ -35,8 +39,25 @@ pub(super) struct Neighbourhood {
     listened: BTreeMap<[u8; 16], AbortHandle>,
     /// How many use each route's topic in shared memory, when last looked at, by the numbers of the routes.
     in_memory: BTreeMap<usize, usize>,
+    /// The publishers beside each route in shared memory, by the numbers of the routes.
+    met: BTreeMap<usize, Met>,
     lines: Lines,
     warnings: Lines,
+}
+
+/// Publishers beside a route in shared memory.
+#[derive(Debug, Default)]
+struct Met {
+    /// Since when each is there, and whether it was told.
+    since: BTreeMap<u128, (Instant, bool)>,
+}
+
+/// Those of them that count.
+#[derive(Debug, PartialEq, Eq)]
+struct Strangers {
+    count: usize,
+    /// The processes of those that did not count before.
+    news: Vec<Option<u32>>,
 }
 
 /// Limits lines in their rate.
@@ -50,9 +71,9 @@ struct Lines {
 impl Neighbourhood {
     pub(super) fn new(local: Local, roster: Arc<Roster>) -> Self {
         let in_memory = roster.open().map(|watched| (watched.number, count_in_memory(&watched))).collect();
-        let (known, listened) = (BTreeMap::new(), BTreeMap::new());
+        let (known, listened, met) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let lines = || Lines { since: Instant::now(), count: 0, not_told: 0 };
-        Self { local, roster, known, listened, in_memory, lines: lines(), warnings: lines() }
+        Self { local, roster, known, listened, in_memory, met, lines: lines(), warnings: lines() }
     }
 
     /// Takes note of a change, and tells what it means.
@@ -73,7 +94,7 @@ impl Neighbourhood {
         let open: Vec<Arc<Watched>> = self.roster.open().collect();
         for watched in open.iter().filter(|watched| watched.dds_topic() == neighbour.topic) {
             self.meet(watched);
-            watched.counters.lock().live.beside = self.beside(watched);
+            self.look_beside(watched, now);
             let line = meaning(watched, &neighbour, came);
             let line = if came { line.map(|line| self.second(watched, &neighbour, line)) } else { line };
             self.tell(watched, &neighbour, line, now);
@@ -87,11 +108,11 @@ impl Neighbourhood {
         for neighbour in self.known.values().filter(is_new).cloned().collect::<Vec<_>>() {
             self.listen(&neighbour);
         }
-        for watched in self.roster.open() {
+        let open: Vec<Arc<Watched>> = self.roster.open().collect();
+        for watched in open {
             // A route that was opened late has neighbours of which nobody tells any more.
             self.meet(&watched);
-            let beside = self.beside(&watched);
-            watched.counters.lock().live.beside = beside;
+            self.look_beside(&watched, now);
             let count = count_in_memory(&watched);
             let before = self.in_memory.entry(watched.number).or_insert(count);
             if count != *before
@@ -145,13 +166,28 @@ impl Neighbourhood {
         }
     }
 
-    /// How many publish on the topic of a route that delivers commands there, other than bridges of the same service.
-    fn beside(&self, watched: &Watched) -> usize {
-        let (topic, delivers) = (watched.dds_topic(), watched.is_command && !watched.route.kind.takes_in());
-        let others = self.known.values().filter(|neighbour| {
-            neighbour.topic == topic && neighbour.role == Role::Publisher && neighbour.mark != Some(watched.mark)
-        });
-        if delivers { others.count() } else { 0 }
+    /// Looks who publishes on the topic of a route that delivers commands there, other than bridges of the same service.
+    fn look_beside(&mut self, watched: &Watched, now: Instant) {
+        if !watched.is_command || watched.route.kind.takes_in() {
+            return;
+        }
+        let topic = watched.dds_topic();
+        let (bridges, others): (Vec<&Neighbour>, Vec<&Neighbour>) = (self.known.values())
+            .filter(|neighbour| neighbour.topic == topic && neighbour.role == Role::Publisher)
+            .partition(|neighbour| neighbour.mark == Some(watched.mark));
+        let in_memory = self.met.entry(watched.number).or_default().look(strangers(watched, &bridges), now);
+        watched.counters.lock().live.beside = others.len().saturating_add(in_memory.count);
+        let (service, topic) = (&watched.route.service, watched.topic.as_str());
+        for process in in_memory.news {
+            if self.warnings.may_tell(now) {
+                tracing::warn!(
+                    service,
+                    topic,
+                    process,
+                    "a publisher beside this bridge on {topic} in shared memory: its messages go around the ledger"
+                );
+            }
+        }
     }
 
     /// A note becomes a warning where it is about a second publisher of commands: the bridge signs what both send.
@@ -236,6 +272,25 @@ impl Neighbourhood {
     }
 }
 
+impl Met {
+    /// These are there now.
+    fn look(&mut self, found: Vec<OtherPublisher>, now: Instant) -> Strangers {
+        self.since.retain(|id, _| found.iter().any(|publisher| publisher.id == *id));
+        let mut strangers = Strangers { count: 0, news: Vec::new() };
+        for OtherPublisher { id, process, bridge } in found {
+            let (since, is_told) = self.since.entry(id).or_insert((now, false));
+            if bridge.is_some() && now.saturating_duration_since(*since) < INTRODUCTION {
+                continue;
+            }
+            strangers.count = strangers.count.saturating_add(1);
+            if !std::mem::replace(is_told, true) {
+                strangers.news.push(process);
+            }
+        }
+        strangers
+    }
+}
+
 impl Drop for Neighbourhood {
     fn drop(&mut self) {
         self.listened.values().for_each(AbortHandle::abort);
@@ -244,6 +299,14 @@ impl Drop for Neighbourhood {
 
 fn count_in_memory(watched: &Watched) -> usize {
     watched.in_memory.as_ref().map_or(0, crate::shm::Peers::count)
+}
+
+/// The publishers in shared memory that belong to none of these bridges: their nodes are known by their participants of DDS.
+fn strangers(watched: &Watched, bridges: &[&Neighbour]) -> Vec<OtherPublisher> {
+    let mut found = watched.in_memory.as_ref().map_or_else(Vec::new, crate::shm::Peers::publishers);
+    let is_of = |of: [u8; 16]| bridges.iter().any(|bridge| bridge.guid.first_chunk::<12>() == of.first_chunk::<12>());
+    found.retain(|publisher| !publisher.bridge.is_some_and(is_of));
+    found
 }
 
 fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
@@ -335,5 +398,17 @@ mod tests {
         assert_eq!(lines.not_told(later), Some(80));
         assert_eq!(lines.not_told(later), None);
         assert!(lines.may_tell(later));
+    }
+
+    #[test]
+    fn who_says_to_be_a_bridge_in_shared_memory_has_some_seconds_to_prove_it_on_dds() {
+        let (start, mut met) = (Instant::now(), Met::default());
+        let of = |bridge| vec![OtherPublisher { id: 7, process: Some(9), bridge }];
+        let strangers = |count, news: &[Option<u32>]| Strangers { count, news: news.to_vec() };
+        assert_eq!(met.look(of(None), start), strangers(1, &[Some(9)]));
+        assert_eq!(met.look(of(None), start), strangers(1, &[]), "told once");
+        assert_eq!(met.look(Vec::new(), start), strangers(0, &[]));
+        assert_eq!(met.look(of(Some([1; 16])), start), strangers(0, &[]));
+        assert_eq!(met.look(of(Some([1; 16])), start + INTRODUCTION), strangers(1, &[Some(9)]));
     }
 }

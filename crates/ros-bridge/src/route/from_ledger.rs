@@ -80,6 +80,7 @@ pub(super) static KIND: Kind = Kind {
         STALE_KEY,
         "command_timeout_ms",
         side_door::NAME,
+        "stop",
         "stop_hex",
         points::KEYS[0],
         points::KEYS[1],

@@ -24,7 +24,7 @@ use crate::{
     dds::Role,
     gateway::Gateway,
     mark::Mark,
-    names::{Interface, TopicName},
+    names::{Interface, TopicName, TypeName},
     qos::Qos,
     shm::Peers,
     standing::Asker,
@@ -61,14 +61,22 @@ pub(crate) struct Kind {
     pub(crate) other_end: Role,
     /// The keys that only this kind has.
     pub(crate) keys: &'static [&'static str],
-    /// Reads the settings under these keys; the number is the largest sample of the route, in bytes.
-    pub(crate) read: fn(&mut Section<'_, '_>, usize) -> Arc<dyn Plan>,
+    /// Reads the settings under these keys.
+    pub(crate) read: fn(&mut Section<'_, '_>, &Given<'_>) -> Arc<dyn Plan>,
     /// The settings of a route that was discovered; none if this kind cannot be.
     pub(crate) discovered: Option<Discovered>,
     /// The words for a cause of silence.
     pub(crate) silence: fn(&Facts<'_>, Cause<'_>) -> Silence,
     /// The warning about an endpoint that does beside this route what the route does.
     pub(crate) beside: fn(&Beside<'_>) -> Option<String>,
+}
+
+/// What is known of a route when the settings of its kind are read.
+pub(crate) struct Given<'a> {
+    /// The type of its messages; none if that is a fault.
+    pub(crate) message: Option<&'a TypeName>,
+    /// Its largest sample, in bytes.
+    pub(crate) sample_bytes_max: usize,
 }
 
 /// The own settings of a route, read and checked: it can be opened.

@@ -36,8 +36,9 @@ pub(crate) struct Local {
 impl Local {
     pub(crate) async fn open(domain: u16, reach: &Reach, node_name: &str, shared_memory: bool) -> Result<Self> {
         let participant = Participant::join(domain, node_name, reach).await?;
+        let (origin, name) = (participant.guid(), shm::bridge_name(node_name, participant.guid()));
         let shm = match shared_memory {
-            true => or_dds_only("any topic", shm::Node::open(domain, node_name, participant.guid()).await),
+            true => or_dds_only("any topic", shm::Node::open(domain, &name, origin).await),
             false => None,
         };
         Ok(Self { participant, shm, delivered: Arc::default() })

@@ -29,7 +29,7 @@ use self::{
 use super::{
     Clocks, Stop,
     calls::Told,
-    kind::{Beside, Kind, Opened, Opening, Plan},
+    kind::{Beside, Given, Kind, Opened, Opening, Plan},
     local::Inlet,
     pace::{Pace, RATE_KEY, read_rate},
     silence::{self, Cause, Facts, Silence, fault, pause},
@@ -87,7 +87,7 @@ struct Settings {
     held_only: bool,
 }
 
-fn read(section: &mut Section<'_, '_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
+fn read(section: &mut Section<'_, '_>, _given: &Given<'_>) -> Arc<dyn Plan> {
     let mut batch_max = 1_u32;
     section.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX), &mut batch_max);
     let max_rate_hz = read_rate(section);

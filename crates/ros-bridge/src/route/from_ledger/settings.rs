@@ -13,7 +13,7 @@ use super::{
         Stop,
         calls::{Hand, REPLY_BYTES},
         holder::{self, Holder},
-        kind::{Opened, Opening, Plan, Terms},
+        kind::{Given, Opened, Opening, Plan, Terms},
         pace::{RATE_KEY, read_rate},
         points::Topics,
         side_door::Treatment,
@@ -25,6 +25,7 @@ use crate::{
     config::{HEARTBEAT_MS, RouteConfig, stop_sample},
     count::Counters,
     names::TopicName,
+    typed,
 };
 
 /// Shortest `stale_after_ms`: one heartbeat may be late.
@@ -81,14 +82,12 @@ pub(super) fn discovered(terms: &Terms) -> Arc<dyn Plan> {
     Arc::new(Settings { on_demand: true, max_rate_hz, ..Settings::default() })
 }
 
-pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let (mut max_age_ms, mut timeout_ms, mut stop) = (None, None, None);
+pub(super) fn read(section: &mut Section<'_, '_>, given: &Given<'_>) -> Arc<dyn Plan> {
+    let (mut max_age_ms, mut timeout_ms) = (None, None);
     section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
     let stale_after = stale_after(section);
     section.integer("command_timeout_ms", 0..=WAIT_MS_MAX, &mut timeout_ms);
-    section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
-        stop_sample(text, sample_bytes_max).map(Some)
-    });
+    let stop = read_stop(section, given);
     let (points, side_door) = (Topics::read(section), Treatment::read(section));
     let (holder, max_rate_hz) = (holder::read(section), read_rate(section));
     let max_age = max_age_ms.map(Duration::from_millis);
@@ -105,6 +104,24 @@ pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Ar
         max_rate_hz,
         on_demand,
     })
+}
+
+/// Reads the stop message: in the words of its type, or as CDR.
+fn read_stop(section: &mut Section<'_, '_>, given: &Given<'_>) -> Option<Sample> {
+    const WORDS: &str = "a message of the route's type, as JSON or YAML";
+    let (mut words, mut cdr) = (None, None);
+    section.parsed("stop", WORDS, &mut words, |text| match given.message {
+        Some(message) => typed::written(message, text).map(Some),
+        // The type is the fault.
+        None => Ok(None),
+    });
+    section.parsed("stop_hex", "CDR in hexadecimal digits", &mut cdr, |text| {
+        stop_sample(text, given.sample_bytes_max).map(Some)
+    });
+    if words.is_some() && cdr.is_some() {
+        section.conflict(["stop", "stop_hex"], "both".to_owned(), "one of them".to_owned());
+    }
+    words.or(cdr)
 }
 
 impl Plan for Settings {

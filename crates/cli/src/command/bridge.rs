@@ -1,0 +1,24 @@
+//! `bridge`: what a bridge needs around it.
+
+mod export_sros2;
+mod keystore;
+mod policy;
+
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::Output;
+use clap::Subcommand;
+
+/// Prepare the robot's graph for a bridge.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Bridge {
+    ExportSros2(export_sros2::ExportSros2),
+}
+
+impl Bridge {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        match self {
+            Self::ExportSros2(command) => command.run(global, output).await,
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! `ledgerctl bridge export-sros2` with real key material, in a keystore as `ros2 security` makes it. Every process is Fast DDS, the DDS
+//! of `rmw_fastrtps`, with DDS Security.
+
+use crate::network;
+use crate::peer::{number, secured};
+use crate::python::Python;
+use crate::support::programs;
+use crate::world::{self, World, route};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const TYPE: &str = "geometry_msgs/msg/Twist";
+const TOPIC: &str = "rt/cmd_vel";
+/// The domain of the robot that SROS2 secures; the bridge is in another one.
+const DOMAIN: u16 = 9;
+/// More than a test has time for.
+const MANY: (u32, u32) = (100_000, 50);
+
+/// The rights of an enclave that `ros2 security create_enclave` has just made.
+const EVERYTHING: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<dds><permissions><grant name="PATH"><subject_name>CN=PATH</subject_name>
+<validity><not_before>2020-01-01T00:00:00</not_before><not_after>2100-01-01T00:00:00</not_after></validity>
+<allow_rule><domains><id>9</id></domains>
+<publish><topics><topic>rt/*</topic></topics></publish><subscribe><topics><topic>rt/*</topic></topics></subscribe>
+</allow_rule><default>DENY</default></grant></permissions></dds>
+"#;
+
+/// A keystore of SROS2.
+struct Keystore(PathBuf);
+
+impl Keystore {
+    fn new(place: &Path) -> Self {
+        let keystore = Self(place.join("sros2 keystore"));
+        for directory in ["public", "private", "enclaves"] {
+            fs::create_dir_all(keystore.0.join(directory)).unwrap();
+        }
+        keystore.run("openssl ecparam -name prime256v1 -genkey -noout -out private/ca.key.pem");
+        keystore.run("openssl req -new -x509 -sha256 -key private/ca.key.pem -subj /CN=sros2CA -days 3650 -out public/ca.cert.pem");
+        for name in ["identity_ca", "permissions_ca"] {
+            keystore
+                .run(&format!("ln -s ca.cert.pem public/{name}.cert.pem && ln -s ca.key.pem private/{name}.key.pem"));
+        }
+        keystore
+    }
+
+    /// Runs a command in the keystore.
+    fn run(&self, command: &str) {
+        let done = Command::new("sh").args(["-c", command]).current_dir(&self.0).output().unwrap();
+        assert!(done.status.success(), "{command}: {}", String::from_utf8_lossy(&done.stderr));
+    }
+
+    /// The directory of a new enclave, with a key, a certificate, and every right.
+    fn enclave(&self, name: &str) -> PathBuf {
+        let at = format!("enclaves/{name}");
+        let (place, subject) = (self.0.join(&at), format!("-subj '/CN=\\/{name}'"));
+        fs::create_dir(&place).unwrap();
+        self.run(&format!("openssl ecparam -name prime256v1 -genkey -noout -out {at}/key.pem"));
+        self.run(&format!("openssl req -new -sha256 -key {at}/key.pem {subject} -out {at}/request.pem"));
+        let by = "-CA public/ca.cert.pem -CAkey private/ca.key.pem -CAcreateserial -days 365";
+        self.run(&format!("openssl x509 -req -sha256 -in {at}/request.pem {by} -out {at}/cert.pem"));
+        fs::write(place.join("permissions.xml"), EVERYTHING.replace("PATH", &format!("/{name}"))).unwrap();
+        let links = ["public/identity_ca.cert.pem", "public/permissions_ca.cert.pem", "enclaves/governance.p7s"];
+        links.iter().for_each(|link| self.run(&format!("ln -s ../../{link} {at}/")));
+        place
+    }
+}
+
+/// Exports for the robot's bridge, and answers with what the command says.
+fn export(world: &World, keystore: &Keystore, to: &Path, more: &[&str]) -> Result<serde_json::Value, String> {
+    export_in(world, keystore, to, DOMAIN, more)
+}
+
+/// The same for a robot in another domain.
+fn export_in(
+    world: &World,
+    keystore: &Keystore,
+    to: &Path,
+    domain: u16,
+    more: &[&str],
+) -> Result<serde_json::Value, String> {
+    let config = world.config_of("Rover", &format!("domain_id = 3\n{}", route("from_ledger", "/cmd_vel", TYPE)));
+    let mut command = Command::new(programs::ledgerctl());
+    command.args(["bridge", "export-sros2", "-o", "json", "--domain", &domain.to_string(), "--config"]).arg(config);
+    command.arg("--keystore").arg(&keystore.0).arg("--to").arg(to).args(more);
+    let done = command.env("LEDGERD_HOME", world.path("home")).output().unwrap();
+    let said = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    if done.status.success() { Ok(serde_json::from_str(&said(done.stdout)).unwrap()) } else { Err(said(done.stderr)) }
+}
+
+/// The first line is the refusal of DDS.
+fn is_refused(mut process: Python) -> bool {
+    process.line().is_some_and(|line| line.starts_with("refused"))
+}
+
+#[test]
+fn with_the_exported_policies_nobody_but_the_relay_publishes_to_the_robot() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", TYPE).await;
+        let keystore = Keystore::new(&world.path("home"));
+        let [base, lidar, relay] = ["base", "lidar", "ledgerd_relay"].map(|name| keystore.enclave(name));
+        let to = world.path("home").join("exported");
+        let exported = export(&world, &keystore, &to, &[]).unwrap();
+        assert_eq!(exported["denied"], serde_json::json!(["/base", "/lidar"]));
+        assert_eq!(exported["guarded"][0]["name"], "/cmd_vel");
+        let commands: Vec<&str> =
+            exported["openssl"].as_array().unwrap().iter().map(|command| command.as_str().unwrap()).collect();
+
+        // So far the lidar may do everything, as `create_enclave` leaves it: with the files signed that are there.
+        let before: Vec<PathBuf> = [&base, &lidar, &relay].map(|enclave| enclave.join("permissions.xml")).into();
+        let kept: Vec<String> = before.iter().map(|path| fs::read_to_string(path).unwrap()).collect();
+        keystore.run(commands[0]);
+        before.iter().zip(&kept).for_each(|(path, text)| fs::write(path, text).unwrap());
+        commands[1..].iter().for_each(|command| keystore.run(command));
+        let mut robot = secured(Some(&base), "sub", DOMAIN, TOPIC, (0, 90));
+        assert_eq!(robot.line().as_deref(), Some("ready"));
+        let rogue = secured(Some(&lidar), "pub", DOMAIN, TOPIC, MANY);
+        assert_eq!(robot.line().as_deref(), Some("matched"));
+        assert!(number(&mut robot).is_some(), "the robot obeys the lidar");
+        drop((robot, rogue));
+
+        // Now the exported ones.
+        commands.iter().for_each(|command| keystore.run(command));
+        let mut robot = secured(Some(&base), "sub", DOMAIN, TOPIC, (0, 90));
+        assert_eq!(robot.line().as_deref(), Some("ready"));
+        let _stranger = secured(None, "pub", DOMAIN, TOPIC, MANY);
+        assert!(is_refused(secured(Some(&lidar), "pub", DOMAIN, TOPIC, MANY)), "the lidar may not publish any more");
+        assert!(is_refused(secured(Some(&base), "pub", DOMAIN, TOPIC, MANY)), "nor may the base itself");
+        let mut bridge = secured(Some(&relay), "pub", DOMAIN, TOPIC, (200, 50));
+        assert_eq!(bridge.line().as_deref(), Some("matched"));
+        assert_eq!(robot.line().as_deref(), Some("matched"));
+        for wanted in 0..200 {
+            assert_eq!(number(&mut robot), Some(wanted), "nobody else is heard");
+        }
+        assert!(bridge.finish());
+
+        // With the permissions of the relay, which are no secret, nobody gets far without its key.
+        fs::copy(relay.join("permissions.p7s"), lidar.join("permissions.p7s")).unwrap();
+        assert!(is_refused(secured(Some(&lidar), "pub", DOMAIN, TOPIC, MANY)));
+        // The relay does nothing but that.
+        assert!(is_refused(secured(Some(&relay), "pub", DOMAIN, "rt/scan", MANY)));
+        assert!(is_refused(secured(Some(&relay), "sub", DOMAIN, "rt/scan", (0, 90))));
+    });
+}
+
+#[test]
+fn an_export_that_would_close_nothing_or_replace_a_file_is_refused() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", TYPE).await;
+        let keystore = Keystore::new(&world.path("home"));
+        let to = world.path("home").join("exported");
+        let refused = export_in(&world, &keystore, &to, 3, &[]).unwrap_err();
+        assert!(refused.contains("in the domain that is to be secured"), "{refused}");
+        export(&world, &keystore, &to, &[]).unwrap();
+        let again = export(&world, &keystore, &to, &[]).unwrap_err();
+        assert!(again.contains("ALREADY_EXISTS") && again.contains("--force"), "{again}");
+        export(&world, &keystore, &to, &["--force"]).unwrap();
+        let none = export(&world, &Keystore(world.path("net")), &to, &["--force"]).unwrap_err();
+        assert!(none.contains("is no keystore of SROS2"), "{none}");
+    });
+}
