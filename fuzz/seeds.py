@@ -48,3 +48,6 @@ for way in vectors["ways"]:
             begun = bytes([BEGINNINGS.index(way["begin"]), len(changes)])
             shown = [struct.pack(">QI", height, len(writes)) + writes for height, writes in changes]
             seed("follow", begun + b"".join(shown) + proof)
+for file in json.loads((PLACE / "../tests/fixtures/evidence.json").read_text())["files"]:
+    seed("evidence", of(file["evidence"]))
+    seed("evidence", of(file["evidence"])[:-32])

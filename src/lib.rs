@@ -26,6 +26,7 @@
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
+//! | `audit`, `refusals` | an index of who did what; what was refused, put on the ledger |
 //! | `early` | emergency stops, of which robots hear before they are ordered |
 //! | `bridge` | the bridge inside a node |
 //! | `peers` | TLS connections between nodes |
@@ -41,6 +42,7 @@
 //! | `awake`, `slice`, `memory` | processors that may not sleep yet; short turns on them; memory that goes back |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
+mod audit;
 mod awake;
 mod blocks;
 mod bridge;
@@ -67,6 +69,7 @@ mod memory;
 mod orderer;
 mod peers;
 mod random;
+mod refusals;
 mod renewal;
 mod retention;
 mod scrub;

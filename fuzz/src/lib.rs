@@ -42,6 +42,22 @@ pub static TOLD: LazyLock<Vec<Statement>> = LazyLock::new(|| {
     lies.flat_map(|lie| [lie.first.statement, lie.second.statement]).collect()
 });
 
+/// A genesis, and the transactions that the evidence of the vectors proves.
+pub struct Vouched {
+    /// The document.
+    pub genesis: Vec<u8>,
+    /// Their ids.
+    pub proved: Vec<Hash>,
+}
+
+/// tests/fixtures/evidence.json.
+pub static EVIDENCE: LazyLock<Vouched> = LazyLock::new(|| {
+    let vectors: Value = serde_json::from_str(include_str!("../../tests/fixtures/evidence.json")).expect("JSON");
+    let files = vectors["files"].as_array().expect("a list").iter();
+    let proved = files.map(|file| Hash::from_hex(file["transaction"].as_str().expect("a text")).expect("a hash"));
+    Vouched { genesis: bytes(&vectors["genesis"]), proved: proved.collect() }
+});
+
 fn list(field: &str) -> impl Iterator<Item = &'static Value> {
     VECTORS[field].as_array().expect("a list").iter()
 }

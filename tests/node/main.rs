@@ -19,6 +19,7 @@ mod support;
 #[path = "../support/two_networks.rs"]
 mod two_networks;
 
+mod audit;
 mod ca;
 mod catch_up;
 mod certified;

@@ -436,6 +436,17 @@ impl Gateway for Shared {
         Ok(Response::new(v1::DenialsResponse::default()))
     }
 
+    async fn prove_transaction(
+        &self,
+        _request: Request<v1::ProveTransactionRequest>,
+    ) -> Result<Response<v1::ProveTransactionResponse>, Status> {
+        Ok(Response::new(v1::ProveTransactionResponse::default()))
+    }
+
+    async fn audit(&self, _request: Request<v1::AuditRequest>) -> Result<Response<v1::AuditResponse>, Status> {
+        Ok(Response::new(v1::AuditResponse::default()))
+    }
+
     async fn transfer_leadership(
         &self,
         _request: Request<v1::TransferLeadershipRequest>,
