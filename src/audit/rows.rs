@@ -12,6 +12,8 @@ use std::collections::HashMap;
 
 /// The chaincode of robots.
 const ABAC: &str = "abac";
+/// The function of `msp` that revokes a person.
+const REVOKE: &str = "revoke_identity";
 /// Names of creators that are remembered.
 const NAMES_MAX: usize = 4096;
 /// Longest text of a row, bytes.
@@ -83,7 +85,10 @@ impl Names {
         // Nobody has signed what was refused for its signature.
         let is_signed = outcome.results.get(place).is_some_and(|result| result.not_after.is_some());
         let creator = if is_signed { self.name(&transaction.creator(), name) } else { String::new() };
-        let argument = body.args.first().map(|argument| String::from_utf8_lossy(argument)).unwrap_or_default();
+        let argument = match body.function.as_str() {
+            REVOKE => name_in(body.args.first()).unwrap_or_default().into(),
+            _ => body.args.first().map(|argument| String::from_utf8_lossy(argument)).unwrap_or_default(),
+        };
         let is_name =
             argument.len() <= TEXT_BYTES_MAX && argument.chars().all(|c| c.is_alphanumeric() || "/_-.:*".contains(c));
         Call {
@@ -106,6 +111,12 @@ impl Names {
         self.0.insert(*creator, found.clone());
         found
     }
+}
+
+/// The name in an argument that is a JSON object.
+fn name_in(argument: Option<&bytes::Bytes>) -> Option<String> {
+    let argument: Value = serde_json::from_slice(argument?).ok()?;
+    argument.get("name")?.as_str().map(str::to_owned)
 }
 
 fn matters(event: &Event) -> bool {
@@ -200,7 +211,7 @@ fn of_msp(event: &Event, call: &Call) -> Row {
     // The event names a number; the call says whose certificate it was.
     let revoked = |name: &str| format!("{}/{name}", organisation.unwrap_or_default());
     let who = match event.name.as_str() {
-        "revoked" if call.function == "revoke_identity" && !call.subject.is_empty() => revoked(&call.subject),
+        "revoked" if call.function == REVOKE && !call.subject.is_empty() => revoked(&call.subject),
         _ if event.subject.contains('/') => event.subject.clone(),
         _ => call.creator.clone(),
     };
