@@ -80,7 +80,7 @@ impl Refusing {
         let waiting = open.or_else(|| self.begin())?;
         // Perhaps the same bytes again: they are executed once.
         if let Err(reason) = self.author.order(&waiting.signed) {
-            tracing::debug!(%reason, "what was refused cannot be told to the ledger now");
+            tracing::debug!(%reason, "the ledger cannot be told now of refusals");
         }
         Some(waiting)
     }
@@ -94,7 +94,7 @@ impl Refusing {
         match self.author.sign("tell_refusals", &told) {
             Ok(signed) => Some(Waiting { signed, told }),
             Err(reason) => {
-                tracing::warn!(%reason, "what was refused cannot be signed");
+                tracing::warn!(%reason, "the refusals of this node cannot be signed");
                 self.denials.gathered().take_back(told);
                 None
             }
@@ -106,13 +106,13 @@ impl Refusing {
         match ledger.transaction(&waiting.signed.id()) {
             Ok(Some(record)) if record.result.code() == Code::Ok => Fate::OnTheLedger,
             Ok(Some(record)) => {
-                tracing::debug!(code = %record.result.code(), "what was refused is told to the ledger again");
+                tracing::debug!(code = %record.result.code(), "the refusals of this node are told to the ledger again");
                 Fate::Lost
             }
             Ok(None) if self.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => Fate::Lost,
             Ok(None) => Fate::Open,
             Err(reason) => {
-                tracing::warn!(%reason, "cannot find out whether the ledger knows what was refused");
+                tracing::warn!(%reason, "cannot find out whether the ledger knows the refusals");
                 Fate::Open
             }
         }

@@ -2,7 +2,7 @@
 //! no network.
 
 use crate::support::network::{SERVICE, message, register_robots};
-use crate::support::{Fleet, Process, connect, until};
+use crate::support::{Dev, Fleet, Process, connect, eventually, until};
 use bytes::Bytes;
 use ledger_api::v1::{AuditRequest, AuditRow};
 use ledger_api::{Client, Context};
@@ -152,15 +152,6 @@ async fn ledgerctl_shows_the_audit_and_the_history_with_decoded_values() {
     assert_eq!(history.len(), 3, "{history:?}");
     assert_eq!(history[0]["message"]["linear"]["x"], 0.1);
     assert_eq!((&history[2]["sender"], &history[2]["message"]["angular"]["z"]), (&"Org1/Salma".into(), &0.5.into()));
-    // What another set would have decided.
-    let file = story.fleet.path().join("all.cedar");
-    std::fs::write(&file, "permit (principal, action, resource);").unwrap();
-    let shadow = ctl(&story.owner).json(&["policy", "shadow", file.to_str().unwrap()]);
-    assert_eq!((&shadow["decisions"], shadow["differ"].as_array().unwrap().len()), (&2.into(), 1), "{shadow}");
-    assert_eq!((&shadow["differ"][0]["who"], &shadow["differ"][0]["times"]), (&"Org1/Farhad".into(), &4.into()));
-    let diff = ctl(&story.owner).json(&["policy", "diff", file.to_str().unwrap(), "--decisions", "5"]);
-    assert_eq!((&diff["ended"], &diff["recorded"]["differ"][0]["was"]), (&0.into(), &"denied".into()), "{diff}");
-
     let none = ctl(&story.owner).run(&[
         "history",
         "Turtlebot4/cmd_vel",
@@ -266,4 +257,36 @@ async fn a_flood_of_refusals_makes_at_most_one_transaction_a_second_and_no_count
     .await;
     assert_eq!(boss.status().await.unwrap().executed, quiet);
     node.interrupt();
+}
+
+#[test]
+fn recorded_decisions_are_asked_again_under_other_policies() {
+    let dev = Dev::start();
+    let (owner, salma, farhad) =
+        (dev.owner(), dev.user("Salma", &["Husky"], "ed25519"), dev.user("Farhad", &[], "p256"));
+    salma.run(&["acquire", "Husky/cmd_vel"]).ok();
+    farhad.run(&["acquire", "Husky/cmd_vel"]).refused(2, &["LGR-3001"]);
+    eventually("the refusal is on the ledger", || {
+        let shown = owner.run(&["audit", "--robot", "Husky", "--code", "LGR-3001", "--csv"]).ok().stdout;
+        (shown.lines().count() == 2).then_some(())
+    });
+    let file = dev.home.path().join("all.cedar");
+    std::fs::write(&file, "permit (principal, action, resource);").unwrap();
+    let file = file.to_str().unwrap();
+    let shadow = owner.json(&["policy", "shadow", file]);
+    assert_eq!(
+        (&shadow["decisions"], &shadow["times"], &shadow["unknown"]),
+        (&2.into(), &2.into(), &0.into()),
+        "{shadow}"
+    );
+    let differ = shadow["differ"].as_array().unwrap();
+    assert_eq!(differ.len(), 1, "{shadow}");
+    assert_eq!((&differ[0]["who"], &differ[0]["was"]), (&"Org1/Farhad".into(), &"denied".into()));
+    let diff = owner.json(&["policy", "diff", file, "--decisions", "5"]);
+    assert_eq!((&diff["ended"], diff["recorded"]["differ"].as_array().unwrap().len()), (&0.into(), 1), "{diff}");
+
+    // Somebody whom a command names is found by the name.
+    dev.admin().run(&["identity", "revoke", "Farhad", "--reason", "lost"]).ok();
+    let revoked = dev.admin().run(&["audit", "--user", "Farhad", "-o", "json"]).ok().stdout;
+    assert!(revoked.lines().any(|row| row.contains("\"revoked\"") && row.contains("Org1/Farhad")), "{revoked}");
 }

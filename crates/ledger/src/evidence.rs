@@ -1,7 +1,7 @@
 //! Evidence: one file that proves who signed a transaction, and where it stands, to somebody who has only the genesis.
 //!
-//! It holds the way from the genesis to a certificate of a block, the headers from the block of the transaction to that one, and
-//! the Merkle path of the transaction. docs/format.md has each byte.
+//! It holds the way from the genesis to a certificate of a block, and the headers from the block of the transaction to that one.
+//! The Merkle path of the transaction leads to the first of them (docs/format.md has each byte).
 //!
 //! The place of every transaction is proved. Its verdict is proved if its own block is the certified one; otherwise nothing
 //! is said about it here.

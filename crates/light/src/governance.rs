@@ -254,7 +254,7 @@ impl Governance {
         })
     }
 
-    /// Who governed when the block at a height was executed. A proof must have shown before that the changes are all
+    /// The governance by which the block at a height was executed. A proof must have shown before that the changes are all
     /// ([`Governance::follow`]).
     ///
     /// # Errors

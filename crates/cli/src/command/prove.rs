@@ -18,7 +18,7 @@ use std::path::PathBuf;
 /// Write a file that proves who signed a transaction and where it stands, or check one without a network.
 ///
 /// The file holds the signed transaction, its way to the root of its block, headers, and a certificate that a majority of the voters
-/// has signed. The way from the genesis to these voters is in it, too. Who checks it needs the genesis, and believes no node. The
+/// has signed. The way from the genesis to these voters is in it, too. Its reader needs the genesis, and believes no node. The
 /// verdict is proved while the certificate of its own block is at hand, which is some minutes; the place is proved for as long as
 /// blocks are kept.
 #[derive(Debug, clap::Args)]

@@ -49,6 +49,8 @@ pub(super) struct Compared {
     /// How many times they were made.
     times: u64,
     differ: Vec<Differs>,
+    /// Decisions that cannot be asked about again: the person or the service is not known any more, or never was by its name.
+    unknown: usize,
 }
 
 /// A decision that would be another one.
@@ -95,7 +97,7 @@ pub(super) async fn compare(
     most: u64,
 ) -> Result<Compared, Rejection> {
     let decided = decided(session, since, most.min(DECISIONS_MAX)).await?;
-    let mut compared = Compared { decisions: decided.len(), times: 0, differ: Vec::new() };
+    let mut compared = Compared { decisions: decided.len(), times: 0, differ: Vec::new(), unknown: 0 };
     for Decided { who, service, allowed, times, last, height } in decided {
         compared.times += times;
         let ask = Ask {
@@ -107,8 +109,8 @@ pub(super) async fn compare(
         };
         let answer = match asked(session, &ask).await {
             Ok(answer) => answer,
-            // The robot or the person is gone.
-            Err(refused) if matches!(refused.code, Code::NotFound | Code::UnknownRobot | Code::UnknownService) => {
+            Err(refused) if is_unknown(&refused) => {
+                compared.unknown += 1;
                 continue;
             }
             Err(refused) => return Err(refused),
@@ -120,6 +122,11 @@ pub(super) async fn compare(
         }
     }
     Ok(compared)
+}
+
+/// The robot or the person is gone, or nobody has registered the person.
+fn is_unknown(refused: &Rejection) -> bool {
+    matches!(refused.code, Code::NotFound | Code::UnknownRobot | Code::UnknownService)
 }
 
 /// The last different decisions about robots of the own organisation, the newest last.
@@ -168,12 +175,15 @@ fn verdict(row: &AuditRow) -> Option<bool> {
 
 impl Facts for Compared {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Self { decisions, times, differ } = self;
+        let Self { decisions, times, differ, unknown } = self;
         writeln!(
             out,
             "recorded decisions that this set would change: {} of {decisions}, made {times} times",
             differ.len()
         )?;
+        if *unknown > 0 {
+            writeln!(out, "not asked again, as the ledger knows the person or the service no more: {unknown}")?;
+        }
         if differ.is_empty() {
             return Ok(());
         }
