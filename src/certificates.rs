@@ -6,6 +6,7 @@
 //!   inbox        statements of peers that wait: a few of each
 //!   kept         the files below the data directory
 //!   recent       the newest certificates, for those who ask for a proof
+//!   passed       one in ten seconds of all before, on the disk
 //! ```
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
@@ -13,6 +14,7 @@
 mod inbox;
 mod kept;
 mod keys;
+mod passed;
 mod recent;
 
 pub(crate) use keys::Keys;
@@ -29,6 +31,7 @@ use ledger_rejection::Rejection;
 use ledger_replica::Observer;
 use ledger_replica::certifier::{Certifier, Effect, Era, Event};
 use ledger_storage::block_store::BlockStore;
+use passed::Passed;
 use recent::Recent;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -58,6 +61,7 @@ pub(crate) struct Certificates {
     lies: Mutex<Vec<Lied>>,
     recent: Recent,
     kept: Kept,
+    passed: Passed,
 }
 
 impl Certificates {
@@ -72,7 +76,8 @@ impl Certificates {
         let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
         let lies = Mutex::new(kept.lies()?);
         let (heard, recent) = (Inbox::default(), Recent::default());
-        Ok((Arc::new(Self { told, heard, certified, lies, recent, kept }), events))
+        let passed = Passed::open(kept.directory())?;
+        Ok((Arc::new(Self { told, heard, certified, lies, recent, kept, passed }), events))
     }
 
     /// The newest height for which this node has a certificate; 0 if there is none.
@@ -112,6 +117,23 @@ impl Certificates {
     ) -> Result<Option<Proof>, Rejection> {
         let Some(certificate) = self.recent.wait_for(height).await else { return Ok(None) };
         proof(ledger, certificate, wanted)
+    }
+
+    /// A proof of the block at a height, with the verdict at that position, or else of the next certified block. None if none is
+    /// known, nor comes in two seconds.
+    ///
+    /// # Errors
+    /// A fault of the store or of the disk.
+    pub(crate) async fn covering(&self, ledger: &Ledger, height: u64, index: u32) -> Result<Option<Proof>, Rejection> {
+        let wanted = |fact: &Fact<'_>| matches!(fact, Fact::Verdict { index: of, .. } if *of == index);
+        if self.passed.at_or_after(height)?.is_none() {
+            self.recent.wait_from(height).await;
+        }
+        let recent = self.recent.at_or_after(height).map(|certificate| proof(ledger, certificate, wanted));
+        let recent = recent.transpose()?.flatten();
+        let (passed, governing) = (self.passed.at_or_after(height)?, self.kept.governing(height)?);
+        let known = [recent, governing, passed].into_iter().flatten();
+        Ok(known.min_by_key(|proof| proof.certificate.statement.height))
     }
 
     /// The proof of the newest certified block; none if there is none.
@@ -253,19 +275,26 @@ impl Certifying {
                 let newest = height == self.certificates.certified();
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());
-                if due || governs {
+                let passes = self.certificates.passed.wants(height, certificate.statement.time);
+                if due || governs || passes {
                     *written = if due { Some(Instant::now()) } else { *written };
-                    self.keep_proof(certificate, due, governs).await;
+                    self.keep_proof(certificate, due, governs, passes).await;
                 }
             }
             Effect::Lied(lie) => self.lied(&lie).await,
         }
     }
 
-    async fn keep_proof(&self, certificate: Certificate, newest: bool, governs: bool) {
-        let ledger = Arc::clone(&self.ledger);
+    async fn keep_proof(&self, certificate: Certificate, newest: bool, governs: bool, passes: bool) {
+        let (ledger, first) = (Arc::clone(&self.ledger), self.store.first_index());
+        let certificates = Arc::clone(&self.certificates);
         self.keep(move |kept| match proof(&ledger, certificate, |_| false)? {
-            Some(proof) => kept.proof(&proof, newest, governs),
+            Some(proof) => {
+                if passes {
+                    certificates.passed.keep(&proof, first)?;
+                }
+                kept.proof(&proof, newest, governs)
+            }
             // It was certified long after it was executed. Another node has it.
             None => Ok(()),
         })

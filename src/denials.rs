@@ -1,20 +1,33 @@
-//! Calls that this node refused before ordering: counted by code, and the last ones kept for an admin to see.
+//! Calls that this node refused before ordering: counted by code, the last ones kept for an admin to see, and gathered for the
+//! ledger.
 
+mod gathered;
+
+pub(crate) use gathered::Gathered;
+
+use gathered::One;
 use ledger::Refusal;
+use ledger::transaction::Transaction;
 use ledger_api::v1::Denial;
 use ledger_rejection::Rejection;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use tokio::sync::Notify;
 
 /// Refusals kept; a flood of the same one takes one place.
 const KEPT_MAX: usize = 1000;
 /// Bytes of a subject that are kept.
 const SUBJECT_BYTES_MAX: usize = 256;
+/// Codes from here on say nothing about a call, only about the node.
+const OF_THE_NODE: u16 = 4000;
 
 /// Refusals of this node since it started.
 #[derive(Default)]
 pub(crate) struct Denials {
     kept: Mutex<Kept>,
+    gathered: Mutex<Gathered>,
+    /// Told when something was gathered.
+    news: Notify,
 }
 
 #[derive(Default)]
@@ -26,7 +39,7 @@ struct Kept {
 impl Denials {
     /// Takes down a refusal at the node's time, microseconds.
     pub(crate) fn record(&self, now: u64, refusal: &Refusal) {
-        let body = refusal.transaction.as_ref().map(ledger::transaction::Transaction::body);
+        let body = refusal.transaction.as_ref().map(Transaction::body);
         let subject = body.and_then(|body| body.args.first()).filter(|arg| arg.len() <= SUBJECT_BYTES_MAX);
         self.count(Denial {
             time: now,
@@ -37,10 +50,27 @@ impl Denials {
             verdict: Some((&refusal.rejection).into()),
             count: 1,
         });
+        let sample = refusal.transaction.as_ref().map(Transaction::id);
+        let (function, subject) = match body {
+            Some(body) => (body.function.clone(), body.args.first().map(|arg| named(arg)).unwrap_or_default()),
+            None => Default::default(),
+        };
+        let who = refusal.who.clone().unwrap_or_default();
+        let chaincode = body.map(|body| body.chaincode.clone()).unwrap_or_default();
+        self.gather(One { who, chaincode, function, subject, time: now, sample, ..One::default() }, &refusal.rejection);
     }
 
     /// Takes down that a subscription was refused, or ended because of this, at the node's time, microseconds.
     pub(crate) fn record_subscription(&self, now: u64, who: String, chaincode: &str, subject: &str, why: &Rejection) {
+        let one = One {
+            who: who.clone(),
+            chaincode: chaincode.to_owned(),
+            function: "subscribe".to_owned(),
+            subject: named(subject.as_bytes()),
+            time: now,
+            ..One::default()
+        };
+        self.gather(one, why);
         self.count(Denial {
             time: now,
             who,
@@ -50,6 +80,26 @@ impl Denials {
             verdict: Some(why.into()),
             count: 1,
         });
+    }
+
+    /// Gathers one for the ledger, unless it is this node's own trouble.
+    fn gather(&self, one: One, why: &Rejection) {
+        if why.code.number() >= OF_THE_NODE {
+            return;
+        }
+        let code = why.code.number().into();
+        self.gathered().add(One { code, why: why.message.clone(), found: why.found.clone(), ..one });
+        self.news.notify_one();
+    }
+
+    /// The refusals that are not on the ledger yet.
+    pub(crate) fn gathered(&self) -> MutexGuard<'_, Gathered> {
+        self.gathered.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until something is gathered.
+    pub(crate) async fn news(&self) {
+        self.news.notified().await;
     }
 
     fn count(&self, denial: Denial) {
@@ -79,6 +129,13 @@ impl Denials {
     pub(crate) fn counts(&self) -> BTreeMap<u32, u64> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).counts.clone()
     }
+}
+
+/// An argument as the name of something; empty if it is none, such as the description of a robot.
+fn named(argument: &[u8]) -> String {
+    let text = std::str::from_utf8(argument).unwrap_or_default();
+    let fits = text.len() <= SUBJECT_BYTES_MAX && text.chars().all(|c| c.is_alphanumeric() || "/_-.:*".contains(c));
+    if fits { text.to_owned() } else { String::new() }
 }
 
 fn alike(a: &Denial, b: &Denial) -> bool {

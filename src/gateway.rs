@@ -10,16 +10,18 @@
 //!   current      makes the state as new as what was committed
 //!   subscribe    events as they happen; audience: their listeners
 //!   status       the description of the node; links: its ways to be ordered
-//!   proofs       proofs of what was certified
+//!   proofs       proofs of what was certified; evidence: of one transaction
 //!   transfer     the leadership for another node
-//!   denied       the list of refusals
+//!   denied       the list of refusals; audited: who did what
 //! ```
 //!
 //! Each of them holds the few parts of the node that it needs; the instance puts them together.
 
 mod audience;
+mod audited;
 mod current;
 mod denied;
+mod evidence;
 mod intake;
 mod links;
 mod looks;
@@ -35,16 +37,17 @@ use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::host::Caller;
 pub(crate) use audience::Audience;
+pub(crate) use audited::Answers;
 pub(crate) use current::Current;
 pub(crate) use intake::{Bounds, Intake};
 use ledger::Ledger;
 pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
-    Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, GovernanceRequest,
-    GovernanceStep, ProveRequest, ProveResponse, QueryRequest, QueryResponse, StatusRequest, StatusResponse,
-    SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord, TransferLeadershipRequest,
-    TransferLeadershipResponse,
+    AuditRequest, AuditResponse, Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest,
+    GetTransactionRequest, GovernanceRequest, GovernanceStep, ProveRequest, ProveResponse, ProveTransactionRequest,
+    ProveTransactionResponse, QueryRequest, QueryResponse, StatusRequest, StatusResponse, SubmitRequest,
+    SubmitResponse, SubscribeRequest, TransactionRecord, TransferLeadershipRequest, TransferLeadershipResponse,
 };
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
@@ -82,6 +85,8 @@ pub(crate) struct GatewayService {
     pub description: Arc<Description>,
     /// Calls that were refused.
     pub denials: Arc<Denials>,
+    /// Tells who did what.
+    pub audit: Arc<Answers>,
 }
 
 impl GatewayService {
@@ -177,9 +182,22 @@ impl Gateway for GatewayService {
         answer(self.proofs.prove(request.into_inner()).await)
     }
 
+    async fn prove_transaction(
+        &self,
+        request: Request<ProveTransactionRequest>,
+    ) -> Result<Response<ProveTransactionResponse>, Status> {
+        let caller = self.caller(&request)?;
+        answer(self.proofs.link(caller, &request.into_inner().id).await)
+    }
+
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {
         let caller = self.caller(&request)?;
         answer(denied::latest(&self.denials, &caller, request.into_inner().limit))
+    }
+
+    async fn audit(&self, request: Request<AuditRequest>) -> Result<Response<AuditResponse>, Status> {
+        let caller = self.caller(&request)?;
+        answer(self.audit.answer(caller, request.into_inner()).await)
     }
 
     async fn transfer_leadership(

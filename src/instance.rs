@@ -90,8 +90,9 @@ pub(crate) struct Instance {
     scrub: Scrub,
     conductor: JoinHandle<()>,
     /// The tasks beside: renewing the certificate, attesting, certifying, asking the others, watching whether the node still
-    /// belongs here. Two tell the ledger the knowledge of its CA, and which rules it speaks.
-    beside: [JoinHandle<()>; 7],
+    /// belongs here, keeping the index of the audit. Three tell the ledger the knowledge of its CA, which rules it speaks, and what it
+    /// refused.
+    beside: [JoinHandle<()>; 9],
 }
 
 impl Standing {
@@ -162,6 +163,7 @@ impl Prepared {
         let (registrar, housekeeping) = (self.registrar, self.housekeeping);
         let telling = Telling { author: wired.author(), me: wired.me.id };
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
+        let (refusing, audit) = (wired.refusing(), Arc::clone(&wired.audit));
         let catch_up = wired.catch_up(bootstrap, ballot, stopping);
         let conductor =
             Conductor::new((wired.me.id, wired.secret()), timing, wired.engines.clone(), catch_up).begin().await?;
@@ -177,6 +179,8 @@ impl Prepared {
             tokio::spawn(vital_task(certifying.run(stated))),
             tokio::spawn(vital_task(belonging)),
             tokio::spawn(vital_task(telling.run())),
+            tokio::spawn(vital_task(refusing.run())),
+            tokio::spawn(vital_task(audit.keep())),
             tokio::spawn(vital_task(registrar.keep_registered())),
         ];
         Ok(Instance { ledger: stores.ledger, links, shares, ended, housekeeping, scrub, conductor, beside })

@@ -26,6 +26,7 @@
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
+//! | `audit`, `refusals` | an index of who did what; what was refused, put on the ledger |
 //! | `early` | emergency stops, of which robots hear before they are ordered |
 //! | `bridge` | the bridge inside a node |
 //! | `peers` | TLS connections between nodes |
@@ -42,6 +43,7 @@
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
 mod admin;
+mod audit;
 mod awake;
 mod blocks;
 mod bridge;
@@ -69,6 +71,7 @@ mod meters;
 mod orderer;
 mod peers;
 mod random;
+mod refusals;
 mod renewal;
 mod retention;
 mod scrub;

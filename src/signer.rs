@@ -73,9 +73,24 @@ impl Author {
     /// # Errors
     /// The reason why the state refuses it, or why nothing can be ordered now.
     pub(crate) fn submit(&self, function: &str, argument: &impl Serialize) -> Result<(), Rejection> {
+        self.order(&self.sign(function, argument)?)
+    }
+
+    /// A signed call with this argument.
+    ///
+    /// # Errors
+    /// The reason why it is no transaction.
+    pub(crate) fn sign(&self, function: &str, argument: &impl Serialize) -> Result<Transaction, Rejection> {
         let argument =
             serde_json::to_vec(argument).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        let signed = self.signer.sign(msp::NAME, function, vec![Bytes::from(argument)])?;
+        self.signer.sign(msp::NAME, function, vec![Bytes::from(argument)])
+    }
+
+    /// Submits a signed call, unless the ledger has it already.
+    ///
+    /// # Errors
+    /// As [`Author::submit`].
+    pub(crate) fn order(&self, signed: &Transaction) -> Result<(), Rejection> {
         let admission = self.ledger.admit(signed.encoded().clone(), self.signer.clock.now());
         match admission.map_err(|refusal| refusal.rejection)? {
             Admission::New(transaction) => {

@@ -10,7 +10,9 @@ use ledger_rejection::{Code, Rejection};
 use ledger_replica::opening::{Kept, Opening};
 use ledger_storage::block_store::{BlockStore, Options, StoreError};
 use ledger_storage::disk::RealDisk;
-use ledger_storage::layout::{BLOCKS_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY};
+use ledger_storage::layout::{
+    AUDIT_DIRECTORY, BLOCKS_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY,
+};
 use ledger_storage::results::ResultStore;
 use ledger_storage::snapshot::Snapshots;
 use ledger_storage::state::{SledStore, Store};
@@ -106,7 +108,9 @@ impl Kept for Directories<'_> {
 
     fn set_aside(&mut self) -> Result<(), Rejection> {
         set_aside(&self.data.join(STATE_DIRECTORY))?;
-        set_aside(&self.data.join(RESULTS_DIRECTORY))
+        set_aside(&self.data.join(RESULTS_DIRECTORY))?;
+        // It may hold what was computed wrongly.
+        set_aside(&self.data.join(AUDIT_DIRECTORY))
     }
 }
 

@@ -46,6 +46,33 @@ pub static TOLD: LazyLock<Vec<Statement>> = LazyLock::new(|| {
     lies.flat_map(|lie| [lie.first.statement, lie.second.statement]).collect()
 });
 
+/// A genesis, and the transactions that the evidence of the vectors proves.
+pub struct Vouched {
+    /// The document.
+    pub genesis: Vec<u8>,
+    /// Their ids.
+    pub proved: Vec<Hash>,
+}
+
+/// tests/fixtures/evidence.json.
+static FILES: LazyLock<Value> =
+    LazyLock::new(|| serde_json::from_str(include_str!("../../tests/fixtures/evidence.json")).expect("JSON"));
+
+/// All that they prove.
+pub static EVIDENCE: LazyLock<Vouched> = LazyLock::new(|| {
+    let files = FILES["files"].as_array().expect("a list").iter();
+    let proved = files.map(|file| Hash::from_hex(file["transaction"].as_str().expect("a text")).expect("a hash"));
+    Vouched { genesis: bytes(&FILES["genesis"]), proved: proved.collect() }
+});
+
+/// The evidence of the vectors.
+///
+/// # Panics
+/// If there is none.
+pub fn evidence() -> impl Iterator<Item = Vec<u8>> {
+    FILES["files"].as_array().expect("a list").iter().map(|file| bytes(&file["evidence"]))
+}
+
 /// The vectors: tests/fixtures/certified.json.
 pub fn vectors() -> &'static Value {
     &VECTORS

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use ledger::block::Payload;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_fuzz::files::File;
-use ledger_fuzz::{BEGINNINGS, bytes, list, messages, vectors};
+use ledger_fuzz::{BEGINNINGS, bytes, evidence, list, messages, vectors};
 use ledger_hash::Hash;
 use mcap::{Stamp, Writer};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
@@ -22,6 +22,8 @@ const PROOF_HEAD: usize = 17;
 /// Where a certificate's statement begins and ends, and where its first signature begins.
 const STATEMENT: std::ops::Range<usize> = 23..156;
 const SIGNATURE: usize = 160;
+/// Bytes of the hash at the end of evidence.
+const HASH_BYTES: usize = 32;
 /// The configuration of a Fabric organisation, as its tools write it.
 const UNITS: &str = "NodeOUs:\n  Enable: true\n  ClientOUIdentifier:\n    Certificate: cacerts/ca.pem\n    \
     OrganizationalUnitIdentifier: client\n  AdminOUIdentifier:\n    OrganizationalUnitIdentifier: admin\n";
@@ -71,6 +73,11 @@ fn certified(corpus: &Corpus) -> Done {
             Value::Null => corpus.seed("change", &bytes(&begin["writes"]))?,
             checkpoint => corpus.seed("checkpoint", &bytes(checkpoint))?,
         }
+    }
+    for evidence in evidence() {
+        corpus.seed("evidence", &evidence)?;
+        // The target also adds the hash at the end by itself.
+        corpus.seed("evidence", &evidence[..evidence.len() - HASH_BYTES])?;
     }
     list("ways").try_for_each(|way| items(&way["steps"]).try_for_each(|step| steps(corpus, way, step)))
 }

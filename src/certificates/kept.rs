@@ -73,6 +73,11 @@ impl Kept {
         Ok(Self(place))
     }
 
+    /// The directory.
+    pub(super) fn directory(&self) -> &Path {
+        &self.0
+    }
+
     /// The newest proof that was kept. One that cannot be read is as good as none: there will be a newer one.
     pub(super) fn newest(&self) -> Result<Option<Proof>, Rejection> {
         self.read(NEWEST)

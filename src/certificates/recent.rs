@@ -42,6 +42,23 @@ impl Recent {
         self.lock().last_key_value().map(|(_, certificate)| certificate.clone())
     }
 
+    /// The first one of a block at or after a height.
+    pub(super) fn at_or_after(&self, height: u64) -> Option<Certificate> {
+        self.lock().range(height..).next().map(|(_, certificate)| certificate.clone())
+    }
+
+    /// Waits until there is one of a block at or after a height; gives up if that takes too long.
+    pub(super) async fn wait_from(&self, height: u64) {
+        let mut added = self.added.subscribe();
+        let found = async {
+            while self.at_or_after(height).is_none() {
+                added.changed().await.ok()?;
+            }
+            Some(())
+        };
+        let _perhaps_not = timeout(PATIENCE, found).await;
+    }
+
     /// The one of a block, once there is one; none if that takes too long, or if those that are kept are newer.
     pub(super) async fn wait_for(&self, height: u64) -> Option<Certificate> {
         let mut added = self.added.subscribe();

@@ -1,6 +1,7 @@
 //! Proofs, for readers that believe no single node.
 
 use super::{Current, Questions, status};
+use crate::blocks::Blocks;
 use crate::certificates::Certificates;
 use bytes::Bytes;
 use ledger::Ledger;
@@ -27,6 +28,8 @@ const VERDICTS_MAX: usize = 32;
 pub(crate) struct Proofs {
     /// The ledger.
     pub ledger: Arc<Ledger>,
+    /// Executed blocks.
+    pub blocks: Arc<Blocks>,
     /// The document that the name of the network is made of.
     pub genesis: Bytes,
     /// The certificates.

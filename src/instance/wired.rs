@@ -2,6 +2,7 @@
 
 use super::revocations::Revocations;
 use super::{Fate, Standing};
+use crate::audit::Audit;
 use crate::blocks::Blocks;
 use crate::catch_up::{Bootstrap, CatchUp, Destination, Source};
 use crate::certificates::{Certificates, Certifying, Keys, Told, era};
@@ -11,14 +12,15 @@ use crate::config::Config;
 use crate::early::Early;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{
-    Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Proofs, Questions, Records,
-    Submissions, Subscriptions, Usage,
+    Answers, Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Proofs, Questions,
+    Records, Submissions, Subscriptions, Usage,
 };
 use crate::host::{Deliver, Host, Members, Papers};
 use crate::housekeeping::Housekeeping;
 use crate::meters::Meters;
 use crate::orderer::{Engines, Executed, Log, Outside, Pace, Seat};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
+use crate::refusals::Refusing;
 use crate::retention::Pruner;
 use crate::signer::{Author, Signer};
 use crate::space::Space;
@@ -61,6 +63,8 @@ pub(super) struct Wired {
     pub shares: Arc<Shares>,
     /// The connections of members.
     pub members: Arc<Members>,
+    /// The index of the audit.
+    pub audit: Arc<Audit>,
 }
 
 /// The parts that hear of each executed block.
@@ -177,7 +181,9 @@ impl Wired {
         let links = Links { me: me.id, seat, directory: Arc::clone(&standing.directory), peers, space };
         let shares = Arc::new(Shares::new(super::count(config.limits.in_flight_max)));
         let stores = stores.clone();
-        Ok((Self { me, identity, stores, followers, early, links, engines, dialer, shares, members }, seen, stated))
+        let audit = Audit::open(&config.data, ledger, (&followers.blocks, &links.space))?;
+        let wired = Self { me, identity, stores, followers, early, links, engines, dialer, shares, members, audit };
+        Ok((wired, seen, stated))
     }
 
     /// The gateway of a node that started at this moment, in the network of that genesis.
@@ -209,11 +215,14 @@ impl Wired {
         };
         let proofs = Proofs {
             ledger: Arc::clone(ledger),
+            blocks: Arc::clone(blocks),
             genesis: document,
             certificates: Arc::clone(&self.followers.certificates),
             current: current.clone(),
-            questions,
+            questions: questions.clone(),
         };
+        let audit =
+            Answers { audit: Arc::clone(&self.audit), ledger: Arc::clone(ledger), current: current.clone(), questions };
         GatewayService {
             proofs: Arc::new(proofs),
             ledger: Arc::clone(ledger),
@@ -223,6 +232,7 @@ impl Wired {
             subscriptions: Arc::new(subscriptions),
             description: Arc::new(self.description(config, started, audience)),
             denials: Arc::clone(denials),
+            audit: Arc::new(audit),
         }
     }
 
@@ -330,6 +340,16 @@ impl Wired {
         let ledger = Arc::clone(&self.stores.ledger);
         let signer = Signer::new(self.identity.clone(), ledger.network(), self.followers.clock.clone());
         Author { signer, ledger, seat: Arc::clone(&self.links.seat) }
+    }
+
+    /// Tells the ledger what this node refused.
+    pub(super) fn refusing(&self) -> Refusing {
+        Refusing {
+            author: self.author(),
+            denials: Arc::clone(&self.engines.outside.denials),
+            clock: self.followers.clock.clone(),
+            space: Arc::clone(&self.links.space),
+        }
     }
 
     /// Fetches what this node lacks.

@@ -20,6 +20,7 @@ mod support;
 mod two_networks;
 
 mod admin;
+mod audit;
 mod ca;
 mod catch_up;
 mod certified;

@@ -2,8 +2,8 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger,
-    light, message, network, policy, record, replay, robot, task, whoami,
+    audit, bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger,
+    light, message, network, policy, prove, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -98,6 +98,9 @@ enum Command {
     Block(ledger::Block),
     Tx(ledger::Tx),
     Denials(denials::Denials),
+    Audit(audit::Audit),
+    History(message::History),
+    Prove(prove::Prove),
     #[command(subcommand)]
     Ledger(ledger::Ledger),
     Explain(explain::Explain),
@@ -154,6 +157,9 @@ impl Cli {
             Command::Block(command) => command.run(global, output).await,
             Command::Tx(command) => command.run(global, output).await,
             Command::Denials(command) => command.run(global, output).await,
+            Command::Audit(command) => command.run(global, output).await,
+            Command::History(command) => command.run(global, output).await,
+            Command::Prove(command) => command.run(global, output).await,
             Command::Ledger(command) => command.run(output),
             Command::Explain(command) => command.run(output),
             // For a shell, which shows whatever it is told.

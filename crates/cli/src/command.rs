@@ -1,5 +1,6 @@
 //! The commands, one file per group. Each is a struct of its arguments and a `run`.
 
+pub(crate) mod audit;
 pub(crate) mod bridge;
 pub(crate) mod ca;
 pub(crate) mod can;
@@ -17,6 +18,7 @@ pub(crate) mod light;
 pub(crate) mod message;
 pub(crate) mod network;
 pub(crate) mod policy;
+pub(crate) mod prove;
 pub(crate) mod record;
 pub(crate) mod replay;
 pub(crate) mod robot;

@@ -11,6 +11,7 @@
 //! | [`Chaincode`] | a program that every node executes; [`Context`] is all that it may know |
 //! | [`msp`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
 //! | [`network`], [`Rules`] | the genesis; the numbers of the rules by which blocks are executed |
+//! | [`evidence`] | one file that proves a transaction to somebody without a network |
 //! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
 //! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
 //!
@@ -44,6 +45,7 @@
 pub mod block;
 mod chain;
 mod chaincode;
+pub mod evidence;
 mod execution;
 mod facts;
 mod foretold;

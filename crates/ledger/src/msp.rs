@@ -43,6 +43,7 @@
 //! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
 //! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
 //! | `record_certificate {...}` ([`RecordCertificate`]) | a node that carries the CA | [`Recorded`] |
+//! | `tell_refusals {refusals}` ([`TellRefusals`]) | a node, once in a second | nothing |
 //! | `carriers` | | array of [`CarrierRecord`] |
 //! | `carry_ca {...}` ([`CarryCa`]) | a node, for itself | nothing |
 //! | `uncarry_ca {organisation, node?}` | a node for itself, or an admin of the organisation | nothing |
@@ -57,7 +58,7 @@
 //! number; `invitation_cancelled` with the [`Invitation`] and its name; `registrar_set` with the [`SetRegistrar`], `registered` and `registration_cancelled` with
 //! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
 //! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
-//! the [`crate::Activation`] and the number.
+//! the [`crate::Activation`] and the number; `refused` with the [`TellRefusals`] and no subject, for admins and nodes.
 
 mod action;
 mod addition;
@@ -75,6 +76,7 @@ mod proposals;
 mod quorums;
 mod quotas;
 mod read;
+mod refusals;
 mod revocation_lists;
 mod revocations;
 mod rules;
@@ -104,6 +106,7 @@ pub use proposals::{
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
 pub use read::{attestations, changes, invitation, members, nodes, organisations, revocation_lists, voters};
+pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};
 pub use revocation_lists::{
     ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
 };
@@ -116,12 +119,13 @@ pub(crate) use store::{
     LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, end_of, revoked_key,
 };
 
-use crate::chaincode::{Chaincode, Context, Quorum};
+use crate::chaincode::{Chaincode, Context, Foretold, Quorum};
 use crate::members::Membership;
 use crate::network::Genesis;
 use crate::page::Paging;
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
 use ledger_storage::state::WriteSet;
 use store::{full, json};
 
@@ -143,6 +147,7 @@ const REGISTRARS: &str = "registrars";
 const SET_REGISTRAR: &str = "set_registrar";
 const SET_STALE: &str = "set_stale_lists";
 const LISTS: &str = "revocation_lists";
+const TELL_REFUSALS: &str = "tell_refusals";
 
 /// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
 /// quorum it sets.
@@ -158,7 +163,7 @@ static NEEDS_APPROVAL: [(&str, Quorum); 8] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 43] = [
+const FUNCTIONS: [(&str, &str); 44] = [
     ("activate_rules", "RULES_JSON"),
     (ADD_ORGANISATION, "ORGANISATION_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
@@ -199,6 +204,7 @@ const FUNCTIONS: [(&str, &str); 43] = [
     (SET_REGISTRAR, "REGISTRAR_JSON"),
     (SET_STALE, "STALE_JSON"),
     ("speak", "SPEAKS_JSON"),
+    (TELL_REFUSALS, "REFUSALS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
     ("withdraw", "ID"),
@@ -238,7 +244,7 @@ const URGENT: [&str; 9] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 14] = [
+const SINCE_RULES_3: [&str; 15] = [
     ADD_ORGANISATION,
     ALLOW_NODES,
     ENROLLED,
@@ -253,10 +259,11 @@ const SINCE_RULES_3: [&str; 14] = [
     SET_QUOTA,
     SET_REGISTRAR,
     SET_STALE,
+    TELL_REFUSALS,
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 28] = [
+const EVENTS: [&str; 29] = [
     "approved",
     "attested",
     "ca_carried",
@@ -275,6 +282,7 @@ const EVENTS: [&str; 28] = [
     "proposed",
     "quorum_changed",
     "quota_changed",
+    "refused",
     "registered",
     "registrar_set",
     "registration_cancelled",
@@ -305,6 +313,21 @@ impl Chaincode for MspChaincode {
 
     fn events(&self) -> &'static [&'static str] {
         &EVENTS
+    }
+
+    fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {
+        match (function, args) {
+            (TELL_REFUSALS, [told]) => Some(refusals::foretell(told)),
+            _ => None,
+        }
+    }
+
+    fn may_follow(&self, ctx: &Context<'_>, _subjects: &[String], names: &[String]) -> Result<(), Rejection> {
+        if names.iter().any(|name| name == "refused") { refusals::may_read(ctx) } else { Ok(()) }
+    }
+
+    fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {
+        if event.name == "refused" { refusals::may_read(ctx) } else { Ok(()) }
     }
 
     /// Functions that take rights away; for admins only.
@@ -351,6 +374,7 @@ impl Chaincode for MspChaincode {
             (REMOVE_ORGANISATION, [remove]) => organisations::remove(ctx, remove),
             ("rules", []) => rules::show(ctx),
             ("speak", [speaks]) => rules::speak(ctx, speaks),
+            (TELL_REFUSALS, [told]) => refusals::tell(ctx, told),
             (ACTIVATE_RULES, [activate]) => rules::activate(ctx, activate),
             (ALLOW_NODES, [allow]) => allowance::allow(ctx, allow),
             ("proposals", []) => proposals::list(ctx, args),

@@ -5,13 +5,13 @@ use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 
 /// Appends a part with its length, `u32` BE.
-pub(crate) fn put(to: &mut Vec<u8>, part: &[u8]) {
+pub fn put(to: &mut Vec<u8>, part: &[u8]) {
     to.extend_from_slice(&(part.len() as u32).to_be_bytes());
     to.extend_from_slice(part);
 }
 
 /// Reads bytes that may be hostile. Nothing is allocated for a length that the bytes do not have.
-pub(crate) struct Reader<'a> {
+pub struct Reader<'a> {
     what: &'static str,
     length: usize,
     rest: &'a [u8],
@@ -19,7 +19,10 @@ pub(crate) struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     /// Of a thing with this name, which has at most so many bytes and begins with these.
-    pub(crate) fn new(what: &'static str, max: usize, begins: &[u8], bytes: &'a [u8]) -> Result<Self, Rejection> {
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`], [`Code::Malformed`].
+    pub fn new(what: &'static str, max: usize, begins: &[u8], bytes: &'a [u8]) -> Result<Self, Rejection> {
         if bytes.len() > max {
             return Err(Rejection::new(Code::TooLarge, format!("{what} is too large"))
                 .found(format!("{} bytes", bytes.len()))
@@ -33,7 +36,11 @@ impl<'a> Reader<'a> {
         Ok(reader)
     }
 
-    pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], Rejection> {
+    /// So many bytes.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if there are fewer, as of all that follows.
+    pub fn take(&mut self, count: usize) -> Result<&'a [u8], Rejection> {
         let Some((part, rest)) = self.rest.split_at_checked(count) else {
             return Err(self.malformed("too few bytes", &format!("{count} more")));
         };
@@ -41,29 +48,52 @@ impl<'a> Reader<'a> {
         Ok(part)
     }
 
-    pub(crate) fn array<const N: usize>(&mut self) -> Result<[u8; N], Rejection> {
+    /// So many bytes, as an array.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn array<const N: usize>(&mut self) -> Result<[u8; N], Rejection> {
         let part = self.take(N)?;
         part.try_into().map_err(|_| self.malformed("too few bytes", &format!("{N} more")))
     }
 
-    pub(crate) fn byte(&mut self) -> Result<u8, Rejection> {
+    /// One byte.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn byte(&mut self) -> Result<u8, Rejection> {
         self.array::<1>().map(|[byte]| byte)
     }
 
-    pub(crate) fn u32(&mut self) -> Result<u32, Rejection> {
+    /// A number, BE.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn u32(&mut self) -> Result<u32, Rejection> {
         self.array().map(u32::from_be_bytes)
     }
 
-    pub(crate) fn u64(&mut self) -> Result<u64, Rejection> {
+    /// A number, BE.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn u64(&mut self) -> Result<u64, Rejection> {
         self.array().map(u64::from_be_bytes)
     }
 
-    pub(crate) fn hash(&mut self) -> Result<Hash, Rejection> {
+    /// A hash.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn hash(&mut self) -> Result<Hash, Rejection> {
         self.array().map(Hash)
     }
 
     /// A part with its length.
-    pub(crate) fn part(&mut self, max: usize) -> Result<&'a [u8], Rejection> {
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if it is longer than `max`, or than what is left.
+    pub fn part(&mut self, max: usize) -> Result<&'a [u8], Rejection> {
         let length = self.u32()? as usize;
         if length > max {
             return Err(self.malformed(&format!("a part of {length} bytes"), &format!("at most {max}")));
@@ -71,24 +101,36 @@ impl<'a> Reader<'a> {
         self.take(length)
     }
 
-    pub(crate) fn text(&mut self, max: usize) -> Result<&'a str, Rejection> {
+    /// A part that is UTF-8.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn text(&mut self, max: usize) -> Result<&'a str, Rejection> {
         let part = self.part(max)?;
         std::str::from_utf8(part).map_err(|error| self.malformed(&error.to_string(), "UTF-8"))
     }
 
-    pub(crate) fn part_owned(&mut self, max: usize) -> Result<Bytes, Rejection> {
+    /// A part, on its own.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`].
+    pub fn part_owned(&mut self, max: usize) -> Result<Bytes, Rejection> {
         self.part(max).map(Bytes::copy_from_slice)
     }
 
     /// Nothing may be left.
-    pub(crate) fn end(self) -> Result<(), Rejection> {
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if something is.
+    pub fn end(self) -> Result<(), Rejection> {
         match self.rest.len() {
             0 => Ok(()),
             more => Err(self.malformed(&format!("{more} bytes too many"), "its end")),
         }
     }
 
-    pub(crate) fn malformed(&self, found: &str, wanted: &str) -> Rejection {
+    /// A refusal of what was found at the place that is reached.
+    pub fn malformed(&self, found: &str, wanted: &str) -> Rejection {
         let at = self.length - self.rest.len();
         Rejection::new(Code::Malformed, format!("{} cannot be read", self.what))
             .found(format!("{found} at byte {at}"))

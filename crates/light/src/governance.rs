@@ -254,6 +254,16 @@ impl Governance {
         })
     }
 
+    /// The governance by which the block at a height was executed. A proof must have shown before that the changes are all
+    /// ([`Governance::follow`]).
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if keys are not in order.
+    pub fn before(&self, height: u64, changes: &[Change]) -> Result<Self, Rejection> {
+        let earlier = changes.iter().filter(|change| change.height > self.height && change.height < height);
+        earlier.fold(Ok(self.clone()), |before, change| before?.after(change))
+    }
+
     /// Its values, as if one block had written them all.
     pub(crate) fn all(&self) -> Change {
         let writes = self.state.iter().map(|(key, value)| (key.clone(), Some(value.clone()))).collect();

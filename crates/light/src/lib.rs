@@ -17,6 +17,7 @@
 //! | [`checkpoint`] | where a reader was |
 //! | [`governance`] | whom to believe at a height, followed from a pinned beginning |
 //! | [`way`] | from where a reader was to the newest proof that it believes |
+//! | [`codec`] | reading hostile bytes in one form |
 //! | [`lie`] | two statements of one node about one height, or two votes of one node in one term |
 //!
 //! ```
@@ -39,7 +40,7 @@
 
 pub mod certificate;
 pub mod checkpoint;
-mod codec;
+pub mod codec;
 pub mod control;
 pub mod fact;
 pub mod governance;

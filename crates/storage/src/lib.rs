@@ -11,6 +11,7 @@
 //! | [`block_store`] | the log: append, flush, read, recover, drop |
 //! | [`result`](mod@result), [`results`] | what executing a block gave, and the files that keep it |
 //! | [`state`] | the world state over a store: in memory, or in sled (feature `sled`); layers of writes |
+//! | [`audit`] | an index of decisions about control, in a store of its own |
 //! | [`snapshot`] | the world state at a height, the same bytes on every node |
 //! | [`retention`], [`archive`] | which blocks are dropped, and writing them out before |
 //! | [`layout`] | what a data directory is made of |
@@ -34,6 +35,7 @@
 //! ```
 
 pub mod archive;
+pub mod audit;
 pub mod block_store;
 pub mod disk;
 pub mod entry;

@@ -9,10 +9,11 @@ use crate::connect::unreachable;
 use crate::report::from_status;
 use crate::v1;
 use bytes::Bytes;
+use ledger::evidence::{Evidence, Link, Proved, Step};
 use ledger::network::Genesis;
 use ledger_hash::Hash;
 use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
-use ledger_light::{Checkpoint, Governance, Proof, Way};
+use ledger_light::{Change, Checkpoint, Governance, Proof, Way};
 use ledger_rejection::{Code, Rejection};
 use std::path::Path;
 use std::time::Duration;
@@ -108,6 +109,40 @@ impl Client {
         Ok(Checkpoint { governance, proof })
     }
 
+    /// The genesis, evidence of a transaction, checked, and what it proves. It can be checked again without a network, by whoever has the
+    /// genesis.
+    ///
+    /// # Errors
+    /// [`Code::NotFound`] if the node has no such transaction or no certificate; as [`Evidence::check`].
+    pub async fn evidence(&self, id: Hash) -> Result<(Bytes, Evidence, Proved), Rejection> {
+        let ask = |up: Up| async move {
+            let id = Bytes::copy_from_slice(id.as_ref());
+            up.gateway().prove_transaction(v1::ProveTransactionRequest { id }).await
+        };
+        let link = Link::from_bytes(&self.ask(ask, |_| Ok(())).await?.link)?;
+        let to = link.proof.certificate.statement.height;
+        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after: 0 }).await };
+        let mut steps = self.ask(ask, |_| Ok(())).await?;
+        let (mut genesis, mut way) = (Bytes::new(), Vec::new());
+        while let Some(step) = self.next_step(&mut steps).await? {
+            if genesis.is_empty() {
+                genesis = step.genesis;
+            }
+            let changes = step.changes.into_iter().filter(|change| change.height <= to);
+            let changes = changes.map(|change| Change::from_bytes(change.height, &change.writes));
+            let proof = Some(step.proof).filter(|proof| !proof.is_empty());
+            let proof = proof.map(|proof| Proof::from_bytes(&proof)).transpose()?;
+            let proof = proof.filter(|proof| proof.certificate.statement.height < to);
+            way.push(Step { changes: changes.collect::<Result<_, _>>()?, proof });
+        }
+        let named = Genesis::network_of(&genesis)?;
+        if named != self.credentials.network {
+            return Err(other_genesis(&named, &self.credentials.network));
+        }
+        let (evidence, proved) = Evidence::of(way, link, &genesis)?;
+        Ok((genesis, evidence, proved))
+    }
+
     async fn prove(&self, height: u64, verdict: u32) -> Result<Proof, Rejection> {
         let ask =
             |up: Up| async move { up.gateway().prove(v1::ProveRequest { height, verdicts: vec![verdict] }).await };
@@ -188,10 +223,14 @@ fn take(way: &mut Option<Way>, network: &Hash, step: v1::GovernanceStep, to: Opt
 fn begin(network: &Hash, genesis: &[u8]) -> Result<Option<Governance>, Rejection> {
     let named = Genesis::network_of(genesis)?;
     if named != *network {
-        return Err(Rejection::new(Code::WrongNetwork, "a node shows the genesis of another network")
-            .found(named.to_string())
-            .wanted(network.to_string())
-            .next("ask another node"));
+        return Err(other_genesis(&named, network));
     }
     Genesis::governance(genesis)
+}
+
+fn other_genesis(named: &Hash, network: &Hash) -> Rejection {
+    Rejection::new(Code::WrongNetwork, "a node shows the genesis of another network")
+        .found(named.to_string())
+        .wanted(network.to_string())
+        .next("ask another node")
 }

@@ -112,6 +112,18 @@ impl Client {
         Ok(self.ask(ask, |_| Ok(())).await?.denials)
     }
 
+    /// Tells who did what, and who was refused, from the index of the node: one part of the answer, which says where the next goes on.
+    ///
+    /// # Errors
+    /// As [`Client::status`].
+    pub async fn audit(&self, request: v1::AuditRequest) -> Result<v1::AuditResponse, Rejection> {
+        let ask = |up: Up| {
+            let request = request.clone();
+            async move { up.gateway().audit(request).await }
+        };
+        self.ask(ask, |_| Ok(())).await
+    }
+
     /// The node's description of its network.
     ///
     /// # Errors

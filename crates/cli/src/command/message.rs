@@ -1,11 +1,13 @@
-//! `publish`, `echo`: the messages of a service.
+//! `publish`, `echo`, `history`: the messages of a service.
 
 mod echo;
+mod history;
 mod place;
 mod publish;
 mod senders;
 
 pub(crate) use echo::Echo;
+pub(crate) use history::History;
 pub(crate) use place::Place;
 pub(crate) use publish::{COMMAND_TTL, Publish};
 pub(crate) use senders::Senders;

@@ -5,6 +5,7 @@ mod check;
 mod diff;
 mod history;
 mod propose;
+mod recorded;
 mod test;
 
 use crate::answer;
@@ -28,6 +29,7 @@ pub(crate) enum Policy {
     Check(check::Check),
     Test(test::Test),
     Diff(diff::Diff),
+    Shadow(recorded::Shadow),
     Put(Put),
     Remove(Remove),
     Apply(apply::Apply),
@@ -122,6 +124,7 @@ impl Policy {
             Self::Show(show) => return show.run(global, output).await,
             Self::Check(check) => return check.run(global, output).await,
             Self::Diff(diff) => return diff.run(global, output).await,
+            Self::Shadow(shadow) => return shadow.run(global, output).await,
             Self::Test(test) => return test.run(global, output).await,
             Self::Apply(apply) => return apply.run(global, output).await,
             Self::Rollback(rollback) => return rollback.run(global, output).await,

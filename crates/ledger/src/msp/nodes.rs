@@ -10,7 +10,7 @@ use super::caller::{admin, node, object};
 use super::proposals::{Decision, decide};
 use super::rules::Speaks;
 use super::store::{self, MEMBERS_KEY, NEXT_NODE, NODES, json, node_key};
-use super::{NAME, attestations, carriers, joins, rules};
+use super::{NAME, attestations, carriers, joins, refusals, rules};
 use crate::chaincode::Context;
 use crate::members::{Membership, NODES_MAX};
 use crate::network::Genesis;
@@ -318,6 +318,7 @@ fn put_role(ctx: &mut Context<'_>, node: &NodeRecord, role: NodeRole) -> Result<
     write(ctx, &node)?;
     if role == NodeRole::Removed {
         attestations::forget(ctx, &node);
+        refusals::forget(ctx, &node);
         carriers::forget(ctx, &node)?;
         forget_removed(ctx)?;
     }

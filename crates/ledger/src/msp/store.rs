@@ -26,6 +26,7 @@
 //! | `look/<organisation>/<look>` | the registered name that looks so |
 //! | `registrar/<organisation>/<name>` | [`super::SetRegistrar`] |
 //! | `issued/<fingerprint, 32 bytes>` | a certificate that a CA has issued, in DER |
+//! | `told/<organisation>/<node>` | when a node told of its refusals last, block time in microseconds |
 //! | `carrier/<organisation>/<node's organisation>/<node>` | [`super::CarrierRecord`] |
 
 use super::NAME;
@@ -112,6 +113,10 @@ pub(super) fn invitation_key(name: &str) -> String {
 
 pub(super) fn allowance_key(organisation: &str) -> String {
     format!("allowance/{organisation}")
+}
+
+pub(super) fn told_key(organisation: &str, node: &str) -> String {
+    format!("told/{organisation}/{node}")
 }
 
 pub(super) fn joins_key(organisation: &str) -> String {

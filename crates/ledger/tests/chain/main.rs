@@ -6,6 +6,7 @@ mod archive;
 mod beside;
 mod certified;
 mod early;
+mod evidence;
 mod results;
 mod snapshot;
 mod together;

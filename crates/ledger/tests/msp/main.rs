@@ -10,6 +10,7 @@ mod nodes;
 mod organisations;
 mod proposals;
 mod quotas;
+mod refusals;
 mod registrars;
 mod rules;
 mod world;

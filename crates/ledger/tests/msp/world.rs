@@ -96,7 +96,7 @@ fn registry() -> Registry {
 pub(crate) struct Network {
     pub(crate) cas: Vec<Ca>,
     pub(crate) admins: Vec<User>,
-    nodes: Vec<User>,
+    pub(crate) nodes: Vec<User>,
     pub(crate) ledger: Ledger,
     stores: (Bytes, Arc<State>, Arc<ResultStore>),
     pub(crate) time: u64,

@@ -358,6 +358,18 @@ class ProveResponse(_message.Message):
     proof: bytes
     def __init__(self, proof: _Optional[bytes] = ...) -> None: ...
 
+class ProveTransactionRequest(_message.Message):
+    __slots__ = ("id",)
+    ID_FIELD_NUMBER: _ClassVar[int]
+    id: bytes
+    def __init__(self, id: _Optional[bytes] = ...) -> None: ...
+
+class ProveTransactionResponse(_message.Message):
+    __slots__ = ("link",)
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    link: bytes
+    def __init__(self, link: _Optional[bytes] = ...) -> None: ...
+
 class DenialsRequest(_message.Message):
     __slots__ = ("limit",)
     LIMIT_FIELD_NUMBER: _ClassVar[int]
@@ -387,6 +399,82 @@ class Denial(_message.Message):
     verdict: Verdict
     count: int
     def __init__(self, time: _Optional[int] = ..., who: _Optional[str] = ..., chaincode: _Optional[str] = ..., function: _Optional[str] = ..., subject: _Optional[str] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., count: _Optional[int] = ...) -> None: ...
+
+class AuditRequest(_message.Message):
+    __slots__ = ("robot", "user", "organisation", "code", "since", "until", "after", "limit")
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    USER_FIELD_NUMBER: _ClassVar[int]
+    ORGANISATION_FIELD_NUMBER: _ClassVar[int]
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    SINCE_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    LIMIT_FIELD_NUMBER: _ClassVar[int]
+    robot: str
+    user: str
+    organisation: str
+    code: int
+    since: int
+    until: int
+    after: bytes
+    limit: int
+    def __init__(self, robot: _Optional[str] = ..., user: _Optional[str] = ..., organisation: _Optional[str] = ..., code: _Optional[int] = ..., since: _Optional[int] = ..., until: _Optional[int] = ..., after: _Optional[bytes] = ..., limit: _Optional[int] = ...) -> None: ...
+
+class AuditResponse(_message.Message):
+    __slots__ = ("rows", "after", "more", "from_height", "height", "executed")
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
+    FROM_HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    EXECUTED_FIELD_NUMBER: _ClassVar[int]
+    rows: _containers.RepeatedCompositeFieldContainer[AuditRow]
+    after: bytes
+    more: bool
+    from_height: int
+    height: int
+    executed: int
+    def __init__(self, rows: _Optional[_Iterable[_Union[AuditRow, _Mapping]]] = ..., after: _Optional[bytes] = ..., more: _Optional[bool] = ..., from_height: _Optional[int] = ..., height: _Optional[int] = ..., executed: _Optional[int] = ...) -> None: ...
+
+class AuditRow(_message.Message):
+    __slots__ = ("time", "height", "decision", "who", "by", "robot", "subject", "code", "count", "first", "last", "last_height", "epoch", "policy_version", "detail", "found", "transaction", "told_by")
+    TIME_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    DECISION_FIELD_NUMBER: _ClassVar[int]
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    BY_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    SUBJECT_FIELD_NUMBER: _ClassVar[int]
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    FIRST_FIELD_NUMBER: _ClassVar[int]
+    LAST_FIELD_NUMBER: _ClassVar[int]
+    LAST_HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    POLICY_VERSION_FIELD_NUMBER: _ClassVar[int]
+    DETAIL_FIELD_NUMBER: _ClassVar[int]
+    FOUND_FIELD_NUMBER: _ClassVar[int]
+    TRANSACTION_FIELD_NUMBER: _ClassVar[int]
+    TOLD_BY_FIELD_NUMBER: _ClassVar[int]
+    time: int
+    height: int
+    decision: str
+    who: str
+    by: str
+    robot: str
+    subject: str
+    code: int
+    count: int
+    first: int
+    last: int
+    last_height: int
+    epoch: int
+    policy_version: int
+    detail: str
+    found: str
+    transaction: bytes
+    told_by: str
+    def __init__(self, time: _Optional[int] = ..., height: _Optional[int] = ..., decision: _Optional[str] = ..., who: _Optional[str] = ..., by: _Optional[str] = ..., robot: _Optional[str] = ..., subject: _Optional[str] = ..., code: _Optional[int] = ..., count: _Optional[int] = ..., first: _Optional[int] = ..., last: _Optional[int] = ..., last_height: _Optional[int] = ..., epoch: _Optional[int] = ..., policy_version: _Optional[int] = ..., detail: _Optional[str] = ..., found: _Optional[str] = ..., transaction: _Optional[bytes] = ..., told_by: _Optional[str] = ...) -> None: ...
 
 class TransferLeadershipRequest(_message.Message):
     __slots__ = ("node_id",)

@@ -23,7 +23,7 @@ use serde::Serialize;
 use std::io::{self, Write};
 
 /// How often the node says that it is alive while there is nothing to print, in milliseconds.
-const HEARTBEAT_MS: u32 = 2_000;
+pub(super) const HEARTBEAT_MS: u32 = 2_000;
 /// Most elements of an array and characters of a text that are shown, unless all are asked for: as `ros2 topic echo`.
 const LENGTH_MAX: usize = 128;
 /// The words of the command line where the chaincode has other names.
@@ -65,7 +65,7 @@ pub(crate) struct Echo {
 }
 
 /// How messages are shown.
-struct Shown {
+pub(super) struct Shown {
     /// None if they are shown as bytes.
     kind: Option<Type>,
     type_name: String,
@@ -74,23 +74,23 @@ struct Shown {
 
 /// One message.
 #[derive(Serialize)]
-struct Message {
-    height: u64,
-    time: u64,
+pub(super) struct Message {
+    pub(super) height: u64,
+    pub(super) time: u64,
     index: u32,
     service: String,
-    sender: String,
-    epoch: u64,
-    seq: u64,
+    pub(super) sender: String,
+    pub(super) epoch: u64,
+    pub(super) seq: u64,
     #[serde(rename = "type")]
     type_name: String,
     /// Its content; left out where that is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
-    message: Option<Value>,
+    pub(super) message: Option<Value>,
     /// Why it is not known although the type is.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
-    payload: String,
+    pub(super) payload: String,
     transaction: Hash,
     #[serde(skip)]
     length_max: Option<usize>,
@@ -114,6 +114,22 @@ impl Facts for Message {
 }
 
 impl Shown {
+    /// How messages of this type are shown; says so where that is not what was hoped for.
+    pub(super) fn of(definitions: &Definitions, hex: bool, type_name: &str, output: &Output) -> Self {
+        let kind = match definitions.message(type_name) {
+            _ if hex => None,
+            Ok(kind) => Some(kind),
+            Err(unknown) => {
+                output.note(&format!(
+                    "{}: messages are shown in hexadecimal digits; --msg {type_name}=FILE.msg shows their fields",
+                    unknown.message
+                ));
+                None
+            }
+        };
+        Self { kind, type_name: type_name.to_owned(), length_max: Some(LENGTH_MAX) }
+    }
+
     /// The message of these bytes, or why they are none; neither if the type is not known.
     fn read(&self, payload: &[u8]) -> (Option<Value>, Option<String>) {
         match self.kind.as_ref().map(|kind| kind.decode(payload)) {
@@ -141,25 +157,11 @@ impl Echo {
         done
     }
 
-    /// How messages of this type are shown; says so where that is not what was hoped for.
-    fn shown(&self, type_name: &str, output: &Output) -> Shown {
-        let kind = match self.definitions.message(type_name) {
-            _ if self.hex => None,
-            Ok(kind) => Some(kind),
-            Err(unknown) => {
-                output.note(&format!(
-                    "{}: messages are shown in hexadecimal digits; --msg {type_name}=FILE.msg shows their fields",
-                    unknown.message
-                ));
-                None
-            }
-        };
-        let length_max = if self.full_length { None } else { Some(LENGTH_MAX) };
-        Shown { kind, type_name: type_name.to_owned(), length_max }
-    }
-
     async fn follow(&self, session: &Session, service: &ServiceState, output: &mut Output) -> Result<(), Failure> {
-        let shown = self.shown(&service.type_name, output);
+        let mut shown = Shown::of(&self.definitions, self.hex, &service.type_name, output);
+        if self.full_length {
+            shown.length_max = None;
+        }
         let mut stream = session.client.subscribe(Subscription {
             // To the node 0 means the next block. The genesis, block 0, has no messages.
             from_height: self.from.map_or(0, |height| height.max(1)),
@@ -197,7 +199,7 @@ impl Echo {
 }
 
 /// The messages of one event: what the event says about them, and their bytes from the signed transaction.
-fn messages(
+pub(super) fn messages(
     delivery: &v1::Delivery,
     event: &v1::EventRecord,
     senders: &mut Senders<'_>,

@@ -1,11 +1,13 @@
-//! `policy diff`: the grants that a set of policies would end.
+//! `policy diff`: the grants that a set of policies would end, and the decisions of the past that it would change.
 
+use super::recorded::{Compared, compare};
 use crate::answer;
-use crate::argument::policies;
+use crate::argument::{number, policies};
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, printable};
 use crate::session::{self, ABAC, Session};
+use crate::time;
 use ledger_contract::{PolicyDiff, WouldEnd};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -13,29 +15,50 @@ use std::path::PathBuf;
 
 /// Tell which grants of today policies in files would end, before they are put.
 ///
-/// The files are taken as the whole set of your organisation, each with the name of its file. Nothing is changed.
+/// The files are taken as the whole set of your organisation, each with the name of its file. Nothing is changed. With
+/// `--decisions` it asks about decisions of the last week again, as `ledgerctl policy shadow` does.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl policy diff night.cedar guests.cedar")]
+#[command(after_help = "\
+Example:
+  ledgerctl policy diff night.cedar guests.cedar
+  ledgerctl policy diff night.cedar --decisions 100")]
 pub(crate) struct Diff {
     /// Files with policies in Cedar
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
+    /// Tell also which of the last N recorded decisions would be others
+    #[arg(long, value_name = "N", value_parser = number::count)]
+    decisions: Option<u64>,
 }
+
+/// Decisions of this time are asked about again, microseconds.
+const WEEK: u64 = 7 * 86_400_000_000;
 
 impl Diff {
     pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let policies = session::argument(&policies::read(&self.files)?.unwrap_or_default())?;
-        let response = Session::open(global).await?.ask(ABAC, "diff", vec![policies]).await?;
-        output.show(&Told(answer::parse(&response, "a difference of policies")?))
+        let policies = policies::read(&self.files)?.unwrap_or_default();
+        let session = Session::open(global).await?;
+        let response = session.ask(ABAC, "diff", vec![session::argument(&policies)?]).await?;
+        let diff = answer::parse(&response, "a difference of policies")?;
+        let recorded = match self.decisions {
+            Some(most) => Some(compare(&session, policies, time::now().saturating_sub(WEEK), most).await?),
+            None => None,
+        };
+        output.show(&Told { diff, recorded })
     }
 }
 
 #[derive(Serialize)]
-struct Told(PolicyDiff);
+struct Told {
+    #[serde(flatten)]
+    diff: PolicyDiff,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    recorded: Option<Compared>,
+}
 
 impl Facts for Told {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended, unreachable } = &self.0;
+        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended, unreachable } = &self.diff;
         for (what, ids) in [("added", added), ("changed", changed), ("removed", removed)] {
             if !ids.is_empty() {
                 writeln!(out, "{what}: {}", printable(&ids.join(", ")))?;
@@ -49,7 +72,7 @@ impl Facts for Told {
         for robot in unreachable {
             writeln!(out, "nobody whom the ledger knows could publish to {} any more", printable(robot))?;
         }
-        Ok(())
+        self.recorded.as_ref().map_or(Ok(()), |recorded| recorded.text(out))
     }
 }
 
@@ -79,7 +102,7 @@ mod tests {
             unreachable: vec!["Husky".into()],
         };
         let mut out = Vec::new();
-        Told(diff).text(&mut out).unwrap();
+        Told { diff, recorded: None }.text(&mut out).unwrap();
         let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n\

@@ -1,0 +1,151 @@
+//! `history`: the commands of a service in the past, with their values.
+
+use super::echo::{HEARTBEAT_MS, Message, Shown, messages};
+use super::senders::Senders;
+use crate::answer;
+use crate::argument::message::Definitions;
+use crate::argument::moment::Moment;
+use crate::argument::number;
+use crate::cli::Global;
+use crate::command::audit::moment;
+use crate::failure::Failure;
+use crate::output::{Facts, Output};
+use crate::session::{ABAC, Session};
+use crate::time;
+use crate::words::Words;
+use bytes::Bytes;
+use ledger_api::Subscription;
+use ledger_api::v1::AuditRequest;
+use ledger_contract::ServiceState;
+use ledger_rejection::Rejection;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Rows of one question.
+const ROWS_AT_ONCE: u32 = 1000;
+/// Blocks without a command that are read over rather than asked about.
+const GAP: u64 = 500;
+/// The words of the command line where the chaincode has other names.
+const WORDS: Words = Words { arguments: &[], help: "ledgerctl history" };
+
+/// List the commands of a service in the past, each with its values.
+///
+/// The node finds their blocks in its index (`ledgerctl audit`), and sends the signed transactions. The sender's signature is
+/// checked. One line for each: time, block, sender, epoch, sequence number, and the message.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl history Turtlebot4/cmd_vel --since 10:00 --until 10:05
+  ledgerctl history Turtlebot4/cmd_vel --since 10m -o json")]
+pub(crate) struct History {
+    /// The service; the robot alone is enough if it offers exactly one
+    #[arg(value_name = "ROBOT/TOPIC")]
+    service: String,
+    /// From this moment on: a span ago such as 10m, a time of today, a time, or a height; one hour ago by default
+    #[arg(long, value_name = "MOMENT", default_value = "1h")]
+    since: Moment,
+    /// Up to this moment
+    #[arg(long, value_name = "MOMENT")]
+    until: Option<Moment>,
+    /// End after so many messages
+    #[arg(long, value_name = "N", value_parser = number::count)]
+    count: Option<u64>,
+    /// Print the bytes in hexadecimal digits
+    #[arg(long)]
+    hex: bool,
+    #[command(flatten)]
+    definitions: Definitions,
+}
+
+/// One command on one line.
+#[derive(Serialize)]
+#[serde(transparent)]
+struct Line(Message);
+
+impl Facts for Line {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Message { height, sender, epoch, seq, payload, message, .. } = &self.0;
+        let values = match message {
+            Some(message) => serde_json::to_string(message).map_err(io::Error::from)?,
+            None => payload.clone(),
+        };
+        let moment = time::rfc3339(self.0.time);
+        writeln!(out, "{moment}  block {height}  {sender}  epoch {epoch}  seq {seq}  {values}")
+    }
+}
+
+/// Blocks with commands, and the times between which they count.
+struct Stretch {
+    from: u64,
+    to: u64,
+}
+
+impl History {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        self.definitions.library()?;
+        let session = Session::open(global).await?;
+        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
+        let service: ServiceState = answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "a service")?;
+        let since = moment(&session, self.since).await?;
+        let until = match self.until {
+            Some(until) => moment(&session, until).await?,
+            None => u64::MAX,
+        };
+        let shown = Shown::of(&self.definitions, self.hex, &service.type_name, output);
+        let mut left = self.count.unwrap_or(u64::MAX);
+        let stretches = stretches(&session, &service.service, (since, until)).await?;
+        if stretches.is_empty() {
+            output.note(&format!("nobody published on {} then, as far as this node may tell you", service.service));
+        }
+        for Stretch { from, to } in stretches {
+            let mut senders = Senders::new(&session);
+            let mut stream = session.client.subscribe(Subscription {
+                from_height: from,
+                chaincode: ABAC.to_owned(),
+                subjects: vec![service.service.clone()],
+                names: vec!["message".to_owned()],
+                heartbeat: HEARTBEAT_MS,
+                ..Subscription::default()
+            });
+            stream.open().await?;
+            loop {
+                let delivery = stream.next().await?;
+                let counts = (since..=until).contains(&delivery.time) && delivery.height <= to;
+                for event in delivery.events.iter() {
+                    for message in messages(&delivery, event, &mut senders, &shown)?.into_iter().filter(|_| counts) {
+                        output.show(&Line(message))?;
+                        left -= 1;
+                        if left == 0 {
+                            return Ok(());
+                        }
+                    }
+                }
+                if delivery.height >= to {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where the commands are, by the index.
+async fn stretches(session: &Session, service: &str, (since, until): (u64, u64)) -> Result<Vec<Stretch>, Rejection> {
+    let robot = service.split('/').next().unwrap_or_default().to_owned();
+    let until = if until == u64::MAX { 0 } else { until };
+    let mut request = AuditRequest { robot, since, until, limit: ROWS_AT_ONCE, ..AuditRequest::default() };
+    let mut found: Vec<Stretch> = Vec::new();
+    loop {
+        let answer = session.client.audit(request.clone()).await?;
+        for row in answer.rows.iter().filter(|row| row.decision == "used" && row.subject == service) {
+            match found.last_mut().filter(|last| row.height <= last.to.saturating_add(GAP)) {
+                Some(last) => last.to = last.to.max(row.last_height),
+                None => found.push(Stretch { from: row.height, to: row.last_height }),
+            }
+        }
+        if !answer.more {
+            return Ok(found);
+        }
+        request.after = answer.after;
+    }
+}

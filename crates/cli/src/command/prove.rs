@@ -1,0 +1,143 @@
+//! `prove`: a file that proves a transaction, and checking such a file without a network.
+
+use crate::answer::Answer;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::Session;
+use crate::time;
+use ledger::evidence::{EVIDENCE_BYTES_MAX, Evidence, Proved};
+use ledger::network::GENESIS_BYTES_MAX;
+use ledger_durable::{PUBLIC_MODE, read, replace};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+/// Write a file that proves who signed a transaction and where it stands, or check one without a network.
+///
+/// The file holds the signed transaction, its way to the root of its block, headers, and a certificate that a majority of the voters
+/// has signed. The way from the genesis to these voters is in it, too. Its reader needs the genesis, and believes no node. The
+/// verdict is proved while the certificate of its own block is at hand, which is some minutes; the place is proved for as long as
+/// blocks are kept.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl prove 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --file salma.evidence --genesis genesis.json
+  ledgerctl prove --check salma.evidence --genesis genesis.json")]
+pub(crate) struct Prove {
+    /// Id of the transaction, 64 hexadecimal digits
+    #[arg(value_name = "TX", required_unless_present = "check", conflicts_with = "check")]
+    id: Option<String>,
+    /// Write the file here; by default the first 16 digits of the id and `.evidence`
+    #[arg(long, value_name = "FILE", conflicts_with = "check")]
+    file: Option<PathBuf>,
+    /// Check this file; needs no context and no network
+    #[arg(long, value_name = "FILE", requires = "genesis")]
+    check: Option<PathBuf>,
+    /// The genesis of the network: read to check, else written
+    #[arg(long, value_name = "GENESIS")]
+    genesis: Option<PathBuf>,
+}
+
+impl Prove {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        if let (Some(file), Some(genesis)) = (&self.check, &self.genesis) {
+            let evidence = Evidence::from_bytes(&read(file, EVIDENCE_BYTES_MAX)?)?;
+            let proved = evidence.check(&read(genesis, GENESIS_BYTES_MAX)?)?;
+            return output.show(&Shown::new(&proved, None));
+        }
+        let text = self.id.unwrap_or_default();
+        let id = Hash::from_hex(&text).ok_or_else(|| {
+            Rejection::new(Code::BadArgument, "the id of the transaction cannot be read")
+                .found(format!("{text:?}"))
+                .wanted("64 hexadecimal digits")
+                .next("copy the id from `ledgerctl audit -o json` or `ledgerctl block N`")
+        })?;
+        let (genesis, evidence, proved) = Session::open(global).await?.client.evidence(id).await?;
+        let name = || PathBuf::from(format!("{}.evidence", text.get(..16).unwrap_or(&text)));
+        let file = self.file.unwrap_or_else(name);
+        replace(&file, &evidence.to_bytes(), PUBLIC_MODE)?;
+        if let Some(path) = &self.genesis {
+            replace(path, &genesis, PUBLIC_MODE)?;
+        }
+        output.show(&Shown::new(&proved, Some(file)))
+    }
+}
+
+/// The facts that are proved.
+#[derive(Serialize)]
+struct Shown {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file: Option<PathBuf>,
+    network: Hash,
+    label: String,
+    transaction: Hash,
+    signer: String,
+    role: String,
+    height: u64,
+    index: u32,
+    time: u64,
+    chaincode: String,
+    function: String,
+    args: Vec<Answer>,
+    /// None if the file does not prove it.
+    code: Option<String>,
+    certified_height: u64,
+    certified_time: u64,
+    certified_block: Hash,
+    signed_by: Vec<String>,
+    voters: usize,
+}
+
+impl Shown {
+    fn new(proved: &Proved, file: Option<PathBuf>) -> Self {
+        let body = proved.transaction.body();
+        let (certified_height, certified_time, certified_block) = proved.certified;
+        Self {
+            file,
+            network: proved.network,
+            label: proved.label.clone(),
+            transaction: proved.transaction.id(),
+            signer: proved.signer.id(),
+            role: proved.signer.role.to_string(),
+            height: proved.header.height,
+            index: proved.index,
+            time: proved.header.time,
+            chaincode: body.chaincode.clone(),
+            function: body.function.clone(),
+            args: body.args.iter().map(|arg| Answer::read(arg)).collect(),
+            code: proved.verdict.map(|verdict| format!("LGR-{:04}", verdict.code)),
+            certified_height,
+            certified_time,
+            certified_block,
+            signed_by: proved.signed_by.clone(),
+            voters: proved.voters,
+        }
+    }
+}
+
+impl Facts for Shown {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::pairs();
+        table.pair("file", self.file.as_ref().map(|file| file.display().to_string()).unwrap_or_default());
+        table.pair("network", format!("{} ({})", self.network, self.label));
+        table.pair("transaction", self.transaction);
+        table.pair("signed by", format!("{}, role {}", self.signer, self.role));
+        let args: Vec<String> = self.args.iter().map(Answer::to_text).collect();
+        table.pair("call", format!("{} {} {}", self.chaincode, self.function, args.join(" ")).trim_end());
+        table.pair("block", format!("{}, index {}", self.height, self.index));
+        table.pair("time", time::rfc3339(self.time));
+        let verdict = match self.code.as_deref() {
+            Some("LGR-0000") => "executed",
+            Some(code) => code,
+            None => "not proved by this file, which proves its place",
+        };
+        table.pair("verdict", verdict);
+        let nodes = format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters);
+        table.pair("certified", format!("block {}, {}", self.certified_height, time::rfc3339(self.certified_time)));
+        table.pair("certified by", nodes);
+        table.write(out, 0)
+    }
+}

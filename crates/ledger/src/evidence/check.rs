@@ -1,0 +1,206 @@
+//! Checking evidence: from the genesis to the signature of the transaction, without a network and without believing anybody.
+
+use super::{Evidence, Link, Step};
+use crate::block::{Header, leaf};
+use crate::network::Genesis;
+use crate::transaction::Transaction;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_light::fact::Fact;
+use ledger_light::{Change, Governance, Proof};
+use ledger_rejection::{Code, Rejection};
+
+/// The facts that evidence proves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Proved {
+    /// The network.
+    pub network: Hash,
+    /// Its label, as the genesis has it.
+    pub label: String,
+    /// The transaction: its id and its call are those that the signer signed.
+    pub transaction: Transaction,
+    /// The signer.
+    pub signer: Identity,
+    /// The header of its block.
+    pub header: Header,
+    /// Its position in the block.
+    pub index: u32,
+    /// Its verdict, if it is proved.
+    pub verdict: Option<Verdict>,
+    /// The certified block: height, block time in microseconds, and hash.
+    pub certified: (u64, u64, Hash),
+    /// The nodes that signed it, `ORGANISATION/NAME`.
+    pub signed_by: Vec<String>,
+    /// How many voters there were.
+    pub voters: usize,
+}
+
+/// The verdict on a transaction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Verdict {
+    /// Number of the code.
+    pub code: u32,
+    /// Hash of the answer.
+    pub response: Hash,
+}
+
+impl Evidence {
+    /// Checks everything, beginning at this genesis.
+    ///
+    /// # Errors
+    /// [`Code::WrongNetwork`], [`Code::Untrusted`], [`Code::BadSignature`] and others: then nothing is proved.
+    pub fn check(&self, genesis: &[u8]) -> Result<Proved, Rejection> {
+        let (document, network) = Genesis::from_bytes(genesis)?;
+        let founded = Genesis::governance(genesis)?.ok_or_else(no_beginning)?;
+        let Link { headers, proof, .. } = &self.link;
+        let certified = self.follow(founded.clone())?;
+        let statement = proof.certificate.statement;
+        let (first, last) = headers.first().zip(headers.last()).ok_or_else(no_header)?;
+        if (last.height, last.time, last.hash()) != (statement.height, statement.time, statement.block) {
+            return Err(Rejection::new(Code::Untrusted, "the headers do not lead to the certified block")
+                .found(format!("block {}, hash {}", last.height, last.hash()))
+                .wanted(format!("block {}, hash {}", statement.height, statement.block)));
+        }
+        let changes = self.changes(&founded, &certified)?;
+        let (transaction, signer) = self.link.transaction(&network, &founded.before(first.height, &changes)?)?;
+        let (before, voters) = (founded.before(statement.height, &changes)?, certified.voters()?);
+        let known = before.voters()?.nodes;
+        let signers = proof.certificate.signatures.iter().filter_map(|signature| known.get(&signature.node));
+        Ok(Proved {
+            network,
+            label: document.label,
+            verdict: self.link.verdict(&transaction)?,
+            transaction,
+            signer,
+            header: first.clone(),
+            index: self.link.path.index,
+            certified: (statement.height, statement.time, statement.block),
+            signed_by: signers.map(|voter| format!("{}/{}", voter.organisation, voter.name)).collect(),
+            voters: voters.voters.len(),
+        })
+    }
+
+    /// The changes up to the certified block, of which the way has shown that they are all. It leaves out those that come too late
+    /// in the file, whatever they say: so they are compared once more.
+    fn changes(&self, founded: &Governance, certified: &Governance) -> Result<Vec<Change>, Rejection> {
+        let changes: Vec<Change> = self.steps.iter().flat_map(|step| step.changes.iter().cloned()).collect();
+        let all = founded.before(certified.height().saturating_add(1), &changes)?;
+        if all.chain() == certified.chain() {
+            return Ok(changes);
+        }
+        Err(Rejection::new(Code::Untrusted, "changes of the network were made up, or stand in another order")
+            .found(format!("governing chain {}", all.chain()))
+            .wanted(format!("the certified one, {}", certified.chain())))
+    }
+
+    /// Follows who governs up to the certified block. Each proof on the way must be one that its reader can follow.
+    fn follow(&self, founded: Governance) -> Result<Governance, Rejection> {
+        let (mut reached, mut changes) = (founded, Vec::new());
+        for step in &self.steps {
+            changes.extend(step.changes.iter().cloned());
+            if let Some(proof) = &step.proof {
+                reached = reached.follow(&changes, proof)?;
+                changes.retain(|change: &Change| change.height > reached.height());
+            }
+        }
+        reached.follow(&changes, &self.link.proof)
+    }
+
+    /// Evidence of a link, by what a node shows of the way, with as few proofs on it as there can be.
+    ///
+    /// # Errors
+    /// As [`Evidence::check`].
+    pub fn of(shown: Vec<Step>, link: Link, genesis: &[u8]) -> Result<(Self, Proved), Rejection> {
+        let changes: Vec<Change> = shown.iter().flat_map(|step| step.changes.iter().cloned()).collect();
+        let short = Self { steps: vec![Step { changes, proof: None }], link };
+        if let Ok(proved) = short.check(genesis) {
+            return Ok((short, proved));
+        }
+        let mut reached = Genesis::governance(genesis)?.ok_or_else(no_beginning)?;
+        let (mut steps, mut changes) = (Vec::new(), Vec::new());
+        for step in shown {
+            changes.extend(step.changes);
+            let proof = step.proof.into_iter().find_map(|proof| Some((reached.follow(&changes, &proof).ok()?, proof)));
+            if let Some((after, proof)) = proof {
+                reached = after;
+                let later = changes.iter().position(|change| change.height > reached.height());
+                let rest = changes.split_off(later.unwrap_or(changes.len()));
+                steps.push(Step { changes: std::mem::replace(&mut changes, rest), proof: Some(proof) });
+            }
+        }
+        steps.push(Step { changes, proof: None });
+        let evidence = Self { steps, link: short.link };
+        let proved = evidence.check(genesis)?;
+        Ok((evidence, proved))
+    }
+}
+
+impl Link {
+    /// The transaction, and who signed it, by the organisations and revocations as of the block before its own.
+    fn transaction(&self, network: &Hash, before: &Governance) -> Result<(Transaction, Identity), Rejection> {
+        let header = self.headers.first().ok_or_else(no_header)?;
+        if !self.path.leads(leaf(&self.transaction), header.root) {
+            return Err(Rejection::new(Code::Untrusted, "the transaction is not one of the block")
+                .found("a path that leads to another root")
+                .wanted(format!("root {}", header.root)));
+        }
+        let transaction = Transaction::decode(self.transaction.clone())?;
+        crate::execution::check_network(&transaction, network)?;
+        transaction.check_time(header.time)?;
+        if Hash::of(&[&self.certificate]) != transaction.creator() {
+            return Err(Rejection::new(Code::Untrusted, "the certificate is not that of the transaction's creator")
+                .found(Hash::of(&[&self.certificate]).to_string())
+                .wanted(transaction.creator().to_string()));
+        }
+        let signer = before.msps()?.verify(&self.certificate, &[], header.time)?;
+        if before.is_revoked(&signer) {
+            return Err(Rejection::new(
+                Code::Revoked,
+                "the transaction was signed with a certificate that had been revoked",
+            )
+            .found(signer.id())
+            .wanted(format!("a certificate that was not revoked before block {}", header.height)));
+        }
+        transaction.verify(&signer.public_key)?;
+        Ok((transaction, signer))
+    }
+
+    /// The verdict, if the certified block is that of the transaction and the proof shows it.
+    fn verdict(&self, transaction: &Transaction) -> Result<Option<Verdict>, Rejection> {
+        let facts = self.proof.others()?;
+        let [_own] = &self.headers[..] else { return Ok(None) };
+        Ok(facts.into_iter().find_map(|fact| match fact {
+            Fact::Verdict { index, id, code, response } if index == self.path.index && id == transaction.id() => {
+                Some(Verdict { code, response })
+            }
+            _ => None,
+        }))
+    }
+
+    /// The link of a transaction, which a node makes of what it has.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if there is no such transaction in the block.
+    pub fn of(
+        (transactions, index): (&[bytes::Bytes], u32),
+        certificate: bytes::Bytes,
+        headers: Vec<Header>,
+        proof: Proof,
+    ) -> Result<Self, Rejection> {
+        let leaves: Vec<Hash> = transactions.iter().map(|transaction| leaf(transaction)).collect();
+        let path = ledger_light::merkle::Path::new(&leaves, index).zip(transactions.get(index as usize));
+        let (path, transaction) =
+            path.ok_or_else(|| Rejection::new(Code::Internal, "a block lacks a transaction that it has"))?;
+        Ok(Self { transaction: transaction.clone(), certificate, path, headers, proof })
+    }
+}
+
+fn no_beginning() -> Rejection {
+    Rejection::new(Code::UnknownRules, "the genesis of this network is certified by nobody")
+        .found("rules older than 3")
+        .wanted("a network that was founded with rules 3 or newer")
+}
+
+fn no_header() -> Rejection {
+    Rejection::new(Code::Malformed, "evidence without a header proves nothing")
+}

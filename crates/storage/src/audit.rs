@@ -1,0 +1,242 @@
+//! The index of the audit: one row for each decision about control, found by time, robot, user, organisation or code.
+//!
+//! It follows from blocks and their results, as the world state does: whoever has lost it makes it again. Commands and refusals that
+//! blocks hold are folded, one row a minute for each who, service and epoch or code. So the index of ten million commands has
+//! some thousand rows.
+//!
+//! | key | value |
+//! |---|---|
+//! | `m` | version, first and last height that it knows, block time of the last |
+//! | `r` place | a [`Row`]; a place is block time, height and number of the row in its block |
+//! | `x` kind, length, name, place | nothing: a row that concerns a robot, a user, an organisation or a code |
+//! | `g` length, service, epoch | number of the set of policies of that grant, and whose set it is |
+
+mod question;
+mod row;
+
+pub use question::{Page, Question};
+pub use row::{FOLDED_US, Row};
+
+use crate::state::{Store, WriteSet};
+use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
+use row::{Place, by_name};
+use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// The form of the rows. An index of another one is made again.
+const VERSION: u64 = 1;
+const META: &[u8] = b"m";
+const ROWS: u8 = b'r';
+const GRANTS: u8 = b'g';
+/// Rows that are read at once.
+const ROWS_AT_ONCE: usize = 256;
+/// Rows that are dropped at once.
+const DROPPED_AT_ONCE: usize = 1024;
+
+/// The index over a store of its own.
+pub struct Index {
+    store: Box<dyn Store>,
+    state: Mutex<State>,
+}
+
+/// The extent of the index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Known {
+    /// The first block that it knows.
+    pub from: u64,
+    /// The last one.
+    pub height: u64,
+    /// Its block time, microseconds.
+    pub time: u64,
+}
+
+struct State {
+    known: Option<Known>,
+    /// The rows of this minute that may still grow.
+    open: HashMap<String, Growing>,
+    minute: u64,
+}
+
+/// A row that may still grow.
+struct Growing {
+    place: Place,
+    row: Row,
+    /// It is not in the store as it is.
+    grown: bool,
+}
+
+/// The rows of one block, in order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Block {
+    /// Its height.
+    pub height: u64,
+    /// Its time, microseconds.
+    pub time: u64,
+    /// Its decisions.
+    pub rows: Vec<Row>,
+}
+
+impl Index {
+    /// The index that a store holds.
+    ///
+    /// # Errors
+    /// [`Code::Corrupt`] if it cannot be read, or has another form: delete it, and make it again.
+    pub fn open(store: Box<dyn Store>) -> Result<Self, Rejection> {
+        let state = State::read(&*store)?;
+        Ok(Self { store, state: Mutex::new(state) })
+    }
+
+    /// The blocks that it knows; none yet if it is new.
+    pub fn known(&self) -> Option<Known> {
+        self.state().known
+    }
+
+    /// Takes the rows of the blocks that follow, and waits for the disk. Each block comes once, in order, also one without rows.
+    ///
+    /// # Errors
+    /// [`Code::DiskFull`], [`Code::DiskFailed`]: nothing was taken.
+    pub fn add(&self, blocks: &[Block]) -> Result<(), Rejection> {
+        let (Some(first), Some(last)) = (blocks.first(), blocks.last()) else { return Ok(()) };
+        let mut state = self.state();
+        let mut writes = WriteSet::new();
+        for block in blocks {
+            state.take(block, &mut writes);
+        }
+        state.write_grown(&mut writes);
+        let from = state.known.map_or(first.height, |known| known.from);
+        let known = Known { from, height: last.height, time: last.time };
+        if let Err(fault) = self.store.write(&writes, (META, &known.to_bytes())) {
+            *state = State::read(&*self.store)?;
+            return Err(fault);
+        }
+        state.known = Some(known);
+        Ok(())
+    }
+
+    /// Forgets rows of blocks before this time, some at once; true if there may be more.
+    ///
+    /// # Errors
+    /// As [`Index::add`].
+    pub fn prune(&self, from: u64, before: u64) -> Result<bool, Rejection> {
+        let mut state = self.state();
+        let Some(known) = state.known.filter(|known| known.from < from) else { return Ok(false) };
+        let rows = self.store.range(&[ROWS], None, DROPPED_AT_ONCE)?;
+        let mut writes = WriteSet::new();
+        let old =
+            rows.iter().map(|(key, value)| (key, Place::of_key(key), value)).take_while(|(_, p, _)| p.time < before);
+        for (key, place, value) in old {
+            writes.insert(key.clone(), None);
+            let row = Row::read(value)?;
+            writes.extend(by_name(&row, &place).map(|key| (key, None)));
+            writes.extend(grant_of(&row).map(|(key, _)| (key, None)));
+        }
+        let more =
+            writes.contains_key(rows.last().map_or(&Bytes::new(), |(key, _)| key)) && rows.len() == DROPPED_AT_ONCE;
+        let known = if more { known } else { Known { from, ..known } };
+        self.store.write(&writes, (META, &known.to_bytes()))?;
+        state.known = Some(known);
+        Ok(more)
+    }
+
+    /// The number of the set of policies under which a grant was given, and whose set it is.
+    ///
+    /// # Errors
+    /// [`Code::Corrupt`], [`Code::DiskFailed`].
+    pub fn policies_of(&self, service: &str, epoch: u64) -> Result<u64, Rejection> {
+        let value = self.store.get(&grant_key(service, epoch))?;
+        Ok(value.and_then(|value| value.first_chunk().copied()).map_or(0, u64::from_be_bytes))
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    /// As the store has it.
+    fn read(store: &dyn Store) -> Result<Self, Rejection> {
+        let known = store.get(META)?.map(|bytes| Known::from_bytes(&bytes)).transpose()?;
+        let minute = known.map_or(0, |known| known.time / FOLDED_US);
+        let mut state = Self { known, minute, open: HashMap::new() };
+        let mut after = place_key(ROWS, &Place::at(minute * FOLDED_US));
+        loop {
+            let pairs = store.range(&[ROWS], Some(&after), ROWS_AT_ONCE)?;
+            let Some((last, _)) = pairs.last() else { return Ok(state) };
+            after = last.to_vec();
+            for (key, value) in &pairs {
+                let (place, row) = (Place::of_key(key), Row::read(value)?);
+                state.open.extend(row.folds_as().map(|name| (name, Growing { place, row, grown: false })));
+            }
+        }
+    }
+
+    fn take(&mut self, block: &Block, writes: &mut WriteSet) {
+        if block.time / FOLDED_US != self.minute {
+            self.write_grown(writes);
+            self.minute = block.time / FOLDED_US;
+            self.open.clear();
+        }
+        for (number, row) in (0u32..).zip(&block.rows) {
+            let place = Place { time: block.time, height: block.height, number };
+            match row.folds_as() {
+                None => put(&place, row, writes),
+                Some(name) => {
+                    let nothing = || Growing { place, row: row.nothing_yet(), grown: true };
+                    let growing = self.open.entry(name).or_insert_with(nothing);
+                    growing.row.fold(row);
+                    growing.grown = true;
+                }
+            }
+        }
+    }
+
+    fn write_grown(&mut self, writes: &mut WriteSet) {
+        for growing in self.open.values_mut().filter(|growing| growing.grown) {
+            put(&growing.place, &growing.row, writes);
+            growing.grown = false;
+        }
+    }
+}
+
+fn put(place: &Place, row: &Row, writes: &mut WriteSet) {
+    writes.insert(place_key(ROWS, place).into(), Some(row.to_bytes()));
+    writes.extend(by_name(row, place).map(|key| (key, Some(Bytes::new()))));
+    writes.extend(grant_of(row).map(|(key, value)| (key, Some(value))));
+}
+
+fn grant_of(row: &Row) -> Option<(Bytes, Bytes)> {
+    let is_grant = row.decision == "granted" && row.policy_version > 0;
+    let value = || Bytes::copy_from_slice(&row.policy_version.to_be_bytes());
+    is_grant.then(|| (grant_key(&row.subject, row.epoch).into(), value()))
+}
+
+fn grant_key(service: &str, epoch: u64) -> Vec<u8> {
+    let mut key = vec![GRANTS];
+    key.extend_from_slice(&row::length(service));
+    key.extend_from_slice(service.as_bytes());
+    key.extend_from_slice(&epoch.to_be_bytes());
+    key
+}
+
+fn place_key(kind: u8, place: &Place) -> Vec<u8> {
+    let mut key = vec![kind];
+    key.extend_from_slice(&place.to_bytes());
+    key
+}
+
+impl Known {
+    fn to_bytes(self) -> Vec<u8> {
+        [VERSION, self.from, self.height, self.time].iter().flat_map(|number| number.to_be_bytes()).collect()
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
+        let numbers: Vec<u64> = bytes.as_chunks().0.iter().map(|chunk| u64::from_be_bytes(*chunk)).collect();
+        match *numbers.as_slice() {
+            [VERSION, from, height, time] if bytes.len() == 32 => Ok(Self { from, height, time }),
+            _ => Err(Rejection::new(Code::Corrupt, "the index of the audit has another form")
+                .found(format!("{} bytes", bytes.len()))
+                .next("delete the directory audit/; the node makes it again from the blocks")),
+        }
+    }
+}

@@ -1,0 +1,305 @@
+//! The rows of one block: its decisions about control, what was commanded, and what was refused.
+
+use ledger::Outcome;
+use ledger::msp::{Refused, TellRefusals};
+use ledger::transaction::Transaction;
+use ledger_abac::MessageEvent;
+use ledger_hash::Hash;
+use ledger_storage::audit::Row;
+use ledger_storage::result::{EmittedEvent, Event, TransactionResult};
+use serde_json::Value;
+use std::collections::HashMap;
+
+/// The chaincode of robots.
+const ABAC: &str = "abac";
+/// The function of `msp` that revokes a person.
+const REVOKE: &str = "revoke_identity";
+/// Names of creators that are remembered.
+const NAMES_MAX: usize = 4096;
+/// Longest text of a row, bytes.
+const TEXT_BYTES_MAX: usize = 256;
+/// Events that are no decision about control, or that follow from one.
+const LEFT_OUT: [&str; 4] = ["attested", "line", "message", "renewed"];
+/// Fields of a payload that name whom it is about, the most telling first.
+const WHO: [&str; 6] = ["holder", "receiver", "contender", "submitter", "giver", "by"];
+/// Fields that are told as words.
+const WORDS: [&str; 12] = [
+    "change",
+    "id",
+    "state",
+    "reason",
+    "taken",
+    "message",
+    "role",
+    "quorum",
+    "number",
+    "confirmed",
+    "publishers",
+    "topic",
+];
+
+/// The names of creators by their certificates.
+#[derive(Default)]
+pub(super) struct Names(HashMap<Hash, String>);
+
+/// One call of a block.
+#[derive(Default)]
+struct Call {
+    creator: String,
+    chaincode: String,
+    function: String,
+    subject: String,
+    transaction: Hash,
+}
+
+impl Names {
+    /// The rows of a block. `name` finds the name of a creator.
+    pub(super) fn rows(&mut self, outcome: &Outcome, name: impl Fn(&Hash) -> Option<String>) -> Vec<Row> {
+        let mut rows: Vec<Row> = Vec::new();
+        let mut last: Option<(u32, Call)> = None;
+        for EmittedEvent { index, event } in &outcome.events {
+            if !matters(event) {
+                continue;
+            }
+            let call = match (index, last.take()) {
+                (Some(index), Some((of, call))) if *index == of => call,
+                (Some(index), _) => self.call(outcome, *index, &name),
+                (None, _) => Call::default(),
+            };
+            rows.extend(of_event(event, &call).into_iter().map(|row| at(outcome, row)));
+            fold_last(&mut rows);
+            last = index.map(|index| (index, call));
+        }
+        for (index, result) in (0u32..).zip(&outcome.results).filter(|(_, result)| result.code != 0) {
+            rows.push(at(outcome, of_refusal(&self.call(outcome, index, &name), result)));
+            fold_last(&mut rows);
+        }
+        rows
+    }
+
+    fn call(&mut self, outcome: &Outcome, index: u32, name: impl Fn(&Hash) -> Option<String>) -> Call {
+        let place = index as usize;
+        let encoded = outcome.transactions.get(place).cloned().unwrap_or_default();
+        let Ok(transaction) = Transaction::decode(encoded) else { return Call::default() };
+        let body = transaction.body();
+        // Nobody has signed what was refused for its signature.
+        let is_signed = outcome.results.get(place).is_some_and(|result| result.not_after.is_some());
+        let creator = if is_signed { self.name(&transaction.creator(), name) } else { String::new() };
+        let argument = match body.function.as_str() {
+            REVOKE => name_in(body.args.first()).unwrap_or_default().into(),
+            _ => body.args.first().map(|argument| String::from_utf8_lossy(argument)).unwrap_or_default(),
+        };
+        let is_name =
+            argument.len() <= TEXT_BYTES_MAX && argument.chars().all(|c| c.is_alphanumeric() || "/_-.:*".contains(c));
+        Call {
+            creator,
+            chaincode: body.chaincode.clone(),
+            function: body.function.clone(),
+            subject: if is_name { argument.into_owned() } else { String::new() },
+            transaction: transaction.id(),
+        }
+    }
+
+    fn name(&mut self, creator: &Hash, name: impl Fn(&Hash) -> Option<String>) -> String {
+        if let Some(known) = self.0.get(creator) {
+            return known.clone();
+        }
+        let Some(found) = name(creator) else { return String::new() };
+        if self.0.len() >= NAMES_MAX {
+            self.0.clear();
+        }
+        self.0.insert(*creator, found.clone());
+        found
+    }
+}
+
+/// The name in an argument that is a JSON object.
+fn name_in(argument: Option<&bytes::Bytes>) -> Option<String> {
+    let argument: Value = serde_json::from_slice(argument?).ok()?;
+    argument.get("name")?.as_str().map(str::to_owned)
+}
+
+fn matters(event: &Event) -> bool {
+    match event.chaincode.as_str() {
+        ABAC => event.name == "message" || !LEFT_OUT.contains(&event.name.as_str()),
+        ledger::msp::NAME => !LEFT_OUT.contains(&event.name.as_str()),
+        _ => false,
+    }
+}
+
+/// With time and place of its block, where it has no other.
+fn at(outcome: &Outcome, row: Row) -> Row {
+    let (height, time) = (outcome.header.height, outcome.header.time);
+    let own = |given: u64| if given == 0 { time } else { given };
+    Row {
+        time,
+        height,
+        last_height: height,
+        first: own(row.first),
+        last: own(row.last),
+        count: row.count.max(1),
+        ..row
+    }
+}
+
+/// Many commands of one block, one after the other, are one row.
+fn fold_last(rows: &mut Vec<Row>) {
+    let [.., before, last] = &mut rows[..] else { return };
+    let alike = before.is_use()
+        && last.is_use()
+        && (&before.who, &before.subject, before.epoch) == (&last.who, &last.subject, last.epoch);
+    if alike {
+        before.count = before.count.saturating_add(last.count);
+        rows.pop();
+    }
+}
+
+fn of_event(event: &Event, call: &Call) -> Vec<Row> {
+    match (event.chaincode.as_str(), event.name.as_str()) {
+        (ABAC, "message") => vec![of_message(event, call)],
+        (ledger::msp::NAME, "refused") => of_telling(event, call),
+        (ABAC, _) => vec![of_abac(event, call)],
+        _ => vec![of_msp(event, call)],
+    }
+}
+
+fn of_message(event: &Event, call: &Call) -> Row {
+    let told: Option<MessageEvent> = serde_json::from_slice(&event.payload).ok();
+    let (epoch, count) = told.map_or((0, 1), |told| (told.epoch, told.count));
+    Row {
+        decision: "used".into(),
+        who: call.creator.clone(),
+        robot: robot(&event.subject),
+        subject: event.subject.clone(),
+        count,
+        epoch,
+        transaction: bytes(&call.transaction),
+        ..Row::default()
+    }
+}
+
+fn of_abac(event: &Event, call: &Call) -> Row {
+    let payload: Value = serde_json::from_slice(&event.payload).unwrap_or_default();
+    let text = |field: &str| payload.get(field).and_then(Value::as_str).unwrap_or_default();
+    let number = |field: &str| payload.get(field).and_then(Value::as_u64).unwrap_or_default();
+    let who = WHO.map(text).into_iter().find(|who| !who.is_empty()).unwrap_or(&call.creator).to_owned();
+    let by = Some(text("by")).filter(|by| !by.is_empty()).unwrap_or(&call.creator);
+    let others: Vec<_> = WHO.map(text).into_iter().chain([&*call.creator]).filter(|one| one.contains('/')).collect();
+    let others = others.into_iter().filter(|one| **one != who && *one != by).map(str::to_owned).collect();
+    let organisation = text("organisation");
+    let about_policies = event.name.starts_with("policy");
+    Row {
+        decision: event.name.clone(),
+        by: if by == who { String::new() } else { by.to_owned() },
+        who,
+        robot: if about_policies { String::new() } else { robot(&event.subject) },
+        subject: event.subject.clone(),
+        epoch: number("epoch"),
+        policy_version: number("policy_version").max(number("version")),
+        detail: words(&payload),
+        transaction: bytes(&call.transaction),
+        others,
+        organisations: Some(organisation.to_owned()).filter(|name| !name.is_empty()).into_iter().collect(),
+        ..Row::default()
+    }
+}
+
+fn of_msp(event: &Event, call: &Call) -> Row {
+    let payload: Value = serde_json::from_slice(&event.payload).unwrap_or_default();
+    let text = |field: &str| payload.get(field).and_then(Value::as_str).unwrap_or_default();
+    let organisation = Some(text("organisation")).filter(|name| !name.is_empty());
+    // The event names a number; the call says whose certificate it was.
+    let revoked = |name: &str| format!("{}/{name}", organisation.unwrap_or_default());
+    let who = match event.name.as_str() {
+        "revoked" if call.function == REVOKE && !call.subject.is_empty() => revoked(&call.subject),
+        _ if event.subject.contains('/') => event.subject.clone(),
+        _ => call.creator.clone(),
+    };
+    Row {
+        decision: event.name.clone(),
+        by: if who == call.creator { String::new() } else { call.creator.clone() },
+        who,
+        subject: event.subject.clone(),
+        detail: words(&payload),
+        transaction: bytes(&call.transaction),
+        organisations: organisation.map(str::to_owned).into_iter().collect(),
+        ..Row::default()
+    }
+}
+
+/// The refusals that a node tells.
+fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
+    let told: Option<TellRefusals> = serde_json::from_slice(&event.payload).ok();
+    let rows = told.map(|told| told.refusals).unwrap_or_default().into_iter().map(|refused| {
+        let Refused { who, chaincode, function, subject, code, count, first, last, sample, why, found } = refused;
+        Row {
+            decision: "refused".into(),
+            who,
+            robot: if chaincode == ABAC { robot(&subject) } else { String::new() },
+            subject: if subject.is_empty() { [chaincode, function].join(" ").trim().to_owned() } else { subject },
+            code,
+            count,
+            first,
+            last,
+            policy_version: policy_version(&why),
+            detail: why,
+            found,
+            transaction: sample.map(|sample| bytes(&sample)).unwrap_or_default(),
+            told_by: call.creator.clone(),
+            ..Row::default()
+        }
+    });
+    rows.collect()
+}
+
+/// A call that the block refused.
+fn of_refusal(call: &Call, result: &TransactionResult) -> Row {
+    Row {
+        decision: "refused".into(),
+        who: call.creator.clone(),
+        robot: if call.chaincode == ABAC { robot(&call.subject) } else { String::new() },
+        subject: if call.subject.is_empty() {
+            format!("{} {}", call.chaincode, call.function)
+        } else {
+            call.subject.clone()
+        },
+        code: result.code,
+        policy_version: policy_version(&result.message),
+        detail: short(&result.message),
+        found: short(&result.found),
+        transaction: bytes(&call.transaction),
+        ..Row::default()
+    }
+}
+
+/// The robot of a service.
+fn robot(service: &str) -> String {
+    service.split('/').next().unwrap_or_default().split(':').next().unwrap_or_default().to_owned()
+}
+
+/// The number of the set of policies that a refusal names: `(policies of Org2, version 3)`.
+fn policy_version(why: &str) -> u64 {
+    let number = why.rsplit_once(", version ").map_or("", |(_, number)| number);
+    number.trim_end_matches(')').parse().unwrap_or_default()
+}
+
+/// The words of a payload.
+fn words(payload: &Value) -> String {
+    let told = WORDS.iter().filter_map(|field| match payload.get(field)? {
+        Value::String(text) if !text.is_empty() => Some(text.clone()),
+        Value::Number(number) => Some(format!("{field} {number}")),
+        _ => None,
+    });
+    short(&told.collect::<Vec<_>>().join(", "))
+}
+
+fn short(text: &str) -> String {
+    match text.char_indices().find(|(at, c)| at + c.len_utf8() > TEXT_BYTES_MAX) {
+        Some((end, _)) => text.get(..end).unwrap_or_default().to_owned(),
+        None => text.to_owned(),
+    }
+}
+
+fn bytes(id: &Hash) -> bytes::Bytes {
+    if *id == Hash::ZERO { bytes::Bytes::new() } else { bytes::Bytes::copy_from_slice(&id.0) }
+}
