@@ -48,3 +48,6 @@ for way in vectors["ways"]:
             begun = bytes([BEGINNINGS.index(way["begin"]), len(changes)])
             shown = [struct.pack(">QI", height, len(writes)) + writes for height, writes in changes]
             seed("follow", begun + b"".join(shown) + proof)
+seed("envelope", of("e501000000000000002a020202020202020202020202") + bytes(30))
+wrapped = {"readers": [{"reader": "Org1/Salma", "key": "00" * 32, "wrapped": "00" * 80}]}
+seed("envelope", json.dumps(wrapped).encode() + b"\n" + of("e5010000000000000007") + bytes(40))

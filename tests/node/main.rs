@@ -22,6 +22,7 @@ mod two_networks;
 mod ca;
 mod catch_up;
 mod certified;
+mod confidential;
 mod config;
 mod contexts;
 mod crash;

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 26] = [
+const LAYERS: [(&str, &[&str]); 27] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // The paper's experiment without its network: nothing of a ledger.
@@ -75,10 +75,13 @@ const LAYERS: [(&str, &[&str]); 26] = [
     ),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
     ("ledger-contract", &[]),
+    // Content keys and envelopes: no chain, no network.
+    ("ledger-confidential", &["ledger-contract", "ledger-hash", "ledger-rejection"]),
     (
         "ledger-abac",
         &[
             "ledger",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-hash",
             "ledger-identity",
@@ -98,6 +101,7 @@ const LAYERS: [(&str, &[&str]); 26] = [
         "ledger-gate",
         &[
             "ledger",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-hash",
             "ledger-identity",
@@ -113,6 +117,7 @@ const LAYERS: [(&str, &[&str]); 26] = [
         &[
             "ledger",
             "ledger-api",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-gate",
             "ledger-hash",
@@ -130,6 +135,7 @@ const LAYERS: [(&str, &[&str]); 26] = [
         &[
             "ledger",
             "ledger-api",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-durable",
             // `replay` publishes as a bridge does.
@@ -151,6 +157,8 @@ const LAYERS: [(&str, &[&str]); 26] = [
             "ledger",
             "ledger-abac",
             "ledger-api",
+            "ledger-confidential",
+            "ledger-contract",
             "ledger-durable",
             "ledger-gate",
             "ledger-hash",
