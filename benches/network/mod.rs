@@ -4,8 +4,9 @@
 use crate::founding::{Founding, Shape, robot, robots, twist};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger_abac::{Grant, MessageEvent};
+use ledger_abac::{Caller, Grant, MessageEvent};
 use ledger_api::{Call, Client, Context, Pending, Subscription, v1};
+use ledger_confidential::{Keyring, ReadingKey, Sealer};
 use ledger_rejection::{Code, Rejection};
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
@@ -155,11 +156,58 @@ impl Network {
         arrivals
     }
 
+    /// As [`Network::listen`], where the owner opens each message before it counts as arrived.
+    pub(crate) async fn listen_confidential(&self, robot: &str) -> Arrivals {
+        let client = self.owner_at(self.founding.nodes.len() - 1).await;
+        let service = format!("{robot}/cmd_vel");
+        let own = ReadingKey::generate();
+        let me = client.query("abac", "GetSubmittingClientIdentity", vec![]).await.unwrap();
+        let me: Caller = serde_json::from_slice(&me.response).unwrap();
+        let mut keyring = Keyring::new(self.founding.owner.network, me.id, own);
+        let settings = r#"{"sharing":{"confidential":true}}"#;
+        let text = |text: &str| Bytes::copy_from_slice(text.as_bytes());
+        client.invoke("abac", "configure", vec![text(&service), text(settings)]).await.unwrap();
+        client.invoke("abac", "reader", vec![text(&service), text(&keyring.public_hex())]).await.unwrap();
+        let mut events = client.subscribe(Subscription {
+            chaincode: "abac".into(),
+            subjects: vec![service.clone()],
+            names: vec!["message".into(), "keyed".into()],
+            ..Subscription::default()
+        });
+        events.open().await.unwrap();
+        let arrivals = Arrivals::default();
+        let noted = arrivals.clone();
+        tokio::spawn(async move {
+            while let Ok(delivery) = events.next().await {
+                for event in delivery.events {
+                    let transaction = Transaction::decode(event.transaction).unwrap();
+                    let args = &transaction.body().args;
+                    if event.name == "keyed" {
+                        let share = serde_json::from_slice(&args[2]).unwrap();
+                        assert!(keyring.learn(&service, "Org1/Salma", delivery.height, &share));
+                        continue;
+                    }
+                    let message: MessageEvent = serde_json::from_slice(&event.payload).unwrap();
+                    keyring.open(&service, "Org1/Salma", message.epoch, message.first_seq, &args[3]).unwrap();
+                    noted.0.lock().unwrap().insert(message.first_seq, Instant::now());
+                }
+            }
+        });
+        arrivals
+    }
+
     /// Farhad, who holds nothing: his commands are refused. His calls go to the first node.
     pub(crate) async fn intruder(&self) -> Operator {
         let client = self.connect(&self.founding.farhad).await;
         let service = Bytes::from_static(b"Turtlebot4/cmd_vel");
-        Operator { client, service, epoch: Bytes::from_static(b"1"), next_seq: Mutex::new(1), message: twist() }
+        Operator {
+            client,
+            service,
+            epoch: Bytes::from_static(b"1"),
+            next_seq: Mutex::new(1),
+            message: twist(),
+            sealer: None,
+        }
     }
 
     /// Salma with the grant of a robot. Her calls go to the first node.
@@ -190,6 +238,7 @@ impl Network {
             epoch: grant.epoch.to_string().into(),
             next_seq: Mutex::new(grant.next_seq),
             message: twist(),
+            sealer: None,
         }
     }
 
@@ -226,6 +275,8 @@ pub(crate) struct Operator {
     /// Held until a command is handed over: one that overtakes another makes it stale.
     next_seq: Mutex<u64>,
     message: Bytes,
+    /// Encrypts the messages, on a confidential service.
+    sealer: Option<Sealer>,
 }
 
 /// When messages arrived, by sequence number.
@@ -304,15 +355,37 @@ impl Operator {
         self.client.invoke("abac", function, args).await.map(drop)
     }
 
+    /// The same, encrypted for the readers of the service.
+    pub(crate) async fn sealing(self, network: &Network) -> Self {
+        let named = vec![self.service.clone()];
+        let readers = self.client.query("abac", "readers", named).await.unwrap();
+        let readers = serde_json::from_slice(&readers.response).unwrap();
+        let (share, fresh) = Sealer::share(&network.founding.salma.network, "Org1/Salma", &readers).unwrap();
+        let share = serde_json::to_vec(&share).unwrap();
+        let args = vec![self.service.clone(), self.epoch.clone(), share.into()];
+        let shared = self.client.invoke("abac", "share", args).await.unwrap();
+        Self { sealer: Some(fresh.shared_at(shared.height)), ..self }
+    }
+
+    fn payload(&self, seq: u64) -> Bytes {
+        match &self.sealer {
+            Some(sealer) => {
+                let epoch = std::str::from_utf8(&self.epoch).unwrap().parse().unwrap();
+                sealer.seal(epoch, seq, &self.message).unwrap()
+            }
+            None => self.message.clone(),
+        }
+    }
+
     fn sign(&self, next_seq: &mut u64, messages: usize) -> Transaction {
         self.sign_for(next_seq, messages, COMMAND_TTL)
     }
 
     fn sign_for(&self, next_seq: &mut u64, messages: usize, ttl: Duration) -> Transaction {
-        let seq = next_seq.to_string().into();
+        let first = *next_seq;
         *next_seq += messages as u64;
-        let mut args = vec![self.service.clone(), self.epoch.clone(), seq];
-        args.extend(std::iter::repeat_n(self.message.clone(), messages));
+        let mut args = vec![self.service.clone(), self.epoch.clone(), first.to_string().into()];
+        args.extend((first..*next_seq).map(|seq| self.payload(seq)));
         let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl };
         self.client.prepare(call).unwrap()
     }

@@ -9,6 +9,9 @@ pub type Round = fn(&[u8]) -> bool;
 /// Names and readers of the messages; a test of the repository compares the names with the proto files.
 pub const ALL: &[(&str, Round)] = &[
     ("Attested", round::<v1::Attested>),
+    ("AuditRequest", round::<v1::AuditRequest>),
+    ("AuditResponse", round::<v1::AuditResponse>),
+    ("AuditRow", round::<v1::AuditRow>),
     ("Block", round::<v1::Block>),
     ("BlockEntries", round::<v1::BlockEntries>),
     ("BlockEntry", round::<v1::BlockEntry>),
@@ -44,6 +47,8 @@ pub const ALL: &[(&str, Round)] = &[
     ("PeerStatus", round::<v1::PeerStatus>),
     ("ProveRequest", round::<v1::ProveRequest>),
     ("ProveResponse", round::<v1::ProveResponse>),
+    ("ProveTransactionRequest", round::<v1::ProveTransactionRequest>),
+    ("ProveTransactionResponse", round::<v1::ProveTransactionResponse>),
     ("QueryRequest", round::<v1::QueryRequest>),
     ("QueryResponse", round::<v1::QueryResponse>),
     ("Receipt", round::<v1::Receipt>),

@@ -5,11 +5,12 @@ use ledger::block::Payload;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_fuzz::files::File;
 use ledger_fuzz::{BEGINNINGS, bytes, evidence, list, messages, vectors};
+use ledger_contract::Envelope;
 use ledger_hash::Hash;
 use mcap::{Stamp, Writer};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use rcgen::{CertificateRevocationListParams, KeyIdMethod, SerialNumber, date_time_ymd};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fs;
@@ -32,6 +33,7 @@ fn main() -> Done {
     let place = std::env::args_os().nth(1).ok_or("wanted: fuzz-seeds DIRECTORY")?;
     let corpus = Corpus(PathBuf::from(place));
     certified(&corpus)?;
+    envelopes(&corpus)?;
     policies(&corpus)?;
     recordings(&corpus)?;
     directories(&corpus)?;
@@ -114,6 +116,15 @@ fn certificate(proof: &[u8]) -> Option<&[u8]> {
 
 fn items(list: &Value) -> impl Iterator<Item = &Value> {
     list.as_array().into_iter().flatten()
+}
+
+/// A message under a content key, and a key that was shared in front of one.
+fn envelopes(corpus: &Corpus) -> Done {
+    let message = [&Envelope::head(42, &[2; 12])[..], &[0; 30]].concat();
+    corpus.seed("envelope", &message)?;
+    let reader = json!({"reader": "Org1/Salma", "key": "00".repeat(32), "wrapped": "00".repeat(80)});
+    let share = json!({"readers": [reader]}).to_string();
+    corpus.seed("envelope", &[share.as_bytes(), b"\n", &message].concat())
 }
 
 /// The policies of the documentation.

@@ -15,6 +15,7 @@ mod actions;
 mod arena;
 mod calls;
 mod codec;
+mod confidential;
 mod demo;
 mod discovering;
 mod keyed;

@@ -57,6 +57,11 @@ impl Python {
         self.lines.recv_timeout(Duration::from_secs(60)).ok()
     }
 
+    /// A line that the script has printed already.
+    pub(crate) fn try_line(&mut self) -> Option<String> {
+        self.lines.try_recv().ok()
+    }
+
     /// Waits for the end of the script and returns whether it succeeded.
     pub(crate) fn finish(mut self) -> bool {
         self.child.wait().expect("the script ends").success()

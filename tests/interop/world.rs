@@ -256,6 +256,12 @@ impl World {
         }
     }
 
+    /// How many lines of the log of a process have these words.
+    pub(crate) fn lines(&self, name: &str, words: &str) -> usize {
+        let log = fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap();
+        log.lines().filter(|line| line.contains(words)).count()
+    }
+
     /// Is this not in the log of a process?
     pub(crate) fn has_not_said(&self, name: &str, words: &str) -> bool {
         !fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap().contains(words)

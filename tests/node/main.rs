@@ -24,6 +24,7 @@ mod audit;
 mod ca;
 mod catch_up;
 mod certified;
+mod confidential;
 mod config;
 mod contexts;
 mod crash;

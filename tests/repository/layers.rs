@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 29] = [
+const LAYERS: [(&str, &[&str]); 30] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // The paper's experiment without its network: nothing of a ledger.
@@ -79,10 +79,13 @@ const LAYERS: [(&str, &[&str]); 29] = [
     ),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
     ("ledger-contract", &[]),
+    // Content keys and envelopes: no chain, no network.
+    ("ledger-confidential", &["ledger-contract", "ledger-hash", "ledger-rejection"]),
     (
         "ledger-abac",
         &[
             "ledger",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-hash",
             "ledger-identity",
@@ -102,6 +105,7 @@ const LAYERS: [(&str, &[&str]); 29] = [
         "ledger-gate",
         &[
             "ledger",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-hash",
             "ledger-identity",
@@ -117,6 +121,7 @@ const LAYERS: [(&str, &[&str]); 29] = [
         &[
             "ledger",
             "ledger-api",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-gate",
             "ledger-hash",
@@ -135,6 +140,7 @@ const LAYERS: [(&str, &[&str]); 29] = [
             "fabric",
             "ledger",
             "ledger-api",
+            "ledger-confidential",
             "ledger-contract",
             "ledger-durable",
             // `replay` publishes as a bridge does.
@@ -158,6 +164,8 @@ const LAYERS: [(&str, &[&str]); 29] = [
             "ledger",
             "ledger-abac",
             "ledger-api",
+            "ledger-confidential",
+            "ledger-contract",
             "ledger-hash",
             "ledger-identity",
             "ledger-light",
@@ -174,6 +182,8 @@ const LAYERS: [(&str, &[&str]); 29] = [
             "ledger",
             "ledger-abac",
             "ledger-api",
+            "ledger-confidential",
+            "ledger-contract",
             "ledger-durable",
             "ledger-gate",
             "ledger-hash",

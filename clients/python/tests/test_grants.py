@@ -163,6 +163,21 @@ class Grants(unittest.TestCase):
                 grant.publish(numbered(4))
                 self.assertEqual(number_of(next(stream).payload), 4)
 
+    def test_a_confidential_service_is_none_for_a_client_that_does_not_encrypt(self) -> None:
+        self.network.ctl(Dev.OWNER, "robot", "set", SERVICE, "confidential=true")
+        try:
+            with self.connect() as robot, robot.acquire(SERVICE) as grant, self.connect("Farhad") as reader:
+                with self.assertRaises(ledgerd.Invalid) as plain:
+                    grant.publish(TWIST)
+                self.assertEqual(plain.exception.name, "BAD_ARGUMENT")
+                with reader.subscribe(SERVICE) as stream:
+                    self.network.ctl("Salma", "publish", SERVICE, "{}")
+                    with self.assertRaises(ledgerd.Invalid) as sealed:
+                        next(stream)
+                self.assertEqual(sealed.exception.name, "BAD_MESSAGE")
+        finally:
+            self.network.ctl(Dev.OWNER, "robot", "set", SERVICE, "confidential=default")
+
     def test_events_tell_grants_and_releases(self) -> None:
         with self.connect("Omar") as reader, reader.events(SERVICE, names=["granted", "released"]) as stream:
             with self.connect() as robot, robot.acquire(SERVICE) as grant:

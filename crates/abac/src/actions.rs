@@ -6,6 +6,7 @@ pub(crate) mod acquire;
 mod attributes;
 pub(crate) mod authorize;
 pub(crate) mod can;
+pub(crate) mod confidential;
 pub(crate) mod confirm;
 pub(crate) mod contest;
 pub(crate) mod delegate;

@@ -1,9 +1,9 @@
 //! The function table of the chaincode, and its hooks.
 
 use crate::actions::{
-    NAME, acquire, authorize, can, confirm, delegate, emergency, end, follow, hold, policies, policy_proposals,
-    policy_rules, policy_sets, publish, queue, release, renew, robots, settings, show, side_door, task_list, tasks,
-    together,
+    NAME, acquire, authorize, can, confidential, confirm, delegate, emergency, end, follow, hold, policies,
+    policy_proposals, policy_rules, policy_sets, publish, queue, release, renew, robots, settings, show, side_door,
+    task_list, tasks, together,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
@@ -35,6 +35,10 @@ use std::sync::Arc;
 /// | `renew SERVICE [LEASE_MS]` | the holder | [`crate::Grant`] |
 /// | `release SERVICE [HOLDER]` | the holder, who waits in line, an admin of the owner | the grants it ended |
 /// | `set SERVICE EPOCH FIRST_SEQ PAYLOAD...` | the holder; in open mode whom policies permit | [`crate::Published`] |
+/// | `reader SERVICE KEY` | whom policies permit to subscribe, who stands for the owner | [`crate::ReaderTold`] |
+/// | `reader SERVICE none [READER]` | the reader itself, an admin of the owner | [`crate::ReaderTold`] |
+/// | `share SERVICE EPOCH SHARE_JSON` of [`crate::Share`] | as `set`, on a confidential service | [`crate::Keyed`] |
+/// | `readers SERVICE` | anybody | [`crate::Readers`] |
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `can ASK_JSON` of [`crate::Ask`] | anybody | [`crate::Can`] |
 /// | `could ASK_JSON PAGE_JSON` | an admin, about their organisation | page of [`crate::Could`] |
@@ -74,7 +78,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 44] = [
+const FUNCTIONS: [&str; 47] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
@@ -101,6 +105,8 @@ const FUNCTIONS: [&str; 44] = [
     "policy_proposals",
     "policy_set",
     "progress",
+    "reader",
+    "readers",
     "recall",
     "release",
     "remove",
@@ -114,6 +120,7 @@ const FUNCTIONS: [&str; 44] = [
     "set",
     policy_rules::SET,
     "setup",
+    "share",
     "stop",
     "submit",
     "take",
@@ -125,7 +132,7 @@ const FUNCTIONS: [&str; 44] = [
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 20] = [
+const READS: [&str; 21] = [
     "GetSubmittingClientIdentity",
     "authorize",
     "can",
@@ -141,6 +148,7 @@ const READS: [&str; 20] = [
     "policy_proposal",
     "policy_proposals",
     "policy_set",
+    "readers",
     "robot",
     "robots",
     "service",
@@ -174,11 +182,12 @@ const URGENT: [&str; 18] = [
 static NEEDS_APPROVAL: [(&str, Quorum); 1] = [(policy_rules::SET, Quorum::Majority)];
 
 /// The names of its events.
-const EVENTS: [&str; 20] = [
+const EVENTS: [&str; 22] = [
     "confirmed",
     "pending",
     "delegated",
     "granted",
+    "keyed",
     "left",
     "line",
     "message",
@@ -188,6 +197,7 @@ const EVENTS: [&str; 20] = [
     "policy_proposed",
     "policy_withdrawn",
     "queued",
+    "reader",
     "released",
     "renewed",
     "resumed",
@@ -257,6 +267,9 @@ impl Chaincode for AccessControl {
             "fail" if sharing::known(ctx) => tasks::fail(ctx, args),
             "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
             "report_side_door" if sharing::known(ctx) => side_door::report(ctx, args),
+            "reader" if sharing::known(ctx) => confidential::reader(ctx, decider, args),
+            "readers" if sharing::known(ctx) => confidential::readers(ctx, decider, args),
+            "share" if sharing::known(ctx) => confidential::share(ctx, decider, args),
             "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
             "task" if sharing::known(ctx) => task_list::task(ctx, args),
             "can" if sharing::known(ctx) => can::can(ctx, decider, args),

@@ -9,6 +9,7 @@ pub(crate) mod pending;
 pub(crate) mod policy_set;
 pub(crate) mod principal;
 pub(crate) mod proposed;
+pub(crate) mod reader;
 pub(crate) mod robot;
 pub(crate) mod service;
 pub(crate) mod sharing;

@@ -7,6 +7,7 @@
 //!                        certificate.pem  the own certificate, then its issuers
 //!                        key.pem          PKCS#8, readable by its owner only
 //!                        msps.json        all organisations of the network with their roots
+//!                        reading.key      reads confidential services, readable by its owner only; made when it is needed
 //!                        nodes.json       what was learnt since: the nodes, the one that served last, other roots
 //! <home>/contexts/.<NAME>.renewing     locked by whoever renews the certificate
 //! ```
@@ -18,6 +19,7 @@ mod known;
 mod lock;
 mod organisations;
 mod pending;
+mod reading;
 mod renewal;
 
 pub use home::home;
@@ -172,6 +174,7 @@ impl Context {
             (files::MSPS, organisations::to_json(&self.msps)?),
         ];
         content.extend(self.memory.to_json()?.map(|known| (files::NODES, known)));
+        content.extend(reading::kept(home, &self.name)?);
         files::replace_directory(&home.join(home::CONTEXTS), &self.name, &content)?;
         if Self::current(home)?.is_none() {
             Self::select_alone(home, &self.name)?;

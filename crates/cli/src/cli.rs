@@ -3,7 +3,7 @@
 use crate::argument::destination::{self, Destination};
 use crate::command::{
     audit, bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger,
-    light, message, network, policy, prove, record, replay, robot, task, whoami,
+    light, message, network, policy, prove, readers, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -84,6 +84,7 @@ enum Command {
     Task(task::Task),
     Publish(message::Publish),
     Echo(message::Echo),
+    Readers(readers::Readers),
     Record(record::Record),
     Replay(replay::Replay),
     #[command(subcommand)]
@@ -145,6 +146,7 @@ impl Cli {
             Command::Task(command) => command.run(global, output).await,
             Command::Publish(command) => command.run(global, output).await,
             Command::Echo(command) => command.run(global, output).await,
+            Command::Readers(command) => command.run(global, output).await,
             Command::Record(command) => command.run(global, output).await,
             Command::Replay(command) => command.run(output).await,
             Command::Bridge(command) => command.run(global, output).await,

@@ -19,6 +19,7 @@ pub(crate) mod message;
 pub(crate) mod network;
 pub(crate) mod policy;
 pub(crate) mod prove;
+pub(crate) mod readers;
 pub(crate) mod record;
 pub(crate) mod replay;
 pub(crate) mod robot;

@@ -16,6 +16,7 @@
 mod attribute;
 mod can;
 mod capability;
+mod confidential;
 mod confirmation;
 mod delegation;
 mod emergency;
@@ -35,6 +36,10 @@ mod word;
 pub use attribute::{Attribute, AttributeChanges, Attributes};
 pub use can::{Ask, Can, Condition, Could, PolicyDiff, PolicyFault, WouldEnd};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
+pub use confidential::{
+    Envelope, KeyPlace, Keyed, NONCE_BYTES, READERS_MAX, READING_KEY_BYTES, Reader, ReaderTold, Readers, Share,
+    WRAPPED_BYTES, Wrapped,
+};
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};
 pub use emergency::{Emergency, EmergencyAnswer, Stopped};

@@ -107,6 +107,9 @@ pub struct Sharing {
     /// How long (milliseconds) confirmations are waited for, and count; a minute by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confirm_within_ms: Option<u64>,
+    /// Are messages encrypted for those who may read them? No by default. It goes with every mode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confidential: Option<bool>,
 }
 
 /// A key of [`Sharing`]: its name, its value for people if it is set, how it takes the value of another, how it is cleared.
@@ -128,13 +131,18 @@ macro_rules! keys {
 }
 
 keys!(
-    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms
+    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms confidential
 );
 
 impl Sharing {
     /// Are all settings the defaults?
     pub fn is_default(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Are messages encrypted for those who may read them?
+    pub fn is_confidential(&self) -> bool {
+        self.confidential == Some(true)
     }
 
     /// The names of all keys.
@@ -196,6 +204,7 @@ mod tests {
             delegable: Some(true),
             confirm: Some(9),
             confirm_within_ms: Some(10),
+            confidential: Some(true),
         };
         let json = serde_json::to_value(&all).unwrap();
         let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();

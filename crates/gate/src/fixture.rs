@@ -199,6 +199,7 @@ pub fn service(mode: &str) -> Service {
         lease_ms: 10_000,
         stop_hex: None,
         epoch: 0,
+        confidential: false,
     }
 }
 

@@ -27,6 +27,7 @@ mod clock;
 mod ends;
 mod identities;
 mod limits;
+mod payloads;
 mod refused;
 mod sequences;
 
@@ -37,6 +38,7 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger_confidential::Keyring;
 use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -131,6 +133,8 @@ pub struct Gate {
     not_before: u64,
     /// The last driver of the robot since its last stop.
     driver: Option<Driver>,
+    /// The content keys of a confidential service, if this gate reads one.
+    keyring: Option<Keyring>,
     /// The contradiction that was found here.
     fault: Option<String>,
 }
@@ -159,6 +163,8 @@ struct Rules {
     layout: Option<Layout>,
     /// The lease where there is no grant, in microseconds.
     lease_us: u64,
+    /// Are its messages encrypted?
+    confidential: bool,
 }
 
 impl Gate {
@@ -182,6 +188,7 @@ impl Gate {
             signed_since: now.wall,
             not_before: 0,
             driver: None,
+            keyring: None,
             fault: None,
         }
     }
@@ -221,6 +228,7 @@ impl Gate {
             max_age_us: age_us.min(own_us),
             layout: Layout::of(&service.type_name),
             lease_us: service.lease_ms.saturating_mul(1000),
+            confidential: service.confidential,
         }
     }
 
@@ -288,7 +296,12 @@ impl Gate {
     fn judge(&mut self, delivered: Delivered<'_>, is_latched: bool, now: Now) -> Result<Passed, Refused> {
         let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
         let Rules {
-            capabilities: Capabilities { publishing, fencing, sequence }, max_age_us, lease_us, layout, ..
+            capabilities: Capabilities { publishing, fencing, sequence },
+            max_age_us,
+            lease_us,
+            layout,
+            confidential,
+            ..
         } = *rules;
         if is_latched && rules.publisher.is_none() {
             return Err(Refused::TooOld);
@@ -302,7 +315,7 @@ impl Gate {
         }
         let transaction = self.decode(delivered)?;
         let call = Call::read(&transaction, &self.id)?;
-        let mut samples = self.read_samples(call.payloads)?;
+        let mut samples = if confidential { Vec::new() } else { self.read_samples(call.payloads)? };
         if !self.clock.heard(delivered.block_time, now) {
             return Err(Refused::FromFuture);
         }
@@ -340,6 +353,9 @@ impl Gate {
         };
         if !may_follow {
             return Err(Refused::StaleSequence);
+        }
+        if confidential {
+            samples = self.open_samples(&name, &call)?;
         }
         let age_us = if is_latched { 0 } else { self.age_us(&transaction, delivered.block_time, now) };
         let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us, now)?;
@@ -440,15 +456,6 @@ impl Gate {
         } else {
             Err(Refused::WrongNetwork)
         }
-    }
-
-    fn read_samples(&self, payloads: &[Bytes]) -> Result<Vec<Sample>, Refused> {
-        let bytes_max = self.settings.sample_bytes_max;
-        if payloads.iter().any(|payload| payload.len() > bytes_max) {
-            return Err(Refused::TooLarge);
-        }
-        let sample = |payload: &Bytes| Sample::from_wire(payload.clone(), bytes_max).map_err(|_| Refused::BadPayload);
-        payloads.iter().map(sample).collect()
     }
 
     fn check_time(&self, signed: &Transaction, block_time: u64, max_age_us: u64, now: Now) -> Result<(), Refused> {

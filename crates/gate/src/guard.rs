@@ -13,6 +13,7 @@ mod tests;
 
 pub use self::act::{Act, Block, Told};
 use self::{act::changes, held::Held, questions::Questions};
+use ledger_confidential::Keyring;
 use ledger_mutation::{Mutation, active};
 
 use crate::{
@@ -47,6 +48,11 @@ impl Guard {
             stale_us,
             heard: now.steady,
         }
+    }
+
+    /// Reads confidential messages with these keys, and with those that publishers share.
+    pub fn read_with(&mut self, keyring: Keyring) {
+        self.gate.read_with(keyring);
     }
 
     /// The gate, to look at.

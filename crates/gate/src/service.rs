@@ -33,6 +33,8 @@ pub struct Service {
     pub stop_hex: Option<String>,
     /// The newest epoch ever given.
     pub epoch: u64,
+    /// Are its messages encrypted for those who may read them?
+    pub confidential: bool,
 }
 
 /// Payload of the event `released`.
@@ -110,7 +112,7 @@ impl TryFrom<ServiceState> for Service {
         let direction =
             direction.ok_or_else(|| not_known(&state, format!("direction {:?}", state.direction.word())))?;
         let ServiceState { service, robot, organisation, topic, type_name, .. } = state;
-        let ServiceState { max_age_ms, lease_ms, stop_hex, epoch, .. } = state;
+        let ServiceState { max_age_ms, lease_ms, stop_hex, epoch, sharing, .. } = state;
         Ok(Self {
             service,
             robot,
@@ -123,6 +125,7 @@ impl TryFrom<ServiceState> for Service {
             lease_ms,
             stop_hex,
             epoch,
+            confidential: sharing.is_confidential(),
         })
     }
 }

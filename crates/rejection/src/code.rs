@@ -190,6 +190,8 @@ codes! {
     PoliciesChanged = 3023 "POLICIES_CHANGED" Conflict;
     /// Under these policies nobody could publish to a robot.
     NobodyMayPublish = 3024 "NOBODY_MAY_PUBLISH" Conflict;
+    /// The readers of a confidential service have changed since its content key was shared.
+    ReadersChanged = 3025 "READERS_CHANGED" Conflict;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

@@ -22,6 +22,8 @@ from ledgerd.v1 import transaction_pb2 as signed
 ABAC: Final = "abac"
 _ARGS_BEFORE_PAYLOADS: Final = 3
 _KNOWN_MAX: Final = 4096
+# The first bytes of an envelope, in which messages of confidential services travel. No CDR begins so.
+_ENVELOPE: Final = b"\xe5\x01"
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ class Senders:
         numbers = [str(told[name]) for name in ("epoch", "first_seq")]
         if body.network != self._context.network or not names or words[1:] != numbers or len(payloads) != told["count"]:
             raise _malformed(f"signed for {' '.join(words)}, {len(payloads)} messages")
+        if any(payload.startswith(_ENVELOPE) for payload in payloads):
+            raise _encrypted(event.subject)
         id = hashlib.sha256(transaction.body).digest()
         place = (delivery.height, delivery.time, event.index, event.subject, sender, told["epoch"])
         return [Message(*place, told["first_seq"] + number, payload, id) for number, payload in enumerate(payloads)]
@@ -108,6 +112,16 @@ def _told(payload: bytes) -> Mapping[str, int]:
         return {name: int(told[name]) for name in ("epoch", "first_seq", "count")}
     except (KeyError, TypeError, ValueError) as error:
         raise _malformed(f"an event that is none: {error}") from error
+
+
+def _encrypted(service: str) -> Refusal:
+    return refusal(
+        "BAD_MESSAGE",
+        f"messages of {service} are encrypted, and this client does not decrypt",
+        found="an envelope of a confidential service",
+        wanted="a service without confidential=true",
+        next=f"read it with a bridge, or with: ledgerctl echo {service}",
+    )
 
 
 def _malformed(found: str) -> Refusal:

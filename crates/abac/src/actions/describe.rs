@@ -108,6 +108,7 @@ pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceS
     }
     let mode = spec.mode.unwrap_or_else(|| rules::default_mode(spec.direction));
     check_sharing(ctx, decider, &mode, &spec.sharing, topic)?;
+    check_confidential(&spec.sharing, &spec.type_name, topic)?;
     let attributes = attributes::described(spec.attributes, attributes::OF_SERVICE_BYTES_MAX)?;
     Ok(Service {
         topic: spec.topic,
@@ -138,6 +139,17 @@ fn check_sharing(
             .next("activate them first: ledgerctl network rules"));
     }
     terms::check(rule, sharing, topic)
+}
+
+/// Calls and their replies are two services that share keys in no way yet: neither is confidential.
+fn check_confidential(sharing: &Sharing, type_name: &str, topic: &str) -> Result<(), Rejection> {
+    if !sharing.is_confidential() || !is_called(type_name) {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadArgument, format!("service {topic} cannot be confidential"))
+        .found(format!("confidential=true for the calls of {type_name}"))
+        .wanted("confidential=true for messages: a type PACKAGE/msg/NAME")
+        .next("leave confidential out: calls and actions are not encrypted"))
 }
 
 pub(crate) fn check_name(name: &str) -> Result<(), Rejection> {

@@ -11,10 +11,10 @@ use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Target;
-use crate::records::{policy_set, proposed, sharing, side_door, store, used};
+use crate::records::{policy_set, proposed, reader, sharing, side_door, store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
-use ledger_contract::{Grant, Reason, Released};
+use ledger_contract::{Grant, Reason, Released, read_from};
 use ledger_rejection::Rejection;
 
 /// Most grants that one call or the start of one block ends with an event each.
@@ -61,6 +61,9 @@ fn tell(
     }
     let Grant { service, holder, epoch, .. } = holding.grant.clone();
     queue::look_now(ctx, &service)?;
+    if let Some(read) = read_from(&service) {
+        reader::place_ended(ctx, read)?;
+    }
     let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on };
     ctx.emit("released", &released.service, store::json(&released)?);
     if let Some(id) = holding.grant.task {
@@ -148,6 +151,7 @@ pub(crate) fn identity_revoked(
     end_all(ctx, ending)?;
     if sharing::known(ctx) {
         proposed::revoked(ctx, &revoked.issuer, &revoked.serial)?;
+        reader::revoked(ctx, &revoked.issuer, &revoked.serial)?;
     }
     queue::revoked(ctx, decider, &revoked.issuer, &revoked.serial)
 }
@@ -171,6 +175,10 @@ pub(crate) fn organisation_removed(
                 told += 1;
             }
             continue;
+        }
+        let services = if sharing::known(ctx) { robot.services.as_slice() } else { &[] };
+        for service in services {
+            reader::members_left(ctx, &robot.service_id(service), organisation)?;
         }
         for target in Target::all_of(&robot) {
             queue::members_left(ctx, decider, &target, organisation)?;
@@ -227,6 +235,7 @@ pub(crate) fn robot_changed(
         }
     }
     side_door::forget(ctx, before, Some(after));
+    reader::forget(ctx, before, Some(after))?;
     let mut released = end_all(ctx, ending)?;
     if later {
         undecided::mark(ctx, &after.organisation, &after.name);

@@ -37,16 +37,40 @@ pub(crate) fn may_subscribe(
 ) -> Result<(), Rejection> {
     let principal = Principal::of(submitter);
     decider.decide(ctx, &principal, target, Action::Subscribe)?;
-    let robot = &target.robot;
-    let carries = matches!(submitter.role, Role::Robot | Role::Node) && submitter.organisation == robot.organisation;
-    if carries
-        || target.service.sharing.subscribers.is_none()
+    if !needs_place(&principal, target)
         || active(Mutation::ReadWithoutAPlace)
         || decider.records.held(ctx, &readers(target.service_id()), submitter)?.is_some()
     {
         return Ok(());
     }
-    Target::of_readers(robot, &target.service).map_or(Ok(()), |places| hold::own(ctx, &principal, &places).map(drop))
+    has_place(ctx, &principal, target)
+}
+
+/// As [`may_subscribe`], of one who does not ask now. Answers when the window of the policies closes (block time, microseconds).
+pub(crate) fn may_be_sent(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    principal: &Principal,
+    target: &Target,
+) -> Result<Option<u64>, Rejection> {
+    let permit = decider.decide(ctx, principal, target, Action::Subscribe)?;
+    if needs_place(principal, target) {
+        has_place(ctx, principal, target)?;
+    }
+    Ok(permit.closes)
+}
+
+/// Do they need a place to read? Robots and nodes of the owner never do.
+fn needs_place(principal: &Principal, target: &Target) -> bool {
+    let carries = matches!(principal.role, Role::Robot | Role::Node);
+    let is_owners = principal.organisation == target.robot.organisation;
+    target.service.sharing.subscribers.is_some() && !(carries && is_owners)
+}
+
+/// Do they have the place that they need?
+fn has_place(ctx: &Context<'_>, principal: &Principal, target: &Target) -> Result<(), Rejection> {
+    let places = Target::of_readers(&target.robot, &target.service);
+    places.map_or(Ok(()), |places| hold::own(ctx, principal, &places).map(drop))
 }
 
 /// May the submitter follow these events? A reader of messages of services needs the right to subscribe to each.

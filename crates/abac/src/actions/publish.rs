@@ -3,17 +3,17 @@
 //! The messages themselves stay in the transaction; the state keeps only where the last one is. A held grant is
 //! checked by comparing numbers, without asking any policy.
 
-use super::{NAME, emergency, hold, renew, undecided};
+use super::{NAME, confidential, emergency, hold, renew, undecided};
 use crate::arguments::Arguments;
 use crate::policy::decider::{self, Action, Decider};
 use crate::records::grant::{self, Holding};
 use crate::records::last::{self, Last};
 use crate::records::principal::Principal;
 use crate::records::service::Target;
-use crate::records::store;
+use crate::records::{sharing, store};
 use bytes::Bytes;
 use ledger::{Context, Foretold};
-use ledger_contract::{MessageEvent, Published, Publishing};
+use ledger_contract::{Envelope, MessageEvent, Published, Publishing};
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
@@ -32,7 +32,7 @@ const USAGE: &str = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
 pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new(USAGE, args, 4, 3 + MESSAGES_PER_CALL_MAX)?;
     let (epoch, first_seq) = (args.number(1, "EPOCH")?, args.number(2, "FIRST_SEQ")?);
-    let count = check_payloads(args)?;
+    let (count, envelope) = check_payloads(ctx, args)?;
     let last_seq = first_seq
         .checked_add(count - 1)
         .filter(|last| *last < u64::MAX)
@@ -42,6 +42,7 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     let own = may_publish(ctx, decider, submitter, &target, Some(epoch))?;
 
     let publisher = submitter.id();
+    confidential::check_key(ctx, &target, &publisher, envelope)?;
     let sequence = decider.rules.capabilities(&target)?.sequence;
     let next_seq = last::next_sequence(ctx, &target.id, sequence, epoch, &publisher)?;
     if first_seq < next_seq {
@@ -158,9 +159,24 @@ pub(crate) fn next_sequence(
     last::next_sequence(ctx, &target.id, decider.rules.capabilities(target)?.sequence, epoch, publisher)
 }
 
-/// Checks that every payload starts as CDR does; returns how many they are.
-fn check_payloads(args: Arguments<'_>) -> Result<u64, Rejection> {
+/// Checks that every payload starts as CDR does, or is an envelope under the same content key as the others; returns how many they
+/// are, and that key.
+fn check_payloads(ctx: &Context<'_>, args: Arguments<'_>) -> Result<(u64, Option<u64>), Rejection> {
     let payloads = args.rest(3);
+    let key = |payload: &Bytes| Envelope::parse(payload).map(|envelope| envelope.key);
+    if let Some(first) = payloads.first().and_then(key).filter(|_| sharing::known(ctx)) {
+        return match payloads.iter().position(|payload| key(payload) != Some(first)) {
+            None => Ok((payloads.len() as u64, Some(first))),
+            Some(other) => {
+                let wanted = format!("an envelope under key {first}, as the first message");
+                Err(args.bad(3 + other, "PAYLOAD", "something else".to_owned(), &wanted))
+            }
+        };
+    }
+    check_cdr(args, payloads).map(|count| (count, None))
+}
+
+fn check_cdr(args: Arguments<'_>, payloads: &[Bytes]) -> Result<u64, Rejection> {
     for (index, payload) in payloads.iter().enumerate() {
         let wanted = "CDR with its encapsulation header: 00 00 to 00 03 or 00 06 to 00 0b, and two bytes of options";
         match payload.get(..CDR_HEADER_BYTES) {
@@ -175,7 +191,7 @@ fn check_payloads(args: Arguments<'_>) -> Result<u64, Rejection> {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use super::{Arguments, Bytes, Event, Foretold, check_payloads, foretell};
+    use super::{Arguments, Bytes, Event, Foretold, check_cdr, foretell};
 
     #[test]
     fn what_is_foretold_of_a_call_never_changes() {
@@ -201,7 +217,7 @@ mod tests {
         for id in 0..=u8::MAX {
             for high in [0, 1] {
                 let payload = [Bytes::new(), Bytes::new(), Bytes::new(), Bytes::from(vec![high, id, 0, 0])];
-                let outcome = Arguments::new("", &payload, 4, 4).and_then(check_payloads);
+                let outcome = Arguments::new("", &payload, 4, 4).and_then(|args| check_cdr(args, args.rest(3)));
                 assert_eq!(outcome.is_ok(), high == 0 && (id <= 3 || (6..=11).contains(&id)), "{high} {id}");
             }
         }

@@ -6,7 +6,7 @@ use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
 use crate::records::robot::{self, ROBOTS_MAX, Robot};
 use crate::records::service::Target;
-use crate::records::{side_door, store};
+use crate::records::{reader, side_door, store};
 use bytes::Bytes;
 use ledger::Context;
 use ledger::msp::{Quotas, quota_reached};
@@ -74,6 +74,7 @@ pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Hold
     }
     robot::remove(ctx, robot)?;
     side_door::forget(ctx, robot, None);
+    reader::forget(ctx, robot, None)?;
     Ok(ending)
 }
 

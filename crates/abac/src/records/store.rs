@@ -27,6 +27,10 @@
 //! | `ended/<service>␀<time>/<task>` | nothing: orders the tasks of a service that have ended; the newest 16 are kept |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
 //! | `door/<service>` | the last report of a side door of the service; since rules 3 |
+//! | `reader/<service>␀<reader>` | a reader of a confidential service, with its reading key; since rules 3, as the next three |
+//! | `reading/<issuer>/<serial>/<service>` | its name: finds what a revoked certificate reads |
+//! | `readers/<service>` | how often the readers of the service have changed; outlives them |
+//! | `shared/<service>␀<publisher>` | where a publisher's newest content key is, and for which readers it was made |
 //! | `last/<service>` | last message of a service whose sequences count by epoch |
 //! | `last/<service>␀<publisher>` | last message of a publisher of any other |
 //! | `policy/<organisation>/<id>` | Cedar text |
@@ -244,6 +248,26 @@ pub(crate) fn stopped_key(robot: &str) -> Vec<u8> {
 /// The key of the last report of a side door of a service.
 pub(crate) fn side_door_key(service: &str) -> Vec<u8> {
     ["door/", service].concat().into_bytes()
+}
+
+/// The key of a reader of a service; without a reader the prefix of all.
+pub(crate) fn reader_key(service: &str, reader: &str) -> Vec<u8> {
+    ["reader/", service, "\0", reader].concat().into_bytes()
+}
+
+/// The prefix of what a certificate reads; the service follows.
+pub(crate) fn reading_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
+    format!("reading/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
+/// The key of how often the readers of a service have changed.
+pub(crate) fn readers_key(service: &str) -> Vec<u8> {
+    ["readers/", service].concat().into_bytes()
+}
+
+/// The key of the newest content key of a publisher; without a publisher the prefix of all of a service.
+pub(crate) fn shared_key(service: &str, publisher: &str) -> Vec<u8> {
+    ["shared/", service, "\0", publisher].concat().into_bytes()
 }
 
 /// The key of the last message of a service, or of one of its publishers (see [`super::last`]).

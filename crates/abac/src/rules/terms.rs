@@ -54,6 +54,9 @@ impl Terms {
     }
 }
 
+/// The settings that go with every rule.
+const OF_ALL: [&str; 1] = ["confidential"];
+
 /// The range of a number among the settings, and its unit.
 type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
 
@@ -76,7 +79,7 @@ const BOUNDS: [Bounds; 9] = [
 pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
     let refuse = |message: String| Rejection::new(Code::BadArgument, message);
     let mode = rule.mode();
-    if let Some((key, value)) = sharing.set().find(|(key, _)| !rule.keys().contains(key)) {
+    if let Some((key, value)) = sharing.set().find(|(key, _)| !rule.keys().contains(key) && !OF_ALL.contains(key)) {
         return Err(refuse(format!("mode={mode} and {key} of service {topic} do not go together"))
             .found(format!("{key}={}", shown(&value)))
             .wanted(match rule.keys() {

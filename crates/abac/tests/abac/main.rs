@@ -15,6 +15,7 @@ mod bad_input;
 mod budgets;
 mod bytes;
 mod can;
+mod confidential;
 mod confirmation;
 mod delegation;
 mod emergency;

@@ -21,6 +21,9 @@ pub(super) const MSPS: &str = "msps.json";
 /// The network as it was learnt since the enrolment; may be missing.
 pub(super) const NODES: &str = "nodes.json";
 
+/// The secret half of the key with which the identity reads confidential services; may be missing.
+pub(super) const READING: &str = "reading.key";
+
 /// Largest file of a context that is read, in bytes.
 const FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
 const DIRECTORY_MODE: u32 = 0o700;

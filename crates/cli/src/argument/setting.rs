@@ -32,7 +32,7 @@ const fn of_robot(name: &'static str, field: &'static str, wanted: &'static str,
 const DEFAULT: &str = "default";
 
 /// Every setting; those of services first.
-pub(crate) static KEYS: [Key; 21] = [
+pub(crate) static KEYS: [Key; 22] = [
     of_service("mode", "mode", "open|exclusive|limited", |settings, value| {
         settings.mode = Some(Mode::from(value));
         Ok(())
@@ -80,6 +80,10 @@ pub(crate) static KEYS: [Key; 21] = [
     of_service("confirm", "confirm", "N", |settings, value| number(&mut settings.sharing.confirm, value)),
     of_service("confirm-within", "confirm_within_ms", "1m", |settings, value| {
         span(&mut settings.sharing.confirm_within_ms, value)
+    }),
+    of_service("confidential", "confidential", "true|false", |settings, value| {
+        settings.sharing.confidential = Some(value.parse().map_err(|_| "wanted true or false".to_owned())?);
+        Ok(())
     }),
     of_robot("attr-required", "attribute_required", "KEY[=VALUE]", |settings, value| {
         settings.attribute_required = Some(value.to_owned());
@@ -211,6 +215,7 @@ mod tests {
             "delegable=true",
             "confirm=2",
             "confirm-within=30s",
+            "confidential=true",
             "attr-required=level=3",
             "trust=Org1,Org2",
         ]);

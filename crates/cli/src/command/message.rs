@@ -4,12 +4,14 @@ mod echo;
 mod history;
 mod place;
 mod publish;
+mod secret;
 mod senders;
 
 pub(crate) use echo::Echo;
 pub(crate) use history::History;
 pub(crate) use place::Place;
 pub(crate) use publish::{COMMAND_TTL, Publish};
+pub(crate) use secret::{KEYED, Opening, enter};
 pub(crate) use senders::Senders;
 
 use crate::session::ABAC;

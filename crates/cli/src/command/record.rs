@@ -10,7 +10,7 @@ use crate::answer;
 use crate::argument::message::Definitions;
 use crate::argument::moment::Moment;
 use crate::cli::Global;
-use crate::command::message::Place;
+use crate::command::message::{Opening, Place};
 use crate::failure::Failure;
 use crate::output::{Format, Output};
 use crate::recording::{self, Recording};
@@ -34,15 +34,27 @@ const HEARTBEAT_MS: u32 = 1_000;
 /// So much of a recording is lost at most if this process is killed.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// The events that tell who held what, and the messages.
-const EVENTS: [&str; 9] =
-    ["delegated", "granted", "message", "released", "renewed", "resumed", "robot", "side_door", "stopped"];
+const EVENTS: [&str; 11] = [
+    "delegated",
+    "granted",
+    "keyed",
+    "message",
+    "reader",
+    "released",
+    "renewed",
+    "resumed",
+    "robot",
+    "side_door",
+    "stopped",
+];
 
 /// Record the messages of services into an MCAP file, as `ros2 bag play` and Foxglove read it.
 ///
 /// Without --since it records what comes from now on, until Ctrl-C. With --since it records what the node has and
 /// ends; with --follow as well it goes on with what comes. The file has one channel for each service, and beside them
 /// /ledger/records (who sent each message, under which epoch, in which block) and /ledger/events (grants, their ends, stops).
-/// Log time is block time. The sender's signature of each message is checked.
+/// Log time is block time. The sender's signature of each message is checked. Messages of confidential services are opened, and
+/// stand in the file as they were before they were encrypted; those that are for others are counted and left out.
 ///
 /// -o FILE.mcap names the file; with -o json it is --to FILE.mcap.
 ///
@@ -143,7 +155,9 @@ impl Record {
         }
         let library = self.definitions.library()?;
         let recording = Recording::create(path, self.force, session.context().network, library)?;
-        let mut taking = Taking::begin(recording, session, selection, node)?;
+        let services = selection.services.iter().map(|chosen| &chosen.service);
+        let opening = Opening::enter(session, services).await?;
+        let mut taking = Taking::begin(recording, (session, opening), selection, node)?;
         for (grants, height, time) in &held {
             taking.held(grants, *height, *time)?;
         }
@@ -186,7 +200,7 @@ async fn follow(
                 if window.is_behind(delivery.height, delivery.time) && !delivery.events.is_empty() {
                     return Ok(Ending::Reached);
                 }
-                taking.take(&delivery)?;
+                taking.take(&delivery).await?;
             }
             _ = flush.tick() => {
                 taking.flush()?;

@@ -108,7 +108,11 @@ impl Robot {
                 }
                 let done =
                     session.call(ABAC, "setup", vec![spec]).await.map_err(change::in_words_of_the_command_line)?;
-                output.show(&Robots(answer::parse(&done.response, "robots")?, time::now()))
+                let robots: Vec<RobotAsset> = answer::parse(&done.response, "robots")?;
+                for robot in &robots {
+                    change::enter_readers(&session, robot, output).await?;
+                }
+                output.show(&Robots(robots, time::now()))
             }
             Self::Set(set) => set.run(&session, output).await,
             Self::List(_) => output.show(&Robots(session.list(ABAC, "robots").await?, time::now())),
@@ -198,7 +202,8 @@ impl Facts for Robots {
 /// The mode of a service, and the treatment of a contender without a free place, if its owner has set one.
 fn rule(service: &ServiceState) -> String {
     let on_conflict = service.sharing.on_conflict.as_ref().map(|on_conflict| format!(", {on_conflict}"));
-    format!("{}{}", service.mode, on_conflict.unwrap_or_default())
+    let confidential = if service.sharing.is_confidential() { ", confidential" } else { "" };
+    format!("{}{}{confidential}", service.mode, on_conflict.unwrap_or_default())
 }
 
 /// The holders of a service; of a stopped robot, who stopped it.

@@ -13,6 +13,10 @@ pub enum Refused {
     TooLarge,
     /// No CDR of ROS 2, or none of the service's type where a limit needs to read it.
     BadPayload,
+    /// Encrypted for others than this reader, or under a content key that has not come here.
+    NoKey,
+    /// Not encrypted although the service is confidential, or encrypted for another place, or changed.
+    Unreadable,
     /// A speed with a limit that is no finite number.
     BadSpeed,
     /// Neither the gate has seen the creator's certificate, nor does it come along.
@@ -67,6 +71,8 @@ impl Refused {
             Self::WrongCall => "wrong_call",
             Self::TooLarge => "too_large",
             Self::BadPayload => "bad_payload",
+            Self::NoKey => "no_key",
+            Self::Unreadable => "unreadable",
             Self::BadSpeed => "bad_speed",
             Self::UnknownCreator => "unknown_creator",
             Self::Untrusted => "untrusted",
@@ -97,6 +103,8 @@ impl Refused {
             Self::WrongCall => "it is a call of something else",
             Self::TooLarge => "it is larger than sample_bytes_max of this route",
             Self::BadPayload => "it is no CDR of ROS 2, or not of the service's type",
+            Self::NoKey => "it is not for this reader: its content key is for others, or has not come yet",
+            Self::Unreadable => "it is not encrypted for this place, as messages of a confidential service are",
             Self::BadSpeed => "it asks for a speed that is no finite number",
             Self::UnknownCreator => "the certificate of its creator is not known",
             Self::Untrusted => "the certificate of its creator is of no organisation of this network, or not valid now",

@@ -88,6 +88,10 @@ impl Block {
         let (transaction, certificate) = self.shown.get(&event.index).unwrap_or(&none);
         let delivered = Delivered { block_time: self.time, transaction, certificate };
         Ok(match (event.chaincode, event.name) {
+            (ABAC, "keyed") => {
+                gate.keyed(self.height, delivered)?;
+                None
+            }
             (ABAC, "message") if self.is_latched => Some(Act::Publish(gate.pass_latched(delivered, now)?)),
             _ if self.is_latched => None,
             (ABAC, "message") => Some(Act::Publish(gate.pass(delivered, now)?)),

@@ -6,6 +6,7 @@
 //! How the robot stands is asked when it may have changed, and while somebody moves it. A message of which the gate knows
 //! nothing yet waits for the answer.
 
+mod confidential;
 mod demand;
 mod late;
 mod settings;
@@ -23,7 +24,7 @@ use futures::{
     future::{BoxFuture, OptionFuture},
 };
 use ledger_api::{
-    Subscription,
+    Context, Subscription,
     v1::{Delivery, EventRecord},
 };
 use ledger_gate::{
@@ -37,7 +38,7 @@ use ledger_invariant::broken;
 use ledger_rejection::{Code, Rejection};
 use tokio::{sync::watch, time::sleep_until};
 
-use self::{demand::Demand, settings::Settings};
+use self::{confidential::Reading, demand::Demand, settings::Settings};
 use super::{
     Clocks, Stop,
     holder::{self, Holder},
@@ -124,6 +125,10 @@ struct FromLedger {
     /// The question under way.
     question: Option<BoxFuture<'static, Answer>>,
     service: Service,
+    /// The bridge's identity.
+    context: Context,
+    /// Its part as a reader, while the service is confidential.
+    reading: Option<Reading>,
     demand: Demand,
     stopping: Stopping,
     side_door: SideDoor,
@@ -140,7 +145,7 @@ struct FromLedger {
 impl FromLedger {
     /// Asks how the robot stands. The outlet comes to be when the gate is there: whoever sees it may publish, and that shall pass.
     async fn open(
-        (gateway, asker): (Arc<dyn Gateway>, Arc<Asker>),
+        (gateway, asker, context): (Arc<dyn Gateway>, Arc<Asker>, &Context),
         (route, settings): (RouteConfig, Settings),
         gate: GateSettings,
         service: Service,
@@ -169,14 +174,17 @@ impl FromLedger {
             pace: Pace::new(settings.max_rate_hz),
             settings,
             service,
+            context: context.clone(),
+            reading: None,
             next_height: height.saturating_add(1),
             renewed: Instant::now(),
             complaint: Complaint::default(),
             clamps: Complaint::default(),
         };
+        opened.read_confidential()?;
         // Without an answer the route waits for one, and nothing passes.
         opened.ask();
-        let answer = opened.answer().await;
+        let answer = answer(&mut opened.question).await;
         opened.answered(answer).await;
         Ok(opened)
     }
@@ -209,7 +217,7 @@ impl FromLedger {
                 let next = if self.question.is_some() { stale } else { ask };
                 ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
             }
-            let paced = self.pace.due();
+            let (paced, keys_due) = (self.pace.due(), self.keys_due());
             let (again, demand) = (self.stopping.due(&self.outlet), self.demand.due(&self.outlet));
             let (follow, rests) = (changed(&self.qos), self.outlet.hand().map(|hand| hand.done()));
             tokio::select! {
@@ -226,7 +234,7 @@ impl FromLedger {
                         count(&mut self.counters.lock().summary.stops, "start", 1);
                     }
                 }
-                answer = self.answer() => self.answered(answer).await,
+                answer = answer(&mut self.question) => self.answered(answer).await,
                 Some(()) = OptionFuture::from(rests), if self.guard.gate().is_moving() => self.guard.rested(),
                 () = follow => {
                     let qos = *self.qos.borrow_and_update();
@@ -252,6 +260,8 @@ impl FromLedger {
                     }
                 }
                 () = sleep_until(paced.unwrap_or_else(Instant::now).into()), if paced.is_some() => self.write_paced(),
+                fetched = confidential::fetched(&mut self.reading) => self.take_keys(fetched).await,
+                () = sleep_until(keys_due.unwrap_or_else(Instant::now).into()), if keys_due.is_some() => self.look_for_keys(),
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     // What is told early has no height, and is no sign that blocks come.
@@ -290,17 +300,9 @@ impl FromLedger {
         self.question = Some(async move { asker.ask(since).await }.boxed());
     }
 
-    /// The answer to the question under way; waits for ever if there is none.
-    async fn answer(&mut self) -> Answer {
-        let Some(question) = &mut self.question else { return std::future::pending().await };
-        let answer = question.await;
-        self.question = None;
-        answer
-    }
-
     fn subscribe(&self) -> Deliveries {
         let tasks = if self.settings.points.is_empty() { &[][..] } else { &["task"] };
-        let names = ["message", "granted", "released", "robot", "stopped", "resumed"].iter().chain(tasks);
+        let names = ["message", "keyed", "granted", "released", "robot", "stopped", "resumed"].iter().chain(tasks);
         self.gateway.subscribe(Subscription {
             from_height: self.next_height,
             chaincode: ABAC.to_owned(),
@@ -371,6 +373,7 @@ impl FromLedger {
         let acts = self.guard.answered(&service, standing, self.clocks.steady(*asked), self.clocks.now());
         self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         self.service = service;
+        self.read_confidential()?;
         Ok(acts)
     }
 
@@ -434,6 +437,9 @@ impl FromLedger {
     }
 
     fn refuse(&mut self, refused: Refused, height: u64) {
+        if let Some(reading) = self.reading.as_mut().filter(|_| refused == Refused::NoKey) {
+            reading.missing();
+        }
         let mut counts = self.counters.lock();
         count(&mut counts.summary.gate, refused.name(), 1);
         counts.live.refused = Some((refused.name(), refused.meaning().to_owned(), Instant::now()));
@@ -447,6 +453,14 @@ impl FromLedger {
     fn count_of(&self, refused: Refused) -> u64 {
         self.counters.lock().summary.gate.get(refused.name()).copied().unwrap_or(0)
     }
+}
+
+/// The answer to the question under way; waits for ever if there is none.
+async fn answer(question: &mut Option<BoxFuture<'static, Answer>>) -> Answer {
+    let Some(asked) = question else { return std::future::pending().await };
+    let answer = asked.await;
+    *question = None;
+    answer
 }
 
 /// The event as the gate reads it.

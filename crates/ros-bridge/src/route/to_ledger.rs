@@ -5,6 +5,7 @@
 
 mod latch;
 mod publishing;
+mod sealing;
 
 use std::{
     sync::Arc,
@@ -18,6 +19,7 @@ use futures::{
 };
 use ledger_api::Subscription;
 use ledger_gate::ABAC;
+use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
@@ -25,6 +27,7 @@ use tokio::{sync::mpsc, time::sleep_until};
 use self::{
     latch::{KEYS as LATCH_KEYS, Latch},
     publishing::Publishing,
+    sealing::Sealing,
 };
 use super::{
     Clocks, Stop,
@@ -107,7 +110,7 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, local, service, topic, mark, counters, qos, stop, .. } = opening;
+        let Opening { route, gateway, context, local, service, topic, mark, counters, qos, stop, .. } = opening;
         let max_age = Duration::from_millis(service.max_age_ms);
         let door = Arc::new(Door::new(mark, &route.service, max_age, Arc::clone(local.delivered())));
         let (inlet, matched, in_memory) =
@@ -118,7 +121,12 @@ impl Settings {
         let opened = ToLedger::open(gateway, &route.service, inlet, self, counters).await?;
         // A command that is said again would move the robot again.
         let latch = (!service.is_command()).then(|| Latch::new(self.latched));
-        let opened = ToLedger { withholds: self.held_only, latch, ..opened };
+        let mut opened = ToLedger { withholds: self.held_only, latch, ..opened };
+        opened.sealing = Sealing::new(Arc::clone(&opened.gateway), context.network, service.confidential);
+        // Who needs a grant and has none shares when it begins.
+        if opened.publishing.epoch > 0 || !service.needs_grant() {
+            opened.sealing.renew_if_confidential(&opened.publishing);
+        }
         Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }
 }
@@ -171,6 +179,7 @@ struct ToLedger {
     latch: Option<Latch>,
     clocks: Clocks,
     publishing: Publishing,
+    sealing: Sealing,
     /// Where the subscription begins.
     from_height: u64,
     complaint: Complaint,
@@ -190,6 +199,8 @@ struct Outcome {
     /// When each was taken in.
     received: Vec<Instant>,
     bytes: usize,
+    /// The content key under which they were encrypted.
+    key: Option<u64>,
     verdict: Result<(), Rejection>,
 }
 
@@ -208,8 +219,10 @@ impl ToLedger {
         let (now, as_of) = authorization(Arc::clone(&gateway), height, service.to_owned()).await?;
         publishing.learn(as_of, now.epoch, now.next_seq);
         counters.lock().live.held = publishing.epoch > 0;
+        let sealing = Sealing::new(Arc::clone(&gateway), Hash::ZERO, false);
         Ok(Self {
             gateway,
+            sealing,
             inlet,
             batch_max: settings.batch_max,
             pace: Pace::new(settings.max_rate_hz),
@@ -235,7 +248,7 @@ impl ToLedger {
             from_height: self.from_height,
             chaincode: ABAC.to_owned(),
             subjects: vec![self.publishing.service.clone()],
-            names: ["granted", "renewed", "released"].map(str::to_owned).to_vec(),
+            names: ["granted", "renewed", "released", "reader"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
             ..Subscription::default()
         });
@@ -251,7 +264,9 @@ impl ToLedger {
                 () = stopped(&mut stop) => break,
                 Some(delivery) = events.next() => match delivery {
                     Ok(delivery) => {
+                        let held = self.publishing.epoch;
                         self.publishing.hear(&delivery);
+                        self.hear_of_readers(&delivery, held);
                         self.tell_grant(Some(Instant::now()));
                     }
                     Err(refused) => {
@@ -270,6 +285,7 @@ impl ToLedger {
                         Err(refused) => tracing::warn!(reason = line(&refused), "cannot read the bridge's own grant"),
                     }
                 }
+                made = self.sealing.made() => self.shared(made),
                 Some(outcome) = under_way.next() => {
                     let is_due = self.refreshed.is_none_or(|before| before.elapsed() >= REFRESH_EVERY);
                     if self.note(outcome) && is_due {
@@ -370,8 +386,12 @@ impl ToLedger {
         received: Vec<Instant>,
         bytes: usize,
     ) -> BoxFuture<'static, Outcome> {
-        let (id, verdict) = self.gateway.set(self.publishing.call(self.clocks.now().wall, samples));
         let number = samples.first().map_or(0, |first| first.sequence);
+        let wall = self.clocks.now().wall;
+        let (id, verdict) = match self.sealing.sealer().and_then(|sealer| self.publishing.call(wall, samples, sealer)) {
+            Ok(args) => self.gateway.set(args),
+            Err(refused) => (None, std::future::ready(Err(refused)).boxed()),
+        };
         if let Some(id) = id {
             self.tell(Told::Submitted(number, id));
         }
@@ -386,7 +406,8 @@ impl ToLedger {
             tracing::warn!(service, replaced, "the ledger is slower than the topic; newer samples replace older ones");
         }
         self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
-        verdict.map(move |verdict| Outcome { first: number, received, bytes, verdict }).boxed()
+        let key = self.sealing.key();
+        verdict.map(move |verdict| Outcome { first: number, received, bytes, key, verdict }).boxed()
     }
 
     /// Tells the other half of a route of calls, if this is one.
@@ -430,7 +451,7 @@ impl ToLedger {
     }
 
     /// Counts an outcome. True if the own grant seems to be another than is known.
-    fn note(&mut self, Outcome { first, received, bytes, verdict }: Outcome) -> bool {
+    fn note(&mut self, Outcome { first, received, bytes, key, verdict }: Outcome) -> bool {
         self.under_way_bytes = self.under_way_bytes.saturating_sub(bytes);
         if verdict.is_err() {
             self.tell(Told::Refused(first));
@@ -456,6 +477,7 @@ impl ToLedger {
             let service = &self.publishing.service;
             tracing::warn!(service, reason = line(&refused), not_logged = silent, "the ledger refuses samples");
         }
+        self.sealing.refused(&self.publishing, &refused, key);
         matches!(refused.code, Code::NotHolder | Code::StaleEpoch | Code::StaleSequence)
     }
 }

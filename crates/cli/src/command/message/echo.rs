@@ -2,6 +2,7 @@
 
 use super::payloads;
 use super::place::Place;
+use super::secret::{KEYED, Opening};
 use super::senders::Senders;
 use crate::answer;
 use crate::argument::message::Definitions;
@@ -35,6 +36,9 @@ const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 /// number, and ends with `---`. The sender's signature is checked. A type without a definition is shown in hexadecimal
 /// digits. With
 /// `-o json` each line is an object.
+///
+/// On a confidential service the command enters as a reader, and opens what its publishers encrypt from then on. It tells which
+/// messages are for others.
 ///
 /// Where the owner limits the subscribers, the command takes a place, waits for one if the service has a line, and gives it
 /// back at the end.
@@ -167,7 +171,7 @@ impl Echo {
             from_height: self.from.map_or(0, |height| height.max(1)),
             chaincode: ABAC.to_owned(),
             subjects: vec![service.service.clone()],
-            names: vec!["message".to_owned()],
+            names: vec!["message".to_owned(), KEYED.to_owned()],
             heartbeat: HEARTBEAT_MS,
             ..Subscription::default()
         });
@@ -181,12 +185,17 @@ impl Echo {
                 output.note(&format!("this node keeps no blocks before {}", node.first_height));
             }
         }
-        let mut senders = Senders::new(session);
+        let (mut senders, mut opening) =
+            (Senders::new(session), Opening::enter(session, std::iter::once(service)).await?);
         let mut left = self.count.unwrap_or(u64::MAX);
         loop {
             let delivery = stream.next().await?;
             for event in &delivery.events {
-                for message in messages(&delivery, event, &mut senders, &shown)? {
+                if event.name == KEYED {
+                    opening.keyed(delivery.height, event, &mut senders)?;
+                    continue;
+                }
+                for message in messages(&delivery, event, (&mut senders, &mut opening), &shown).await? {
                     output.show(&message)?;
                     left -= 1;
                     if left == 0 {
@@ -199,10 +208,10 @@ impl Echo {
 }
 
 /// The messages of one event: what the event says about them, and their bytes from the signed transaction.
-pub(super) fn messages(
+pub(super) async fn messages(
     delivery: &v1::Delivery,
     event: &v1::EventRecord,
-    senders: &mut Senders<'_>,
+    (senders, opening): (&mut Senders<'_>, &mut Opening<'_>),
     shown: &Shown,
 ) -> Result<Vec<Message>, Rejection> {
     let details: MessageEvent = answer::parse(&event.payload, "an event of messages")?;
@@ -210,10 +219,14 @@ pub(super) fn messages(
     let sender = senders.check(&transaction, &event.certificate)?.id();
     let network = senders.network();
     let payloads = payloads(transaction.body(), &network, &event.subject, &details)?;
-    Ok((details.first_seq..)
-        .zip(payloads)
-        .map(|(seq, payload)| (seq, payload, shown.read(payload)))
-        .map(|(seq, payload, (message, fault))| Message {
+    let mut messages = Vec::new();
+    for (seq, payload) in (details.first_seq..).zip(payloads) {
+        let opened = opening.open((&event.subject, &sender), (details.epoch, seq), payload, senders).await?;
+        let (message, fault) = match &opened {
+            Ok(payload) => shown.read(payload),
+            Err(unreadable) => (None, Some(unreadable.clone())),
+        };
+        messages.push(Message {
             height: delivery.height,
             time: delivery.time,
             index: event.index,
@@ -224,9 +237,10 @@ pub(super) fn messages(
             type_name: shown.type_name.clone(),
             message,
             fault,
-            payload: hex::encode(payload),
+            payload: hex::encode(opened.as_ref().unwrap_or(payload)),
             transaction: transaction.id(),
             length_max: shown.length_max,
-        })
-        .collect())
+        });
+    }
+    Ok(messages)
 }

@@ -1,6 +1,7 @@
 //! `history`: the commands of a service in the past, with their values.
 
 use super::echo::{HEARTBEAT_MS, Message, Shown, messages};
+use super::secret::{KEYED, Opening};
 use super::senders::Senders;
 use crate::answer;
 use crate::argument::message::Definitions;
@@ -97,13 +98,14 @@ impl History {
         if stretches.is_empty() {
             output.note(&format!("nobody published on {} then, as far as this node may tell you", service.service));
         }
+        let mut opening = Opening::enter(&session, std::iter::once(&service)).await?;
         for Stretch { from, to } in stretches {
             let mut senders = Senders::new(&session);
             let mut stream = session.client.subscribe(Subscription {
                 from_height: from,
                 chaincode: ABAC.to_owned(),
                 subjects: vec![service.service.clone()],
-                names: vec!["message".to_owned()],
+                names: vec!["message".to_owned(), KEYED.to_owned()],
                 heartbeat: HEARTBEAT_MS,
                 ..Subscription::default()
             });
@@ -111,8 +113,13 @@ impl History {
             loop {
                 let delivery = stream.next().await?;
                 let counts = (since..=until).contains(&delivery.time) && delivery.height <= to;
-                for event in delivery.events.iter() {
-                    for message in messages(&delivery, event, &mut senders, &shown)?.into_iter().filter(|_| counts) {
+                for event in &delivery.events {
+                    if event.name == KEYED {
+                        opening.keyed(delivery.height, event, &mut senders)?;
+                        continue;
+                    }
+                    let told = messages(&delivery, event, (&mut senders, &mut opening), &shown).await?;
+                    for message in told.into_iter().filter(|_| counts) {
                         output.show(&Line(message))?;
                         left -= 1;
                         if left == 0 {

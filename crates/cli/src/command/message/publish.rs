@@ -1,5 +1,6 @@
 //! `publish`: send messages to a service.
 
+use super::secret::Sealing;
 use crate::answer;
 use crate::argument::bytes;
 use crate::argument::message::{Definitions, refused};
@@ -159,6 +160,7 @@ impl Publish {
         let grant = grants.into_iter().find(|grant| grant.holder == me);
         // Without a grant the epoch is 0: right in open mode, and otherwise the node says what is missing.
         let (epoch, mut next_seq) = grant.map_or((0, 0), |grant| (grant.epoch, grant.next_seq));
+        let mut sealing = Sealing::begin(&session, &service, epoch).await.map_err(|refused| WORDS.told(refused))?;
         let service = service.service;
 
         let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / self.rate));
@@ -167,10 +169,15 @@ impl Publish {
             let seq = next_seq.max(time::now());
             let payload = content.payload(&message, time::now())?;
             let text = |number: u64| Bytes::from(number.to_string());
-            let args = vec![Bytes::from(service.clone()), text(epoch), text(seq), payload.clone()];
-            let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
-            let done = session.client.submit(session.client.prepare(call)?).await;
-            let done = done.map_err(|refused| WORDS.told(refused))?;
+            let done = loop {
+                let args = vec![Bytes::from(service.clone()), text(epoch), text(seq), sealing.seal(seq, &payload)?];
+                let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
+                match session.client.submit(session.client.prepare(call)?).await {
+                    Ok(done) => break done,
+                    Err(refused) if sealing.renewed(&refused).await? => {}
+                    Err(refused) => return Err(WORDS.told(refused).into()),
+                }
+            };
             next_seq = seq + 1;
             output.show(&Sent {
                 service: service.clone(),

@@ -11,6 +11,8 @@ use std::path::Path;
 pub(super) struct Counts {
     pub(super) messages: u64,
     pub(super) events: u64,
+    /// Encrypted messages that are for others.
+    pub(super) unreadable: u64,
     /// Bytes of the file.
     pub(super) bytes: u64,
     /// The last block that was looked at.
@@ -61,6 +63,8 @@ pub(super) struct Recorded {
     services: Vec<Service>,
     messages: u64,
     events: u64,
+    #[serde(skip_serializing_if = "is_zero")]
+    unreadable: u64,
     first_height: u64,
     last_height: u64,
     first_time: u64,
@@ -84,10 +88,22 @@ pub(super) struct Service {
 
 impl Recorded {
     pub(super) fn new(path: &Path, services: Vec<Service>, counts: &Counts, ended: Ending) -> Self {
-        let Counts { messages, events, bytes, first, last, .. } = *counts;
+        let Counts { messages, events, unreadable, bytes, first, last, .. } = *counts;
         let ((first_height, first_time), (last_height, last_time)) = (first, last);
         let file = path.display().to_string();
-        Self { file, bytes, services, messages, events, first_height, last_height, first_time, last_time, ended }
+        Self {
+            file,
+            bytes,
+            services,
+            messages,
+            events,
+            unreadable,
+            first_height,
+            last_height,
+            first_time,
+            last_time,
+            ended,
+        }
     }
 }
 
@@ -102,6 +118,9 @@ impl Facts for Recorded {
             let span = time::span(self.last_time.saturating_sub(self.first_time));
             writeln!(out, ": blocks {first_height} to {last_height}, {span} ({bytes})")?;
         }
+        if self.unreadable > 0 {
+            writeln!(out, "left out {} encrypted messages that are not for this reader", self.unreadable)?;
+        }
         let mut table = Table::new(["SERVICE", "CHANNEL", "TYPE", "MESSAGES"]);
         for service in &self.services {
             let note = if service.is_defined { "" } else { " (no definition)" };
@@ -110,6 +129,10 @@ impl Facts for Recorded {
         }
         table.write(out, 2)
     }
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 /// A number of bytes in a unit that people use.

@@ -3,7 +3,7 @@
 use super::selection::Selection;
 use super::summary::{Counts, Ending, Recorded, Service};
 use crate::answer;
-use crate::command::message::{COMMAND_TTL, Senders, payloads};
+use crate::command::message::{COMMAND_TTL, KEYED, Opening, Senders, payloads};
 use crate::recording::{Channel, Event, Record, Recording};
 use crate::session::{ABAC, Session};
 use ledger::transaction::Transaction;
@@ -18,6 +18,7 @@ use std::path::Path;
 pub(super) struct Taking<'a> {
     recording: Recording,
     senders: Senders<'a>,
+    opening: Opening<'a>,
     /// By service.
     channels: BTreeMap<String, Open>,
     /// Signers whose certificates are in the file.
@@ -38,7 +39,7 @@ impl<'a> Taking<'a> {
     /// Begins the file: where its content comes from, and a channel for each service.
     pub(super) fn begin(
         mut recording: Recording,
-        session: &'a Session,
+        (session, opening): (&'a Session, Opening<'a>),
         selection: &Selection,
         node: v1::StatusResponse,
     ) -> Result<Self, Rejection> {
@@ -61,7 +62,7 @@ impl<'a> Taking<'a> {
         }
         recording.flush()?;
         let senders = Senders::new(session);
-        Ok(Self { recording, senders, channels, shown: HashSet::new(), counts: Counts::default() })
+        Ok(Self { recording, senders, opening, channels, shown: HashSet::new(), counts: Counts::default() })
     }
 
     /// The grants that hold when a recording begins.
@@ -88,7 +89,7 @@ impl<'a> Taking<'a> {
     ///
     /// # Errors
     /// [`Code::BadFile`] if the file cannot be written; the fault of a signature or of its certificate.
-    pub(super) fn take(&mut self, delivery: &v1::Delivery) -> Result<(), Rejection> {
+    pub(super) async fn take(&mut self, delivery: &v1::Delivery) -> Result<(), Rejection> {
         self.counts.height = self.counts.height.max(delivery.height);
         let block = hex::encode(&delivery.block_hash);
         // A transaction with several events comes with the first of them.
@@ -103,9 +104,12 @@ impl<'a> Taking<'a> {
             if event.chaincode != ABAC {
                 continue;
             }
+            if event.name == KEYED {
+                self.opening.keyed(delivery.height, event, &mut self.senders)?;
+            }
             match (event.name.as_str(), cause) {
                 ("message", Some((_, transaction, signer))) => {
-                    self.messages((delivery, &block), event, transaction, signer)?;
+                    self.messages((delivery, &block), event, transaction, signer).await?;
                 }
                 ("message", None) => return Err(without_transaction(delivery.height)),
                 (name, cause) => {
@@ -143,7 +147,7 @@ impl<'a> Taking<'a> {
         Ok(id)
     }
 
-    fn messages(
+    async fn messages(
         &mut self,
         (delivery, block): (&v1::Delivery, &str),
         event: &v1::EventRecord,
@@ -157,6 +161,11 @@ impl<'a> Taking<'a> {
         let signed = transaction.body().not_after.saturating_sub(ttl).min(delivery.time);
         let payloads = payloads(transaction.body(), &self.senders.network(), &event.subject, &details)?;
         for (sequence, payload) in (details.first_seq..).zip(payloads) {
+            let (place, numbers) = ((event.subject.as_str(), signer), (details.epoch, sequence));
+            let Ok(payload) = self.opening.open(place, numbers, payload, &mut self.senders).await? else {
+                self.counts.unreadable += 1;
+                continue;
+            };
             let record = Record {
                 time: delivery.time,
                 signed,
@@ -170,7 +179,7 @@ impl<'a> Taking<'a> {
                 index: event.index,
                 transaction: transaction.id(),
             };
-            self.recording.message(open.channel, &record, payload)?;
+            self.recording.message(open.channel, &record, &payload)?;
             open.messages += 1;
             self.counts.messages += 1;
             self.counts.saw(delivery.height, delivery.time);

@@ -3,13 +3,14 @@
 use crate::answer;
 use crate::argument::capability::{self, Capability};
 use crate::argument::setting::{self, KEYS, Setting};
+use crate::command::message::enter;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{self, ABAC, Session};
 use crate::time;
 use crate::words::{self, Words};
 use bytes::Bytes;
-use ledger_contract::{Reason, RobotChange, SettingChange, Told};
+use ledger_contract::{Reason, RobotAsset, RobotChange, SettingChange, Told};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -26,6 +27,8 @@ Settings of a service:
 Who wins when several want a service (docs/conflict.md); `default` as the value takes a setting back:
   publishers=N (with mode=limited), on-conflict=deny|queue|preempt, queue-max=N, queue-wait-max=10m,
   priority=attribute:NAME|policy|fixed:N, aging=30s, min-hold=5s, idle-release=1m
+Who can read its messages (docs/policies.md):
+  confidential=true encrypts them for those whom policies permit to subscribe
 Settings of the robot:
   attr-required=KEY[=VALUE], trust=ORG[,ORG]
 Attributes for policies, of the robot, or of the service if one is named (docs/policies.md):
@@ -69,7 +72,10 @@ impl Set {
             false => session.call(ABAC, "configure", args).await.map(|done| done.response),
         };
         let response = response.map_err(in_words_of_the_command_line)?;
-        let change = answer::parse(&response, "a change of a robot")?;
+        let change: RobotChange = answer::parse(&response, "a change of a robot")?;
+        if !self.dry_run && settings.sharing.is_confidential() {
+            enter_readers(session, &change.robot, output).await?;
+        }
         output.show(&Changed { name: self.target, change, dry_run: self.dry_run })
     }
 }
@@ -87,7 +93,18 @@ pub(super) async fn replace(session: &Session, name: &str, spec: Bytes, output: 
     let done = session.call(ABAC, "replace", vec![spec]).await.map_err(in_words_of_the_command_line)?;
     let changes: Vec<RobotChange> = answer::parse(&done.response, "changes of robots")?;
     for change in changes {
+        enter_readers(session, &change.robot, output).await?;
         output.show(&Changed { name: name.to_owned(), change, dry_run: false })?;
+    }
+    Ok(())
+}
+
+/// Enters the caller, an admin of the owner, as a reader of the robot's confidential services: without one nobody can publish there.
+pub(super) async fn enter_readers(session: &Session, robot: &RobotAsset, output: &Output) -> Result<(), Failure> {
+    for service in robot.services.iter().filter(|service| service.sharing.is_confidential()) {
+        if enter(session, &service.service).await? {
+            output.note(&format!("{} is confidential, and you are one of its readers", service.service));
+        }
     }
     Ok(())
 }
@@ -181,7 +198,7 @@ fn why(reason: &Told<Reason>) -> &str {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::{Released, RobotAsset};
+    use ledger_contract::Released;
 
     fn text(changed: Vec<SettingChange>, ended: Vec<Released>, dry_run: bool) -> String {
         let robot: RobotAsset = serde_json::from_str(

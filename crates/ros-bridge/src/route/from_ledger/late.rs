@@ -9,7 +9,7 @@ use ledger_gate::{ABAC, guard::Block};
 use ledger_rejection::{Code, Rejection};
 use tokio::time::timeout;
 
-use super::{FromLedger, told};
+use super::{FromLedger, confidential::with_keys, told};
 use crate::{
     config::HEARTBEAT_MS,
     count::line,
@@ -58,24 +58,34 @@ async fn fetch(gateway: Arc<dyn Gateway>, service: String) -> Result<Vec<Deliver
     let heights: BTreeSet<u64> = latest.iter().take(BLOCKS_MAX).map(|latest| latest.height).collect();
     let mut fetched = Vec::with_capacity(heights.len());
     for height in heights {
-        let block = block(&*gateway, &service, height);
-        let delivery = timeout(BLOCK_TIME_MAX, block).await.map_err(|_| {
-            Rejection::new(Code::Timeout, format!("block {height} does not come"))
-                .found(format!("nothing within {} s", BLOCK_TIME_MAX.as_secs()))
-                .wanted(format!("the last messages of {service}"))
-        })?;
-        fetched.extend(delivery?);
+        fetched.extend(block(&*gateway, &service, "message", height).await?);
     }
-    Ok(fetched)
+    with_keys(&*gateway, &service, fetched).await
 }
 
-/// The messages of a service in one block; none if there are none.
-async fn block(gateway: &dyn Gateway, service: &str, height: u64) -> Result<Option<Delivery>, Rejection> {
+/// The events of a service with that name in one block; none if there are none.
+///
+/// # Errors
+/// The ledger's refusal; [`Code::Timeout`].
+pub(super) async fn block(
+    gateway: &dyn Gateway,
+    service: &str,
+    name: &str,
+    height: u64,
+) -> Result<Option<Delivery>, Rejection> {
+    timeout(BLOCK_TIME_MAX, events(gateway, service, name, height)).await.map_err(|_| {
+        Rejection::new(Code::Timeout, format!("block {height} does not come"))
+            .found(format!("nothing within {} s", BLOCK_TIME_MAX.as_secs()))
+            .wanted(format!("the events {name:?} of {service}"))
+    })?
+}
+
+async fn events(gateway: &dyn Gateway, service: &str, name: &str, height: u64) -> Result<Option<Delivery>, Rejection> {
     let mut deliveries = gateway.subscribe(Subscription {
         from_height: height,
         chaincode: ABAC.to_owned(),
         subjects: vec![service.to_owned()],
-        names: vec!["message".to_owned()],
+        names: vec![name.to_owned()],
         heartbeat: HEARTBEAT_MS,
         ..Subscription::default()
     });

@@ -156,7 +156,7 @@ pub(in crate::route) async fn half(
         let holder = Holder::open(None, std::iter::empty(), local, *mark).await?;
         Ok(((outlet, qos), (points, holder), counters))
     };
-    let both = (Arc::clone(gateway), Arc::clone(asker));
+    let both = (Arc::clone(gateway), Arc::clone(asker), *context);
     let opened = FromLedger::open(both, (route, settings.clone()), gate, service, outlet).await?;
     Ok(move |stop| opened.run(stop).boxed())
 }
@@ -193,7 +193,8 @@ impl Settings {
             let holder = Holder::open(self.holder.as_ref(), taken, local, mark).await?;
             Ok(((outlet, qos), (points, holder), counters))
         };
-        let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
+        let opened =
+            FromLedger::open((gateway, asker, context), (route.clone(), self.clone()), gate, service, outlet).await?;
         let in_memory = opened.outlet.in_memory();
         Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }

@@ -2,8 +2,10 @@
 
 use bytes::Bytes;
 use ledger_api::v1::Delivery;
+use ledger_confidential::Sealer;
 use ledger_contract::Grant;
 use ledger_gate::service::{Released, read};
+use ledger_rejection::Rejection;
 
 use crate::queue::Incoming;
 
@@ -24,11 +26,25 @@ pub(super) struct Publishing {
 impl Publishing {
     /// Arguments of `set` for these samples, in order. Numbers go on from the clock, so that a restarted bridge, or
     /// another one of the same user, goes on above what was used before.
-    pub(super) fn call(&mut self, wall_us: u64, samples: &[Incoming]) -> Vec<Bytes> {
+    ///
+    /// With a sealer each of them is encrypted.
+    ///
+    /// # Errors
+    /// Those of [`Sealer::seal`].
+    pub(super) fn call(
+        &mut self,
+        wall_us: u64,
+        samples: &[Incoming],
+        sealer: Option<&Sealer>,
+    ) -> Result<Vec<Bytes>, Rejection> {
         let first = self.last_seq.saturating_add(1).max(wall_us);
         self.last_seq = first.saturating_add(samples.len() as u64).saturating_sub(1);
         let head = [self.service.clone(), self.epoch.to_string(), first.to_string()];
-        head.into_iter().map(Bytes::from).chain(samples.iter().map(|incoming| incoming.sample.wire().clone())).collect()
+        let payload = |(number, incoming): (u64, &Incoming)| match sealer {
+            Some(sealer) => sealer.seal(self.epoch, number, incoming.sample.wire()),
+            None => Ok(incoming.sample.wire().clone()),
+        };
+        head.into_iter().map(Bytes::from).map(Ok).chain((first..).zip(samples).map(payload)).collect()
     }
 
     /// Events about the own grant.
@@ -100,11 +116,11 @@ mod tests {
     fn numbers_follow_the_clock_and_never_repeat() {
         let mut publishing = publishing();
         let number = |args: Vec<Bytes>| String::from_utf8(args.get(2).unwrap().to_vec()).unwrap();
-        assert_eq!(number(publishing.call(1000, &samples(3))), "1000");
-        assert_eq!(number(publishing.call(1001, &samples(1))), "1003", "the three before end with 1002");
-        assert_eq!(number(publishing.call(500, &samples(1))), "1004", "the clock went back");
+        assert_eq!(number(publishing.call(1000, &samples(3), None).unwrap()), "1000");
+        assert_eq!(number(publishing.call(1001, &samples(1), None).unwrap()), "1003", "the three before end with 1002");
+        assert_eq!(number(publishing.call(500, &samples(1), None).unwrap()), "1004", "the clock went back");
         publishing.learn(1, 4, 9000);
-        assert_eq!(number(publishing.call(2000, &samples(1))), "9000", "the ledger knows larger ones");
+        assert_eq!(number(publishing.call(2000, &samples(1), None).unwrap()), "9000", "the ledger knows larger ones");
     }
 
     #[test]
@@ -120,7 +136,7 @@ mod tests {
         assert_eq!(publishing.epoch, 4, "an answer from an older state changes nothing");
         publishing.hear(&event(8, "released", "Org1/Salma", 4));
         assert_eq!(publishing.epoch, 0);
-        let args = publishing.call(1, &samples(1));
+        let args = publishing.call(1, &samples(1), None).unwrap();
         assert_eq!(args.get(1).unwrap(), "0");
     }
 }

@@ -1,0 +1,511 @@
+//! Confidential services: who reads them, and which keys are good.
+
+use crate::fleet::{Fleet, SECOND, START, TURTLEBOT, TWIST, admin1, bytes, camera, farhad, identity, owner, salma};
+use bytes::Bytes;
+use ledger_abac::{DEFAULT_POLICY, Keyed, Readers, RobotChange, Share};
+use ledger_confidential::{Keyring, ReadingKey, Sealer, Unreadable};
+use ledger_contract::{READERS_MAX, ReaderTold};
+use ledger_hash::Hash;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
+use proptest::prelude::*;
+use std::collections::BTreeSet;
+
+const POSES: &str = "OptiTrack/poses";
+const HOUR: u64 = 3600 * SECOND;
+
+/// Somebody with a reading key.
+struct Person {
+    identity: Identity,
+    keyring: Keyring,
+}
+
+impl Person {
+    fn new(identity: Identity) -> Self {
+        let keyring = Keyring::new(Hash::ZERO, identity.id(), ReadingKey::generate());
+        Self { identity, keyring }
+    }
+
+    fn enter(&self, fleet: &mut Fleet, service: &str) -> Result<Bytes, Rejection> {
+        fleet.call(&self.identity, "reader", &bytes(&[service, &self.keyring.public_hex()]))
+    }
+}
+
+/// A member of Org1 that may read the poses.
+fn member(name: &str, serial: u8) -> Identity {
+    identity("Org1", name, Role::Member, &["OptiTrack", "Turtlebot4"], serial)
+}
+
+/// The poses are confidential, and an admin of the owner reads them.
+fn fleet() -> (Fleet, Person) {
+    let mut fleet = Fleet::of_the_paper();
+    let admin = Person::new(owner());
+    for service in [POSES, TURTLEBOT] {
+        fleet.ok(&owner(), "configure", &[service, r#"{"sharing":{"confidential":true}}"#]);
+        admin.enter(&mut fleet, service).unwrap();
+    }
+    (fleet, admin)
+}
+
+/// The default policies, as the owner's own, so that others can stand beside them.
+fn own_policies(fleet: &mut Fleet) {
+    fleet.ok(&owner(), "policy", &["put", "base", DEFAULT_POLICY]);
+}
+
+fn readers(fleet: &Fleet, service: &str) -> Readers {
+    serde_json::from_slice(&fleet.simulate(&owner(), "readers", &bytes(&[service])).unwrap()).unwrap()
+}
+
+fn share_as(
+    fleet: &mut Fleet,
+    who: &Identity,
+    (service, epoch): (&str, u64),
+    share: &Share,
+) -> Result<Keyed, Rejection> {
+    let share = serde_json::to_string(share).unwrap();
+    let answer = fleet.call(who, "share", &bytes(&[service, &epoch.to_string(), &share]))?;
+    Ok(serde_json::from_slice(&answer).unwrap())
+}
+
+/// Shares a key with those who read now.
+fn share(fleet: &mut Fleet, who: &Identity, service: &str, epoch: u64) -> Result<(Sealer, Share), Rejection> {
+    let (share, fresh) = Sealer::share(&Hash::ZERO, &who.id(), &readers(fleet, service)).unwrap();
+    let keyed = share_as(fleet, who, (service, epoch), &share)?;
+    Ok((fresh.shared_at(keyed.key), share))
+}
+
+fn send(
+    fleet: &mut Fleet,
+    who: &Identity,
+    sealer: &Sealer,
+    (service, epoch, seq): (&str, u64, u64),
+) -> Result<Bytes, Rejection> {
+    let sealed = sealer.seal(epoch, seq, &TWIST).unwrap();
+    let mut args = bytes(&[service, &epoch.to_string(), &seq.to_string()]);
+    args.push(sealed.clone());
+    fleet.call(who, "set", &args).map(|_| sealed)
+}
+
+#[test]
+fn on_a_confidential_service_only_envelopes_pass() {
+    let (mut fleet, _admin) = fleet();
+    let refused = fleet.set_refused(&camera(), Code::BadArgument, POSES, 0, 1);
+    assert!(refused.message.contains("not encrypted") && refused.next.contains("ledgerctl publish"), "{refused}");
+    let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    send(&mut fleet, &camera(), &sealer, (POSES, 0, 1)).unwrap();
+    let mut mixed = bytes(&[POSES, "0", "2"]);
+    mixed.extend([sealer.seal(0, 2, &TWIST).unwrap(), Bytes::from_static(&TWIST)]);
+    assert_eq!(fleet.call(&camera(), "set", &mixed).unwrap_err().code, Code::BadArgument, "one of them plain");
+    mixed.reverse();
+    fleet.ok(&owner(), "configure", &[POSES, r#"{"clear":["confidential"]}"#]);
+    assert_eq!(send(&mut fleet, &camera(), &sealer, (POSES, 0, 3)).unwrap_err().code, Code::BadArgument);
+    fleet.set(&camera(), POSES, 0, 4, 1).unwrap();
+    let (share, _) = Sealer::share(&Hash::ZERO, "Org2/OptiTrack", &readers(&fleet, POSES)).unwrap();
+    let refused = share_as(&mut fleet, &camera(), (POSES, 0), &share).unwrap_err();
+    assert!(refused.code == Code::BadArgument && refused.message.contains("not confidential"), "{refused}");
+}
+
+#[test]
+fn a_share_that_leaves_out_the_owner_or_adds_a_stranger_is_refused() {
+    let (mut fleet, admin) = fleet();
+    let salma = Person::new(member("Salma", 71));
+    salma.enter(&mut fleet, POSES).unwrap();
+    let all = readers(&fleet, POSES);
+    assert_eq!(
+        all.readers.iter().map(|reader| reader.reader.as_str()).collect::<Vec<_>>(),
+        ["Org1/Salma", "Org2/admin"]
+    );
+    let (good, _) = Sealer::share(&Hash::ZERO, "Org2/OptiTrack", &all).unwrap();
+    let refused = |fleet: &mut Fleet, share: &Share, code: Code| {
+        let refused = share_as(fleet, &camera(), (POSES, 0), share).unwrap_err();
+        assert_eq!(refused.code, code, "{refused}");
+        refused
+    };
+    let without = |at: usize| Share { readers: vec![good.readers[at].clone()] };
+    let told = refused(&mut fleet, &without(0), Code::ReadersChanged);
+    assert_eq!((told.found.as_str(), told.wanted.as_str()), ("\"Org1/Salma\"", "Org1/Salma, Org2/admin"));
+    refused(&mut fleet, &without(1), Code::ReadersChanged);
+    refused(&mut fleet, &Share::default(), Code::ReadersChanged);
+    let mut more = good.clone();
+    more.readers.push(more.readers[1].clone());
+    refused(&mut fleet, &more, Code::ReadersChanged);
+    let mut other_key = good.clone();
+    other_key.readers[0].key = Person::new(farhad()).keyring.public_hex();
+    refused(&mut fleet, &other_key, Code::ReadersChanged);
+    for bad in ["", "zz", &"0".repeat(159), &"A".repeat(160), &"0".repeat(60_000)] {
+        let mut broken = good.clone();
+        broken.readers[1].wrapped = bad.to_owned();
+        refused(&mut fleet, &broken, Code::BadArgument);
+    }
+    let many = Share { readers: vec![good.readers[0].clone(); 10_000] };
+    refused(&mut fleet, &many, Code::BadArgument);
+    // Without anybody of the owner there is no share at all.
+    fleet.ok(&owner(), "reader", &[POSES, "none"]);
+    let (alone, _) = Sealer::share(&Hash::ZERO, "Org2/OptiTrack", &readers(&fleet, POSES)).unwrap();
+    let told = refused(&mut fleet, &alone, Code::ReadersChanged);
+    assert!(told.next.contains("ledgerctl readers OptiTrack/poses --enter"), "{told}");
+    admin.enter(&mut fleet, POSES).unwrap();
+    share(&mut fleet, &camera(), POSES, 0).unwrap();
+}
+
+#[test]
+fn only_who_may_publish_shares_and_once_in_a_block() {
+    let (mut fleet, _admin) = fleet();
+    let (given, _) = Sealer::share(&Hash::ZERO, "Org1/Salma", &readers(&fleet, TURTLEBOT)).unwrap();
+    for (who, epoch, code) in
+        [(salma(), 1, Code::NotHolder), (salma(), 0, Code::NotHolder), (admin1(), 0, Code::MissingAttribute)]
+    {
+        assert_eq!(share_as(&mut fleet, &who, (TURTLEBOT, epoch), &given).unwrap_err().code, code, "{}", who.id());
+    }
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    share_as(&mut fleet, &salma(), (TURTLEBOT, 1), &given).unwrap();
+    fleet.joins = true;
+    assert_eq!(share_as(&mut fleet, &salma(), (TURTLEBOT, 1), &given).unwrap_err().code, Code::LimitExceeded);
+    let keyed = share_as(&mut fleet, &salma(), (TURTLEBOT, 1), &given).unwrap();
+    assert_eq!((keyed.key, keyed.readers, keyed.until), (fleet.height, 1, fleet.time + HOUR));
+    assert_eq!(fleet.newest::<Keyed>("keyed"), keyed);
+    assert_eq!(readers(&fleet, TURTLEBOT).keys[0].key, keyed.key);
+}
+
+#[test]
+fn a_key_from_before_a_change_of_readers_policies_or_the_robot_is_refused() {
+    let (mut fleet, admin) = fleet();
+    own_policies(&mut fleet);
+    let (reader, other) = (Person::new(member("Salma", 71)), Person::new(member("Third", 72)));
+    reader.enter(&mut fleet, POSES).unwrap();
+    let mut seq = 0;
+    let mut stale = |fleet: &mut Fleet, why: &str, change: &mut dyn FnMut(&mut Fleet)| {
+        let (sealer, _) = share(fleet, &camera(), POSES, 0).unwrap();
+        seq += 10;
+        send(fleet, &camera(), &sealer, (POSES, 0, seq)).unwrap();
+        change(fleet);
+        let refused = send(fleet, &camera(), &sealer, (POSES, 0, seq + 1)).unwrap_err();
+        assert_eq!(refused.code, Code::ReadersChanged, "{why}: {refused}");
+        assert!(refused.next.contains("share a new content key"), "{refused}");
+    };
+    stale(&mut fleet, "one is taken out", &mut |fleet| {
+        other.enter(fleet, POSES).unwrap();
+        fleet.ok(&owner(), "reader", &[POSES, "none", "Org1/Third"]);
+    });
+    stale(&mut fleet, "one is revoked", &mut |fleet| fleet.revoke(&reader.identity));
+    stale(&mut fleet, "policies", &mut |fleet| {
+        fleet.ok(
+            &owner(),
+            "policy",
+            &["put", "p", "forbid (principal, action, resource) when { principal.name == \"X\" };"],
+        );
+    });
+    stale(&mut fleet, "the robot", &mut |fleet| {
+        fleet.ok(&owner(), "configure", &["OptiTrack", r#"{"attribute_required":"level"}"#])
+    });
+    stale(&mut fleet, "an hour", &mut |fleet| fleet.time += HOUR);
+    stale(&mut fleet, "a newer key", &mut |fleet| drop(share(fleet, &camera(), POSES, 0).unwrap()));
+    admin.enter(&mut fleet, TURTLEBOT).unwrap();
+    let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    send(&mut fleet, &camera(), &sealer, (POSES, 0, 1000)).unwrap();
+}
+
+#[test]
+fn whoever_comes_and_goes_all_the_time_keeps_no_publisher_from_the_others() {
+    let (mut fleet, _admin) = fleet();
+    let reader = Person::new(member("Salma", 71));
+    let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    for round in 0..50 {
+        reader.enter(&mut fleet, POSES).unwrap();
+        send(&mut fleet, &camera(), &sealer, (POSES, 0, 2 * round)).unwrap();
+        fleet.ok(&reader.identity, "reader", &[POSES, "none"]);
+        send(&mut fleet, &camera(), &sealer, (POSES, 0, 2 * round + 1)).unwrap();
+    }
+    fleet.time += 2 * SECOND;
+    let refused = send(&mut fleet, &camera(), &sealer, (POSES, 0, 1000)).unwrap_err();
+    assert!(refused.code == Code::ReadersChanged && refused.found.contains("came or went 2 s ago"), "{refused}");
+    let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    fleet.time += 10 * SECOND;
+    send(&mut fleet, &camera(), &sealer, (POSES, 0, 1000)).unwrap();
+}
+
+#[test]
+fn a_key_of_another_publisher_or_service_is_not_good() {
+    let (mut fleet, _admin) = fleet();
+    let (of_poses, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    let refused = send(&mut fleet, &salma(), &of_poses, (TURTLEBOT, 1, 1)).unwrap_err();
+    assert_eq!(refused.code, Code::ReadersChanged, "{refused}");
+}
+
+#[test]
+fn whoever_loses_the_place_of_a_subscriber_gets_no_later_message() {
+    let (mut fleet, mut admin) = fleet();
+    fleet.ok(&owner(), "configure", &[POSES, r#"{"mode":"limited","sharing":{"subscribers":1}}"#]);
+    let mut reader = Person::new(member("Salma", 71));
+    assert_eq!(reader.enter(&mut fleet, POSES).unwrap_err().code, Code::NotHolder);
+    fleet.ok(&reader.identity, "acquire", &["OptiTrack/poses:subscribe"]);
+    reader.enter(&mut fleet, POSES).unwrap();
+    let (sealer, shared) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    let before = send(&mut fleet, &camera(), &sealer, (POSES, 0, 1)).unwrap();
+    let learn = |person: &mut Person, sealer: &Sealer, shared: &Share| {
+        person.keyring.learn(POSES, "Org2/OptiTrack", sealer.key(), shared)
+    };
+    assert!(learn(&mut reader, &sealer, &shared));
+    fleet.ok(&reader.identity, "release", &["OptiTrack/poses:subscribe"]);
+    fleet.time += 2 * SECOND;
+    assert_eq!(send(&mut fleet, &camera(), &sealer, (POSES, 0, 2)).unwrap_err().code, Code::ReadersChanged);
+    let (sealer, shared) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+    let after = send(&mut fleet, &camera(), &sealer, (POSES, 0, 3)).unwrap();
+    assert!(!learn(&mut reader, &sealer, &shared) && learn(&mut admin, &sealer, &shared));
+    let open = |person: &Person, seq: u64, sealed: &Bytes| person.keyring.open(POSES, "Org2/OptiTrack", 0, seq, sealed);
+    assert!(open(&reader, 1, &before).is_ok());
+    assert_eq!(open(&reader, 3, &after), Err(Unreadable::NoKey(sealer.key())));
+    assert!(open(&admin, 3, &after).is_ok());
+}
+
+#[test]
+fn who_may_not_subscribe_enters_not_and_the_owner_always_may() {
+    let (mut fleet, _admin) = fleet();
+    assert_eq!(Person::new(farhad()).enter(&mut fleet, POSES).unwrap_err().code, Code::MissingAttribute);
+    own_policies(&mut fleet);
+    fleet.ok(&owner(), "policy", &["put", "none", "forbid (principal, action == Action::\"subscribe\", resource);"]);
+    assert_eq!(Person::new(member("Salma", 71)).enter(&mut fleet, POSES).unwrap_err().code, Code::DeniedByPolicy);
+    for (name, role, serial) in [("admin9", Role::Admin, 81), ("node1", Role::Node, 82), ("OptiTrack", Role::Robot, 83)]
+    {
+        Person::new(identity("Org2", name, role, &[], serial)).enter(&mut fleet, POSES).unwrap();
+    }
+    let member_of_owner = Person::new(identity("Org2", "guest", Role::Member, &["OptiTrack"], 84));
+    assert_eq!(member_of_owner.enter(&mut fleet, POSES).unwrap_err().code, Code::DeniedByPolicy);
+    share(&mut fleet, &camera(), POSES, 0).unwrap();
+    assert_eq!(fleet.newest::<Keyed>("keyed").readers, 4);
+}
+
+#[test]
+fn readers_leave_by_themselves_or_by_an_admin_of_the_owner() {
+    let (mut fleet, _admin) = fleet();
+    let reader = Person::new(member("Salma", 71));
+    reader.enter(&mut fleet, POSES).unwrap();
+    let entered = ReaderTold { service: POSES.into(), reader: "Org1/Salma".into(), change: "entered".into() };
+    assert_eq!(fleet.newest::<ReaderTold>("reader"), entered);
+    for who in [admin1(), farhad(), camera()] {
+        fleet.refused(&who, Code::NotOwner, "reader", &[POSES, "none", "Org1/Salma"]);
+    }
+    let key = reader.keyring.public_hex();
+    fleet.refused(&owner(), Code::NotOwner, "reader", &[POSES, &key, "Org1/Salma"]);
+    let left: ReaderTold = fleet.get(&owner(), "reader", &[POSES, "none", "Org1/Salma"]);
+    assert_eq!(left.change, "left");
+    fleet.refused(&owner(), Code::NotFound, "reader", &[POSES, "none", "Org1/Salma"]);
+    for bad in ["", "NONE", "00", &"g".repeat(64), &key.to_uppercase()] {
+        fleet.refused(&reader.identity, Code::BadArgument, "reader", &[POSES, bad]);
+    }
+}
+
+#[test]
+fn readers_are_bounded_and_leave_with_their_certificates() {
+    let (mut fleet, _admin) = fleet();
+    for serial in 1..u8::try_from(READERS_MAX).unwrap() {
+        let mut identity = member(&format!("Reader{serial:02}"), 100 + serial);
+        identity.not_after = START + HOUR;
+        Person::new(identity).enter(&mut fleet, POSES).unwrap();
+    }
+    let late = Person::new(member("Late", 71));
+    let refused = late.enter(&mut fleet, POSES).unwrap_err();
+    assert!(refused.code == Code::LimitExceeded && refused.next.contains("--remove"), "{refused}");
+    share(&mut fleet, &camera(), POSES, 0).unwrap();
+    assert_eq!(fleet.newest::<Keyed>("keyed").until, START + HOUR, "no certificate ends before the key");
+    fleet.time = START + HOUR;
+    share(&mut fleet, &camera(), POSES, 0).unwrap();
+    assert_eq!(fleet.newest::<Keyed>("keyed").readers, 1, "a certificate that has ended gets no key");
+    late.enter(&mut fleet, POSES).unwrap();
+    assert_eq!((readers(&fleet, POSES).readers.len(), fleet.keys("reading/")), (2, 3));
+    fleet.remove_organisation("Org1");
+    assert_eq!(readers(&fleet, POSES).readers.len(), 1);
+    fleet.ok(&owner(), "remove", &["OptiTrack"]);
+    assert_eq!((fleet.keys("reader/OptiTrack"), fleet.keys("reading/")), (0, 1), "the admin still reads the Turtlebot");
+}
+
+#[test]
+fn calls_are_not_confidential_and_messages_of_every_mode_may_be() {
+    let mut fleet = Fleet::of_the_paper();
+    let arm = |kind: &str| {
+        format!(
+            r#"{{"name":"Arm","attribute_required":"Arm","services":[{{"topic":"/home","type":"{kind}","sharing":{{"confidential":true}}}}]}}"#
+        )
+    };
+    for kind in ["std_srvs/srv/Trigger", "nav2_msgs/action/NavigateToPose"] {
+        let refused = fleet.refused(&owner(), Code::BadArgument, "setup", &[&arm(kind)]);
+        assert!(refused.message.contains("cannot be confidential"), "{refused}");
+    }
+    fleet.ok(&owner(), "setup", &[&arm("std_msgs/msg/Empty")]);
+    for settings in [
+        r#"{"mode":"open"}"#,
+        r#"{"mode":"limited","sharing":{"publishers":2}}"#,
+        r#"{"mode":"exclusive","sharing":{"publishers":null},"clear":["publishers"]}"#,
+    ] {
+        let change: RobotChange = fleet.get(&owner(), "configure", &["Arm/home", settings]);
+        assert!(change.robot.services[0].sharing.is_confidential(), "{settings}");
+    }
+    let change: RobotChange = fleet.get(&owner(), "configure", &["Arm/home", r#"{"sharing":{"confidential":false}}"#]);
+    assert_eq!((change.changed[0].before.as_str(), change.changed[0].after.as_str()), ("true", "false"));
+}
+
+#[test]
+fn rules_before_3_know_nothing_of_it() {
+    let mut fleet = Fleet::of_the_paper_under(ledger::Rules::find(2).unwrap());
+    fleet.refused(&owner(), Code::BadArgument, "configure", &[POSES, r#"{"sharing":{"confidential":true}}"#]);
+    for (function, args) in [("reader", &[POSES, "none"][..]), ("readers", &[POSES]), ("share", &[POSES, "0", "{}"])] {
+        fleet.refused(&owner(), Code::UnknownFunction, function, args);
+    }
+    let sealed = [&[0xe5, 1][..], &[0; 50]].concat();
+    let mut args = bytes(&[POSES, "0", "1"]);
+    args.push(sealed.into());
+    assert_eq!(fleet.call(&camera(), "set", &args).unwrap_err().code, Code::BadArgument);
+}
+
+/// A block of the random story.
+#[derive(Clone, Debug)]
+enum Step {
+    Enter(usize),
+    Leave(usize),
+    Remove(usize),
+    Revoke(usize),
+    Forbid(usize),
+    Allow(usize),
+    Configure(bool),
+    Wait(u64),
+    Share,
+    Send,
+}
+
+const PEOPLE: usize = 4;
+
+fn step() -> impl Strategy<Value = Step> {
+    let who = 0..PEOPLE;
+    prop_oneof![
+        4 => who.clone().prop_map(Step::Enter),
+        1 => who.clone().prop_map(Step::Leave),
+        1 => who.clone().prop_map(Step::Remove),
+        1 => (1..PEOPLE).prop_map(Step::Revoke),
+        2 => who.clone().prop_map(Step::Forbid),
+        2 => who.prop_map(Step::Allow),
+        1 => any::<bool>().prop_map(Step::Configure),
+        2 => prop_oneof![Just(SECOND), Just(HOUR / 3), Just(HOUR)].prop_map(Step::Wait),
+        5 => Just(Step::Share),
+        8 => Just(Step::Send),
+    ]
+}
+
+/// All that decides who reads, as it can be said in a few lines. The first of the people is an admin of the owner.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Model {
+    entered: BTreeSet<usize>,
+    revoked: BTreeSet<usize>,
+    forbidden: BTreeSet<usize>,
+    configured: bool,
+    /// How often a reader was taken out or revoked.
+    losses: u64,
+    /// How often one came, or went of its own accord, and when last.
+    moves: u64,
+    moved_at: u64,
+}
+
+impl Model {
+    fn readers(&self) -> BTreeSet<usize> {
+        let reads = |who: &&usize| **who == 0 || !self.forbidden.contains(*who);
+        self.entered.iter().filter(reads).copied().collect()
+    }
+
+    fn made_for(&self) -> (u64, BTreeSet<usize>, bool) {
+        (self.losses, self.forbidden.clone(), self.configured)
+    }
+
+    fn moves(&mut self, time: u64) {
+        (self.moves, self.moved_at) = (self.moves + 1, time);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn readers_read_what_the_model_says_and_nothing_else(steps in proptest::collection::vec(step(), 1..60)) {
+        let mut fleet = Fleet::of_the_paper();
+        fleet.ok(&owner(), "configure", &[POSES, r#"{"sharing":{"confidential":true}}"#]);
+        own_policies(&mut fleet);
+        let names = ["admin", "Ada", "Ben", "Cleo"];
+        let mut people: Vec<Person> =
+            [owner(), member("Ada", 71), member("Ben", 72), member("Cleo", 73)].map(Person::new).into();
+        let (mut model, mut seq) = (Model::default(), 0);
+        // The newest key: for whom, made for what, until when.
+        let mut newest: Option<(Sealer, BTreeSet<usize>, (u64, BTreeSet<usize>, bool), u64, u64)> = None;
+        for step in steps {
+            match step {
+                Step::Enter(who) if !model.revoked.contains(&who) => {
+                    let entered = people[who].enter(&mut fleet, POSES).is_ok();
+                    prop_assert_eq!(entered, who == 0 || !model.forbidden.contains(&who));
+                    if entered {
+                        model.entered.insert(who);
+                        model.moves(fleet.time);
+                    }
+                }
+                Step::Leave(who) | Step::Remove(who) => {
+                    let by = if matches!(step, Step::Leave(_)) { people[who].identity.clone() } else { owner() };
+                    let id = people[who].identity.id();
+                    let left = fleet.call(&by, "reader", &bytes(&[POSES, "none", &id])).is_ok();
+                    prop_assert_eq!(left, model.entered.remove(&who));
+                    match by.id() == id {
+                        _ if !left => {}
+                        true => model.moves(fleet.time),
+                        false => model.losses += 1,
+                    }
+                }
+                Step::Revoke(who) => {
+                    fleet.revoke(&people[who].identity);
+                    model.revoked.insert(who);
+                    model.losses += u64::from(model.entered.remove(&who));
+                }
+                Step::Forbid(who) if who > 0 && model.forbidden.insert(who) => {
+                    let text = format!("forbid (principal, action, resource) when {{ principal.name == \"{}\" }};", names[who]);
+                    fleet.ok(&owner(), "policy", &["put", names[who], &text]);
+                }
+                Step::Allow(who) if model.forbidden.remove(&who) => {
+                    fleet.ok(&owner(), "policy", &["remove", names[who]]);
+                }
+                Step::Configure(other) => {
+                    let age = if other { 900 } else { 1000 };
+                    fleet.ok(&owner(), "configure", &[POSES, &format!(r#"{{"max_age_ms":{age}}}"#)]);
+                    model.configured = other;
+                }
+                Step::Wait(time) => fleet.time += time,
+                Step::Share => match share(&mut fleet, &camera(), POSES, 0) {
+                    Ok((sealer, given)) => {
+                        let readers = model.readers();
+                        prop_assert!(readers.contains(&0), "a share without the owner");
+                        for (who, person) in people.iter_mut().enumerate() {
+                            let learnt = person.keyring.learn(POSES, "Org2/OptiTrack", sealer.key(), &given);
+                            prop_assert_eq!(learnt, readers.contains(&who), "{}", names[who]);
+                        }
+                        newest = Some((sealer, readers, model.made_for(), model.moves, fleet.time + HOUR));
+                    }
+                    Err(refused) => {
+                        prop_assert_eq!(refused.code, Code::ReadersChanged);
+                        prop_assert!(!model.readers().contains(&0), "{}", refused);
+                    }
+                },
+                Step::Send => if let Some((sealer, readers, made_for, moves, until)) = &newest {
+                    seq += 1;
+                    let sent = send(&mut fleet, &camera(), sealer, (POSES, 0, seq));
+                    let has_moved = *moves != model.moves && fleet.time >= model.moved_at + 2 * SECOND;
+                    let is_good = *made_for == model.made_for() && fleet.time < *until && !has_moved;
+                    prop_assert_eq!(sent.is_ok(), is_good, "{:?}", sent);
+                    if let Ok(sealed) = sent {
+                        // Nobody reads who has lost the right; who has come or gone just now counts with the next key.
+                        prop_assert!(*moves != model.moves || *readers == model.readers());
+                        for (who, person) in people.iter().enumerate() {
+                            let opened = person.keyring.open(POSES, "Org2/OptiTrack", 0, seq, &sealed);
+                            prop_assert_eq!(opened.is_ok(), readers.contains(&who), "{}", names[who]);
+                            prop_assert!(opened.is_err() || !model.revoked.contains(&who));
+                        }
+                    }
+                },
+                _ => {}
+            }
+        }
+    }
+}
