@@ -4,6 +4,7 @@ use crate::own_network::isolated;
 use crate::support::network::{free_address, register_robots};
 use crate::support::wait::eventually;
 use crate::support::{Fleet, connect, programs};
+use ledger_api::Context;
 use ledger_identity::Role;
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
@@ -42,7 +43,7 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
     let page = free_address();
     fleet.nodes[0].configure(&format!("[admin]\nlisten = \"{page}\""));
     let mut nodes: Vec<_> = fleet.nodes.iter().map(|place| place.start()).collect();
-    let owner = connect(&fleet.owner()).await;
+    let owner = connect(&Context { nodes: vec![fleet.nodes[0].address.clone()], ..fleet.owner() }).await;
     register_robots(&owner, "open").await;
     assert_eq!(get(&page, "/livez"), ("HTTP/1.1 200 OK".to_owned(), "ok\n".to_owned()));
     let ready = eventually("the node is ready", || {

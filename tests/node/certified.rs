@@ -157,7 +157,7 @@ async fn happened(events: &mut EventStream) -> Delivery {
 async fn events_come_with_their_paths_and_a_certificate_to_whoever_asks_for_them() {
     let fleet = Fleet::found_with(&[wish("node1", "Org1"), wish("node2", "Org2"), wish("node3", "Org1")], now());
     let mut nodes: Vec<_> = fleet.nodes.iter().map(NodePlace::start).collect();
-    let owner = connect(&fleet.owner()).await;
+    let owner = connect(&Context { nodes: vec![fleet.nodes[0].address.clone()], ..fleet.owner() }).await;
     let wanted = Subscription { chaincode: "abac".into(), names: vec!["robot".into()], ..Subscription::default() };
     let mut unproved = owner.subscribe(wanted.clone());
     let mut proved = owner.subscribe(Subscription { proofs: true, ..wanted });

@@ -2,8 +2,8 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    audit, bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger,
-    light, message, network, policy, prove, readers, record, replay, robot, task, whoami,
+    audit, bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity,
+    ledger, light, message, network, policy, prove, readers, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
