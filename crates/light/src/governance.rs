@@ -260,8 +260,8 @@ impl Governance {
     /// # Errors
     /// [`Code::Malformed`] if keys are not in order.
     pub fn before(&self, height: u64, changes: &[Change]) -> Result<Self, Rejection> {
-        let earlier = changes.iter().filter(|change| change.height > self.height && change.height < height);
-        earlier.fold(Ok(self.clone()), |before, change| before?.after(change))
+        let mut earlier = changes.iter().filter(|change| change.height > self.height && change.height < height);
+        earlier.try_fold(self.clone(), |before, change| before.after(change))
     }
 
     /// Its values, as if one block had written them all.
