@@ -1,5 +1,5 @@
-//! The cost of a confidential service: the same command at 50 Hz, plain and encrypted, in turns, from when it was due until its verdict,
-//! and until a reader at the other organisation's node has it, opened.
+//! The cost of a confidential service: the same command at 50 Hz, plain and encrypted, in turns. It begins when a command was due,
+//! and ends with its verdict, and when a reader at the other organisation's node has opened it.
 //!
 //! `cargo bench --bench confidential`; `LEDGERD_BENCH_SECONDS` sets the length of each side.
 

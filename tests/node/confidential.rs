@@ -3,7 +3,7 @@
 use crate::support::network::register_robots;
 use crate::support::{Ctl, Dev, Fleet, connect};
 use ledger::transaction::Transaction;
-use ledger_api::Context;
+use ledger_api::{Context, Subscription};
 use ledger_confidential::{Keyring, ReadingKey};
 use ledger_identity::Role;
 use serde_json::Value;
@@ -126,24 +126,28 @@ fn a_revoked_reader_keeps_what_it_had_and_gets_nothing_after() {
     assert_eq!(opened, [true, false]);
 }
 
-/// Opens what it can of all messages on a service, from the blocks as any node shows them.
+/// Opens what it can of the first two messages on a service, from the blocks as a node shows them to the owner.
 #[tokio::main(flavor = "current_thread")]
 async fn read_chain(dev: &Dev, service: &str, keyring: &mut Keyring) -> Vec<bool> {
-    let admin = connect(&Context::load(dev.home.path(), Some("dev-org1-admin")).unwrap()).await;
-    let height = admin.status().await.unwrap().height;
+    let owner = connect(&Context::load(dev.home.path(), Some("dev-org2-admin")).unwrap()).await;
+    let mut events = owner.subscribe(Subscription {
+        from_height: 1,
+        chaincode: "abac".to_owned(),
+        subjects: vec![service.to_owned()],
+        names: vec!["keyed".to_owned(), "message".to_owned()],
+        ..Subscription::default()
+    });
     let mut opened = Vec::new();
-    for at in 1..=height {
-        for record in admin.block(at).await.unwrap().transactions {
-            // Nodes have entries of their own that nobody has signed.
-            let Ok(transaction) = Transaction::decode(record.transaction) else { continue };
-            let body = transaction.body();
-            let number = |index: usize| std::str::from_utf8(&body.args[index]).unwrap().parse().unwrap();
-            match body.function.as_str() {
-                "share" => {
-                    keyring.learn(service, "Org1/Salma", at, &serde_json::from_slice(&body.args[2]).unwrap());
-                }
-                "set" => opened.push(keyring.open(service, "Org1/Salma", number(1), number(2), &body.args[3]).is_ok()),
-                _ => {}
+    while opened.len() < 2 {
+        let delivery = events.next().await.unwrap();
+        for event in delivery.events {
+            let transaction = Transaction::decode(event.transaction).unwrap();
+            let args = &transaction.body().args;
+            let number = |index: usize| std::str::from_utf8(&args[index]).unwrap().parse().unwrap();
+            if event.name == "keyed" {
+                keyring.learn(service, "Org1/Salma", delivery.height, &serde_json::from_slice(&args[2]).unwrap());
+            } else {
+                opened.push(keyring.open(service, "Org1/Salma", number(1), number(2), &args[3]).is_ok());
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Messages of confidential services: encrypted by their publisher, read by those whom the service's policies permit.
 //!
-//! A publisher makes a [`ContentKey`] for the readers of the moment, wraps it for each of their [`ReadingKey`]s with HPKE (RFC
-//! 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305) and shares that in a transaction. Its messages are then
+//! A publisher makes a [`ContentKey`] for the readers of the moment. It wraps the key for each of their [`ReadingKey`]s with HPKE
+//! (RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305) and shares that in a transaction. Its messages are then
 //! [`Envelope`](ledger_contract::Envelope)s: ChaCha20-Poly1305 under the content key. A reader keeps what was shared in a
 //! [`Keyring`]. The ledger decides who the readers are, and when a content key has to be replaced: see `crates/abac`.
 //!

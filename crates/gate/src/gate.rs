@@ -25,6 +25,7 @@
 mod call;
 mod clock;
 mod ends;
+mod holding;
 mod identities;
 mod limits;
 mod payloads;
@@ -45,11 +46,7 @@ use ledger_identity::Identity;
 use ledger_mutation::{Mutation, active};
 
 use self::{
-    call::Call,
-    clock::Clock,
-    ends::Driver,
-    identities::Identities,
-    limits::{Bounds, Rates},
+    call::Call, clock::Clock, ends::Driver, holding::Holding, identities::Identities, limits::Rates,
     sequences::Sequences,
 };
 pub use self::{clock::Now, refused::Refused};
@@ -137,19 +134,6 @@ pub struct Gate {
     keyring: Option<Keyring>,
     /// The contradiction that was found here.
     fault: Option<String>,
-}
-
-/// The record of a grant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Holding {
-    epoch: u64,
-    /// How long it lasts without being used or renewed, in microseconds.
-    lease_us: u64,
-    /// How long it lasted still, without that, when it became known, in microseconds.
-    left_us: u64,
-    /// The epoch that it follows without a stop between.
-    follows: Option<u64>,
-    bounds: Bounds,
 }
 
 /// The rule of the service's description for publishers.
@@ -489,14 +473,4 @@ fn check_signed_for(signed: &Transaction, block_time: u64) -> Result<(), Refused
 /// [`COMMAND_TTL`] in microseconds.
 fn ttl_us() -> u64 {
     u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX)
-}
-
-impl Holding {
-    /// With the lease as of a block time.
-    fn of(grant: &Grant, time: u64) -> Self {
-        let lease_us = grant.lease_ms.saturating_mul(1000);
-        let left_us = grant.expires.saturating_sub(time);
-        let bounds = Bounds::from(&grant.limits);
-        Self { epoch: grant.epoch, lease_us, left_us, follows: grant.follows, bounds }
-    }
 }

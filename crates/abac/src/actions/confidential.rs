@@ -7,6 +7,7 @@
 use super::{follow, publish};
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::Decider;
+use crate::policy::texts;
 use crate::records::principal::Principal;
 use crate::records::reader::{self, Entered, GRACE_US, MadeFor, SharedKey};
 use crate::records::robot::Robot;
@@ -102,7 +103,7 @@ pub(crate) fn share(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
             .next("use the first one, or share again"));
     }
     let until = check_share(ctx, decider, &target, &share)?;
-    let (key, made_for) = (ctx.height(), MadeFor::now(ctx, &target)?);
+    let (key, made_for) = (ctx.height(), made_for(ctx, &target)?);
     let moves = reader::changes(ctx, &target.id)?.moves;
     reader::share(ctx, &target.id, &publisher, &SharedKey { key, made_for, moves, until })?;
     let keyed = store::json(&Keyed { key, until, readers: share.readers.len() as u64 })?;
@@ -146,7 +147,7 @@ pub(crate) fn check_key(
     if shared.until <= ctx.block_time() {
         return Err(stale(format!("key {key}, which was good until {} µs", shared.until)));
     }
-    if shared.made_for != MadeFor::now(ctx, target)? {
+    if shared.made_for != made_for(ctx, target)? {
         return Err(stale(format!("key {key}, from before a change of readers, policies or the robot")));
     }
     let changes = reader::changes(ctx, id)?;
@@ -157,6 +158,13 @@ pub(crate) fn check_key(
         )));
     }
     Ok(())
+}
+
+/// The state of all that takes the right to read away, as it is now.
+fn made_for(ctx: &Context<'_>, target: &Target) -> Result<MadeFor, Rejection> {
+    let robot = &target.robot;
+    let policies = texts::version(ctx, &robot.organisation)?.hash;
+    Ok(MadeFor { losses: reader::changes(ctx, &target.id)?.losses, policies, robot: robot.version })
 }
 
 fn not_confidential(id: &str) -> Rejection {

@@ -1,17 +1,15 @@
 //! Readers of confidential services, and the content keys that publishers have shared with them.
 //!
 //! A content key is good while its service has the readers for which it was wrapped. That is not looked up reader by reader with
-//! each message: whatever may change them changes a number of the service, its owner's policies or the robot's description, and a
-//! key remembers all three.
+//! each message. All that may change them changes a number of the service, its owner's policies or the robot's description. A
+//! key remembers these three.
 //!
-//! The loss of the right to read ends a key at once. A reader that comes, or goes of its own accord, ends it after a grace only: else
+//! The loss of the right to read ends a key at once. A reader that comes, or goes of its own accord, ends it after a grace only. Else
 //! any reader could keep a publisher from all others by coming and going all the time.
 
 use super::principal::Principal;
 use super::robot::Robot;
-use super::service::Target;
 use super::store;
-use crate::policy::texts;
 use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::{KeyPlace, READERS_MAX, ReaderTold};
@@ -65,15 +63,6 @@ pub(crate) struct MadeFor {
     pub(crate) policies: Hash,
     /// The description of its robot.
     pub(crate) robot: Hash,
-}
-
-impl MadeFor {
-    /// As it is now.
-    pub(crate) fn now(ctx: &Context<'_>, target: &Target) -> Result<Self, Rejection> {
-        let robot = &target.robot;
-        let policies = texts::version(ctx, &robot.organisation)?.hash;
-        Ok(Self { losses: changes(ctx, &target.id)?.losses, policies, robot: robot.version })
-    }
 }
 
 /// How often the readers of a service have changed.

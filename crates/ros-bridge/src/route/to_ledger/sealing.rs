@@ -104,7 +104,7 @@ impl Sealing {
         }
     }
 
-    /// Makes a key for those who read now, if the service is confidential and there is no fresh one: readers that come and go all the
+    /// Makes a key for those who read now, if the service is confidential and there is no fresh one. Readers that come and go all the
     /// time must not cost more than that.
     pub(super) fn renew_if_confidential(&mut self, publishing: &Publishing) {
         let is_fresh = self.made_at.is_some_and(|made| made.elapsed() < FRESH);
