@@ -267,6 +267,11 @@ impl World {
         !fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap().contains(words)
     }
 
+    /// How often is this in the log of a process?
+    pub(crate) fn said(&self, name: &str, words: &str) -> usize {
+        fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap().matches(words).count()
+    }
+
     /// The output of a bridge that cannot start.
     pub(crate) fn bridge_fails(&self, name: &str, topic: &str, kind: &str) -> String {
         let config = self.bridge_config(name, 1, "to_ledger", topic, kind);
