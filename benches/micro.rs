@@ -288,7 +288,14 @@ criterion_group!(
     chain::recover,
     chain::state_apply
 );
-criterion_group!(deciding, access::authorize, access::chaincode_call, lines::one_service, lines::many_services, audit::questions);
+criterion_group!(
+    deciding,
+    access::authorize,
+    access::chaincode_call,
+    lines::one_service,
+    lines::many_services,
+    audit::questions
+);
 criterion_group!(at_the_robot, robot::gate, robot::dds_leg, robot::iceoryx2_leg);
 
 fn main() {
