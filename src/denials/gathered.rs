@@ -166,7 +166,7 @@ mod tests {
             if let Some(rest) = gathered.take() {
                 told += sum(&rest);
                 prop_assert!(rest.refusals.len() <= REFUSALS_MAX);
-                prop_assert!(serde_json::to_vec(&rest).unwrap().len() <= ledger::msp::REFUSALS_BYTES_MAX);
+                prop_assert!(serde_json::to_vec(&rest).unwrap().len() <= REFUSALS_BYTES_MAX);
                 for line in &rest.refusals {
                     prop_assert!(Some(line.first) >= first && Some(line.last) <= last && line.first <= line.last);
                     prop_assert!(line.why.len() <= REFUSED_TEXT_MAX && !line.why.contains('\n'));

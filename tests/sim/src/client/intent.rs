@@ -378,10 +378,9 @@ impl World {
         if client.obedient {
             return None;
         }
-        if ADMINS.contains(&&*client.person) && (client.ready || client.person != "Org2/admin") {
-            if let Some(call) = self.govern(number) {
-                return Some(call);
-            }
+        let governs = ADMINS.contains(&&*client.person) && (client.ready || client.person != "Org2/admin");
+        if governs && let Some(call) = self.govern(number) {
+            return Some(call);
         }
         let client = &self.clients[number];
         let service = self.random.clients.pick(&SERVICES).copied().unwrap_or(SERVICES[0]).to_owned();
