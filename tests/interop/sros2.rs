@@ -140,8 +140,12 @@ fn with_the_exported_policies_nobody_but_the_relay_publishes_to_the_robot() {
         assert!(is_refused(secured(Some(&base), "pub", DOMAIN, TOPIC, MANY)), "nor may the base itself");
         let mut bridge = secured(Some(&relay), "pub", DOMAIN, TOPIC, (200, 50));
         assert_eq!(bridge.line().as_deref(), Some("matched"));
-        for wanted in 0..200 {
-            assert_eq!(heard(&mut robot), Some(wanted), "nobody else is heard");
+        // Numbers of somebody else would stand between these. A slow robot misses some.
+        let mut last = None;
+        while last < Some(150) {
+            let number = heard(&mut robot);
+            assert!(number > last, "nobody else is heard: {number:?} after {last:?}");
+            last = number;
         }
         drop(bridge);
 

@@ -7,7 +7,7 @@ use tokio::{task::spawn_blocking, time::sleep};
 
 use crate::reach::{Range, Reach};
 
-/// Between two looks. What has changed must be the same at two of them: networks come up step by step.
+/// Between two looks. A change must be the same at two of them: networks come up step by step.
 const LOOK_EVERY: Duration = Duration::from_secs(2);
 
 /// The number of an interface, and an address of it. An interface that is made anew has another number.

@@ -14,7 +14,7 @@ use crate::{
 pub struct Guarded {
     /// Its local name.
     pub name: TopicName,
-    /// What it is.
+    /// The way in which nodes use it.
     pub interface: Interface,
     /// The service on the ledger, e.g. `Turtlebot4/cmd_vel`.
     pub service: String,

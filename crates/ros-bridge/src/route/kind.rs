@@ -71,7 +71,7 @@ pub(crate) struct Kind {
     pub(crate) beside: fn(&Beside<'_>) -> Option<String>,
 }
 
-/// What is known of a route when the settings of its kind are read.
+/// The part of a route that is known when the settings of its kind are read.
 pub(crate) struct Given<'a> {
     /// The type of its messages; none if that is a fault.
     pub(crate) message: Option<&'a TypeName>,

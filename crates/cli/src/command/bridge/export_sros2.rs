@@ -60,7 +60,7 @@ pub(crate) struct ExportSros2 {
     force: bool,
 }
 
-/// What was written, and what is to be done with it.
+/// The files that were written, and the next steps with them.
 #[derive(Serialize)]
 struct Exported {
     relay: String,
@@ -84,7 +84,9 @@ struct Door {
 
 impl ExportSros2 {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let config = Config::load(&self.config, |root| root.ignore(&["log"])).map_err(first)?;
+        let config = Config::load(&self.config, |root| root.ignore(&["log"]));
+        // The first fault names its line.
+        let config = config.map_err(|faults| faults.into_iter().next().map_or_else(not_usable, Rejection::from))?;
         self.apart_from(&config)?;
         let others = self.others()?;
         let session = match &global.context {
@@ -167,10 +169,8 @@ impl ExportSros2 {
     }
 }
 
-/// The first fault of a configuration, which names its line.
-fn first(faults: Vec<ledger_settings::Fault>) -> Rejection {
-    let first = faults.into_iter().next().map(Rejection::from);
-    first.unwrap_or_else(|| Rejection::new(Code::BadConfiguration, "the configuration is not usable"))
+fn not_usable() -> Rejection {
+    Rejection::new(Code::BadConfiguration, "the configuration is not usable")
 }
 
 fn nothing(config: &Path) -> Rejection {

@@ -1,8 +1,8 @@
 //! The files of SROS2: which enclave may do what. Without IO.
 //!
 //! A profile is a list of rules. The policy of ROS 2 tells them in the words of ROS, and the permissions of DDS Security as
-//! names of DDS topics, as `ros2 security create_permission` translates one into the other: what is denied comes first, because
-//! the first rule that fits counts.
+//! names of DDS topics: `ros2 security create_permission` makes the same of a policy. Denials come first, because the first rule
+//! that fits counts.
 
 use ros_bridge::Guarded;
 use ros_bridge::names::{Interface, TopicName};
@@ -176,7 +176,7 @@ pub(super) fn policy(enclaves: &[Enclave]) -> String {
     )
 }
 
-/// What holds for all in a domain, as SROS2 has it: nobody without a certificate joins, every topic has permissions, and
+/// The rules for all in a domain, as SROS2 has them. Nobody without a certificate joins, every topic has permissions, and
 /// everything is encrypted.
 pub(super) fn governance(domain: u16) -> String {
     let switch = |name: &str, value: &str| format!("          <{name}>{value}</{name}>\n");
@@ -232,7 +232,7 @@ mod tests {
         ]
     }
 
-    /// What stands between the tags of this name.
+    /// The texts between the tags of this name.
     fn inside(text: &str, name: &str) -> Vec<String> {
         let (begin, end) = (format!("<{name}>"), format!("</{name}>"));
         text.split(&begin).skip(1).map(|rest| rest.split(&end).next().unwrap().to_owned()).collect()
