@@ -49,27 +49,13 @@ impl Peer {
     }
 }
 
-/// Fast DDS with DDS Security, and the files of an enclave; or without both.
-pub(crate) fn secured(
-    enclave: Option<&Path>,
-    role: &str,
-    domain: u16,
-    topic: &str,
-    (count, about): (u32, u32),
-) -> Python {
-    let mut command = Command::new(fast_dds());
-    command.args([role, &domain.to_string(), topic, &count.to_string(), &about.to_string(), "0"]);
-    enclave.map(|enclave| command.env("STREAM_ENCLAVE", enclave));
-    Python::run(command)
-}
-
 /// The number of the next sample that a subscriber has.
 pub(crate) fn number(subscriber: &mut Python) -> Option<u32> {
     Some(subscriber.line()?.split_once(' ')?.0.parse().expect("a number"))
 }
 
 /// The program with Fast DDS, built where it is not there in this version.
-fn fast_dds() -> PathBuf {
+pub(crate) fn fast_dds() -> PathBuf {
     let text = std::fs::read(source("fastdds/stream.cpp")).expect("the source is there");
     let version = text.iter().fold(0_u64, |hash, byte| hash.wrapping_mul(0x0100_0000_01b3) ^ u64::from(*byte));
     let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fastdds-stream-{version:016x}"));

@@ -2,7 +2,7 @@
 //! of `rmw_fastrtps`, with DDS Security.
 
 use crate::network;
-use crate::peer::secured;
+use crate::peer::fast_dds;
 use crate::python::Python;
 use crate::support::programs;
 use crate::world::{self, World, route};
@@ -25,6 +25,14 @@ const EVERYTHING: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
 <publish><topics><topic>rt/*</topic></topics></publish><subscribe><topics><topic>rt/*</topic></topics></subscribe>
 </allow_rule><default>DENY</default></grant></permissions></dds>
 "#;
+
+/// Fast DDS with DDS Security, and the files of an enclave; or without both.
+fn secured(enclave: Option<&Path>, role: &str, domain: u16, topic: &str, (count, about): (u32, u32)) -> Python {
+    let mut command = Command::new(fast_dds());
+    command.args([role, &domain.to_string(), topic, &count.to_string(), &about.to_string(), "0"]);
+    enclave.map(|enclave| command.env("STREAM_ENCLAVE", enclave));
+    Python::run(command)
+}
 
 /// A keystore of SROS2.
 struct Keystore(PathBuf);
