@@ -80,7 +80,7 @@ impl Drop for Admin {
     }
 }
 
-/// Does the process answer? Whoever restarts it otherwise asks this, and nothing else.
+/// Does the process answer? A supervisor that restarts it otherwise asks this, and nothing else.
 async fn live() -> &'static str {
     "ok\n"
 }

@@ -18,7 +18,7 @@ use tokio_rustls::TlsAcceptor;
 
 /// Most connections at a time.
 const OPEN_MAX: usize = 32;
-/// Longest life of one; whoever watches connects again.
+/// Longest life of one. A program that watches connects again.
 const LIFE_MAX: Duration = Duration::from_secs(60);
 /// Longest handshake.
 const HANDSHAKE_MAX: Duration = Duration::from_secs(5);

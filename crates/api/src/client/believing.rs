@@ -99,7 +99,7 @@ impl Client {
         Ok(Some(self.checkpoint(known, proof).await?))
     }
 
-    /// Who governs after the block of a proof, if enough voters have signed it.
+    /// The members that govern after the block of a proof, if enough voters have signed it.
     async fn checkpoint(&self, known: Option<&Governance>, proof: Proof) -> Result<Checkpoint, Rejection> {
         // Where nothing has changed, which is nearly always, nobody has to be asked.
         let governance = match known.map(|known| known.follow(&[], &proof)) {

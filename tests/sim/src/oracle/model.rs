@@ -348,7 +348,7 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    /// Whoever has a revoked certificate holds nothing by it, waits for nothing, and agrees to nothing.
+    /// A revoked certificate holds nothing, waits for nothing, and agrees to nothing.
     fn forget_the_revoked(&mut self, time: u64) {
         let people = Arc::clone(&self.people);
         let revoked: BTreeSet<usize> = (0..people.all.len()).filter(|person| self.is_revoked_now(*person)).collect();

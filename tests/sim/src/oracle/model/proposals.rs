@@ -114,7 +114,7 @@ impl Model {
         Ok(judged)
     }
 
-    /// What a revoked certificate has approved does not count any more.
+    /// An approval of a revoked certificate does not count any more.
     pub(super) fn approvals_without(&mut self, is_revoked: impl Fn(usize) -> bool) {
         for proposal in self.proposals.values_mut() {
             proposal.agree.retain(|_, (person, _)| !is_revoked(*person));

@@ -23,7 +23,7 @@ pub(super) struct Set {
     pub(super) rule: Option<Rule>,
 }
 
-/// Who must agree.
+/// Those that must agree.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
     /// So many admins of an organisation; of the one whose set it is if none is named.
