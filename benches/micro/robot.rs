@@ -55,6 +55,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         max_age_ms: 1000,
         lease_ms: 10_000,
         stop_hex: None,
+        confidential: false,
         epoch,
     };
     let time = clock();

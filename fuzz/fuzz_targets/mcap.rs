@@ -7,7 +7,7 @@ use mcap::Reader;
 fuzz_target!(|bytes: &[u8]| {
     let mut reader = Reader::new(bytes);
     let mut items = 0;
-    while let Ok(Some(_)) = reader.next() {
+    while let Ok(Some(_)) = reader.read() {
         items += 1;
         assert!(items <= bytes.len(), "more items than bytes");
     }

@@ -1,5 +1,7 @@
 //! What the targets share: here the networks of the vectors, as readers know them that have only just begun.
 
+#![expect(clippy::expect_used, clippy::indexing_slicing, reason = "a fuzz target stops at the first surprise")]
+
 pub mod files;
 pub mod fleet;
 pub mod messages;

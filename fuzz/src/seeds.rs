@@ -1,5 +1,7 @@
 //! Writes a corpus for every target: `fuzz-seeds DIRECTORY`.
 
+#![expect(clippy::indexing_slicing, reason = "vectors that are shorter end the program")]
+
 use bytes::Bytes;
 use ledger::block::Payload;
 use ledger_abac::DEFAULT_POLICY;

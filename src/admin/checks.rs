@@ -95,6 +95,9 @@ mod tests {
     use super::*;
     use ledger_api::v1::CertificateStatus;
 
+    /// The check, what makes it fail, and a part of the reason.
+    type Case = (&'static str, &'static dyn Fn(&mut StatusResponse), &'static str);
+
     const DAY: u64 = 86_400_000_000;
 
     fn status() -> StatusResponse {
@@ -133,7 +136,7 @@ mod tests {
             change(&mut status);
             status
         };
-        let cases: [(&str, &dyn Fn(&mut StatusResponse), &str); 8] = [
+        let cases: [Case; 8] = [
             ("log", &|s| s.divergence = "Org2/node2 has another block".into(), "another block"),
             ("state", &|s| s.catching_up_to = 9, "height 0 of 9"),
             ("quorum", &|s| s.voters_connected = 1, "1 of 3 voters are connected; 2 are needed"),

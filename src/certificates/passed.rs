@@ -145,7 +145,7 @@ fn records(bytes: &[u8]) -> impl Iterator<Item = Proof> {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
     use ledger_hash::Hash;

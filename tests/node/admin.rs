@@ -16,7 +16,7 @@ const ELSEWHERE: &str = "10.77.0.1";
 
 /// The status line and the body of an answer.
 fn get(address: &str, path: &str) -> (String, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
+    let mut stream = eventually("the page listens", || TcpStream::connect(address).ok());
     write!(stream, "GET {path} HTTP/1.1\r\nhost: node\r\nconnection: close\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();

@@ -202,7 +202,7 @@ impl Executor<'_> {
             Some(transaction) => (transaction.leaf(), Ok(transaction)),
             None => (leaf(encoded), Transaction::decode(encoded.clone())),
         };
-        let (leaves, decoded) = transactions.iter().map(|encoded| decode(encoded)).unzip();
+        let (leaves, decoded) = transactions.iter().map(decode).unzip();
         (decoded, leaves)
     }
 

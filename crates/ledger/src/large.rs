@@ -53,7 +53,7 @@ fn bytes(kept: &VecDeque<Transaction>) -> usize {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
     use crate::transaction::Body;

@@ -72,7 +72,7 @@ impl<R: Read> Reader<R> {
     ///
     /// # Errors
     /// The reason why there is no more although the file has no end here.
-    pub fn next(&mut self) -> Result<Option<Item>, Fault> {
+    pub fn read(&mut self) -> Result<Option<Item>, Fault> {
         if !self.has_begun {
             let mut magic = [0; MAGIC.len()];
             let read = self.input.read_exact(&mut magic).map_err(cut);
@@ -194,7 +194,7 @@ mod tests {
         let mut reader = Reader::new(file);
         let mut items = Vec::new();
         loop {
-            match reader.next() {
+            match reader.read() {
                 Ok(Some(item)) => items.push(item),
                 Ok(None) => return (items, None),
                 Err(fault) => return (items, Some(fault)),

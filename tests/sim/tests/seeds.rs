@@ -5,7 +5,9 @@
 use ledgerd_sim::coverage::Coverage;
 use ledgerd_sim::people::People;
 use ledgerd_sim::run::run;
+use std::num::NonZero;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
 const SEEDS: u64 = 300;
@@ -20,14 +22,34 @@ fn holds(seed: u64, people: &Arc<People>) -> Coverage {
     report.coverage
 }
 
+/// Runs so many seeds, one on each processor at a time; what they covered.
+fn all(seeds: u64, people: &Arc<People>) -> Coverage {
+    let next = AtomicU64::new(0);
+    let worker = || {
+        let mut covered = Coverage::default();
+        loop {
+            match next.fetch_add(1, Ordering::Relaxed) {
+                seed if seed < seeds => covered.add(&holds(seed, people)),
+                _ => return covered,
+            }
+        }
+    };
+    let mut covered = Coverage::default();
+    std::thread::scope(|scope| {
+        let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
+        let workers: Vec<_> = (0..processors).map(|_| scope.spawn(worker)).collect();
+        for worker in workers {
+            covered.add(&worker.join().unwrap_or_else(|panicked| std::panic::resume_unwind(panicked)));
+        }
+    });
+    covered
+}
+
 #[test]
 fn no_storm_breaks_a_promise_and_every_kind_of_fault_has_happened() {
     let people = Arc::new(People::new());
     let seeds = std::env::var("LEDGER_SIM_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(SEEDS);
-    let mut covered = Coverage::default();
-    for seed in 0..seeds {
-        covered.add(&holds(seed, &people));
-    }
+    let covered = all(seeds, &people);
     eprintln!("{covered}");
     let missing = covered.missing();
     eprintln!("never happened: {missing:?}");

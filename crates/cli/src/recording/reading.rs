@@ -68,7 +68,7 @@ impl Reading {
     /// [`Code::BadFile`] if the file is no MCAP file, or damaged.
     pub(crate) fn next(&mut self) -> Result<Option<Found>, Rejection> {
         loop {
-            match self.reader.next() {
+            match self.reader.read() {
                 Ok(None) => return Ok(None),
                 Err(Fault::Cut) => {
                     self.is_cut = true;

@@ -69,6 +69,9 @@ impl Model {
     }
 }
 
+/// The newest key: for whom, made for what, until when.
+type Newest = (Sealer, BTreeSet<usize>, (u64, BTreeSet<usize>, bool), u64, u64);
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -82,7 +85,7 @@ proptest! {
             [owner(), member("Ada", 71), member("Ben", 72), member("Cleo", 73)].map(Person::new).into();
         let (mut model, mut seq) = (Model::default(), 0);
         // The newest key: for whom, made for what, until when.
-        let mut newest: Option<(Sealer, BTreeSet<usize>, (u64, BTreeSet<usize>, bool), u64, u64)> = None;
+        let mut newest: Option<Newest> = None;
         for step in steps {
             match step {
                 Step::Enter(who) if !model.revoked.contains(&who) => {
