@@ -31,6 +31,8 @@ pub(crate) fn is_there() -> bool {
 pub(crate) fn in_domain(mut command: Command, domain: u16) -> Command {
     command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
     command.env("CYCLONEDDS_URI", CYCLONE);
+    // Shared memory does not end at a network namespace: what killed processes left there would be found.
+    command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4");
     command
 }
 
