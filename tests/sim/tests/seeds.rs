@@ -22,7 +22,7 @@ fn holds(seed: u64, people: &Arc<People>) -> Coverage {
     report.coverage
 }
 
-/// Runs so many seeds, one on each processor at a time; what they covered.
+/// Runs so many seeds, one on each processor at a time, and says how much they covered.
 fn all(seeds: u64, people: &Arc<People>) -> Coverage {
     let next = AtomicU64::new(0);
     let worker = || {
