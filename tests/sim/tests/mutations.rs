@@ -332,10 +332,10 @@ fn members_that_may_say_everything_are_noticed() {
 
 #[test]
 fn a_proposer_of_policies_that_counts_twice_is_noticed() {
-    caught(Mutation::CountTheProposerTwice, &["the oracle agrees"]);
+    caught(Mutation::CountTheProposerTwice, 2, &["the oracle agrees"]);
 }
 
 #[test]
 fn a_revocation_list_that_goes_back_is_noticed_when_it_is_taken() {
-    caught(Mutation::TakeAnOlderList, &["the oracle agrees"]);
+    caught(Mutation::TakeAnOlderList, 2, &["the oracle agrees"]);
 }
