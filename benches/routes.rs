@@ -195,7 +195,7 @@ fn passing(site: &Site, time: Duration) -> Value {
         let count = (time.as_secs_f64() * hz) as u32;
         // The first second warms up, and is not measured.
         let warm = hz as u32;
-        let mut subscriber = end(1).subscriber_for(time + Duration::from_secs(8));
+        let mut subscriber = end(1).subscriber_for(time + Duration::from_secs(30));
         std::thread::sleep(SETTLED);
         let mut publisher = end(0).publisher(count + warm, hz);
         publisher.matched();

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
-/// Time between two writes of the index, at least.
+/// Time between two writes of the index, unless blocks are large.
 const EVERY: Duration = Duration::from_secs(2);
 /// How long it takes blocks at once.
 const TURN: Duration = Duration::from_millis(500);
@@ -79,7 +79,8 @@ impl Audit {
                     break;
                 }
             }
-            tokio::time::sleep(EVERY).await;
+            // Later it would have to read from the disk what is in memory now.
+            let _ = timeout(EVERY, self.blocks.half_forgotten()).await;
             if head.changed().await.is_err() {
                 return;
             }
@@ -117,7 +118,7 @@ impl Audit {
         let known = self.index.known();
         let mut page = self.index.find(question, shown)?;
         for row in page.rows.iter_mut().filter(|row| row.is_use()) {
-            row.policy_version = self.index.policies_of(&row.subject, row.epoch)?;
+            (row.policy_version, row.policies) = self.index.policies_of(&row.subject, row.epoch)?;
         }
         Ok((page, known))
     }

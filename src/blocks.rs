@@ -14,7 +14,7 @@ use ledger_storage::block_store::BlockStore;
 use ledger_storage::result::TransactionResult;
 use std::collections::VecDeque;
 use std::sync::{Arc, PoisonError, RwLock};
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 
 /// Blocks kept in memory for subscribers that keep up. A small one takes about 1.2 KiB with what it did.
 const RECENT_BLOCKS_MAX: usize = 1024;
@@ -27,6 +27,8 @@ pub(crate) struct Blocks {
     store: Arc<BlockStore>,
     recent: RwLock<Newest>,
     head: watch::Sender<u64>,
+    /// Told when half of what fits into memory has come since the last time.
+    half_forgotten: Notify,
     interests: Arc<Interests>,
 }
 
@@ -34,13 +36,22 @@ pub(crate) struct Blocks {
 struct Newest {
     outcomes: VecDeque<Arc<Outcome>>,
     bytes: usize,
+    /// Bytes that came since somebody was told.
+    came: usize,
 }
 
 impl Blocks {
     /// The blocks of a ledger, of which none is in memory yet.
     pub(crate) fn new(ledger: Arc<Ledger>, store: Arc<BlockStore>) -> Self {
         let head = watch::Sender::new(ledger.tip().height);
-        Self { ledger, store, recent: RwLock::default(), head, interests: Arc::default() }
+        Self {
+            ledger,
+            store,
+            recent: RwLock::default(),
+            head,
+            half_forgotten: Notify::new(),
+            interests: Arc::default(),
+        }
     }
 
     /// Takes the block that was executed last and wakes everybody who waits for it, or for one of its events.
@@ -49,7 +60,13 @@ impl Blocks {
         let events = Arc::clone(&outcome);
         {
             let mut recent = self.recent.write().unwrap_or_else(PoisonError::into_inner);
-            recent.bytes += bytes_of(&outcome);
+            let bytes = bytes_of(&outcome);
+            recent.bytes += bytes;
+            recent.came += bytes;
+            if recent.came > RECENT_BYTES_MAX / 2 {
+                recent.came = 0;
+                self.half_forgotten.notify_one();
+            }
             recent.outcomes.push_back(outcome);
             while recent.outcomes.len() > RECENT_BLOCKS_MAX || recent.bytes > RECENT_BYTES_MAX {
                 let Some(oldest) = recent.outcomes.pop_front() else { break };
@@ -82,6 +99,11 @@ impl Blocks {
     /// Follows the height of the last executed block.
     pub(crate) fn head(&self) -> watch::Receiver<u64> {
         self.head.subscribe()
+    }
+
+    /// Waits until so many bytes came that half of the recent blocks are no longer in memory. For one who follows.
+    pub(crate) async fn half_forgotten(&self) {
+        self.half_forgotten.notified().await;
     }
 
     /// The block at a height; none if it was not executed yet, or if it is the genesis.

@@ -225,6 +225,7 @@ impl Shared {
             clock: (self.clock)().max(self.ledger.tip().time),
             cut_off: (self.cut_off)(),
             carries: self.authorities.organisations(),
+            rules: self.ledger.rules().number(),
         }
     }
 

@@ -96,7 +96,7 @@ impl Names {
             chaincode: body.chaincode.clone(),
             function: body.function.clone(),
             subject: if is_name { argument.into_owned() } else { String::new() },
-            transaction: transaction.id(),
+            transaction: outcome.ids.get(place).copied().unwrap_or(Hash::ZERO),
         }
     }
 
@@ -196,6 +196,7 @@ fn of_abac(event: &Event, call: &Call) -> Row {
         subject: event.subject.clone(),
         epoch: number("epoch"),
         policy_version: number("policy_version").max(number("version")),
+        policies: names(&payload, "policies"),
         detail: words(&payload),
         transaction: bytes(&call.transaction),
         others,
@@ -232,6 +233,7 @@ fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
     let told: Option<TellRefusals> = serde_json::from_slice(&event.payload).ok();
     let rows = told.map(|told| told.refusals).unwrap_or_default().into_iter().map(|refused| {
         let Refused { who, chaincode, function, subject, code, count, first, last, sample, why, found } = refused;
+        let (policy_version, policies) = policies(&why);
         Row {
             decision: "refused".into(),
             who,
@@ -241,7 +243,8 @@ fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
             count,
             first,
             last,
-            policy_version: policy_version(&why),
+            policy_version,
+            policies,
             detail: why,
             found,
             transaction: sample.map(|sample| bytes(&sample)).unwrap_or_default(),
@@ -254,6 +257,7 @@ fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
 
 /// A call that the block refused.
 fn of_refusal(call: &Call, result: &TransactionResult) -> Row {
+    let (policy_version, policies) = policies(&result.message);
     Row {
         decision: "refused".into(),
         who: call.creator.clone(),
@@ -264,7 +268,8 @@ fn of_refusal(call: &Call, result: &TransactionResult) -> Row {
             call.subject.clone()
         },
         code: result.code,
-        policy_version: policy_version(&result.message),
+        policy_version,
+        policies,
         detail: short(&result.message),
         found: short(&result.found),
         transaction: bytes(&call.transaction),
@@ -277,10 +282,20 @@ fn robot(service: &str) -> String {
     service.split('/').next().unwrap_or_default().split(':').next().unwrap_or_default().to_owned()
 }
 
-/// The number of the set of policies that a refusal names: `(policies of Org2, version 3)`.
-fn policy_version(why: &str) -> u64 {
-    let number = why.rsplit_once(", version ").map_or("", |(_, number)| number);
-    number.trim_end_matches(')').parse().unwrap_or_default()
+/// The number of the set of policies that a refusal names, and those that forbid: `(policies of Org2, version 3: night, rain)`.
+fn policies(why: &str) -> (u64, Vec<String>) {
+    let told = why.rsplit_once(", version ").and_then(|(_, told)| told.strip_suffix(')')).unwrap_or_default();
+    let (number, ids) = told.split_once(": ").unwrap_or((told, ""));
+    match number.parse() {
+        Ok(number) => (number, ids.split(", ").filter(|id| !id.is_empty()).map(str::to_owned).collect()),
+        Err(_) => (0, Vec::new()),
+    }
+}
+
+/// The texts in a field of a payload that is a list.
+fn names(payload: &Value, field: &str) -> Vec<String> {
+    let list = payload.get(field).and_then(Value::as_array);
+    list.into_iter().flatten().filter_map(|name| Some(name.as_str()?.to_owned())).collect()
 }
 
 /// The words of a payload.

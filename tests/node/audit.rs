@@ -106,7 +106,8 @@ async fn who_commanded_who_was_refused_and_under_which_policy_is_found_after_a_r
         let used = of("used");
         assert_eq!(used.iter().map(|row| row.count).sum::<u64>(), 3);
         assert!(
-            used.iter().all(|row| row.who == "Org1/Salma" && row.epoch == 1 && row.policy_version == 1),
+            used.iter().all(|row| row.who == "Org1/Salma" && row.epoch == 1 && row.policy_version == 1)
+                && used.iter().all(|row| row.policies == ["drivers"]),
             "{used:?}"
         );
         let refused = of("refused");
@@ -273,7 +274,7 @@ fn recorded_decisions_are_asked_again_under_other_policies() {
     let file = dev.home.path().join("all.cedar");
     std::fs::write(&file, "permit (principal, action, resource);").unwrap();
     let file = file.to_str().unwrap();
-    let shadow = owner.json(&["policy", "shadow", file]);
+    let shadow = owner.json(&["policy", "shadow", file])[0].clone();
     assert_eq!(
         (&shadow["decisions"], &shadow["times"], &shadow["unknown"]),
         (&2.into(), &2.into(), &0.into()),
@@ -284,6 +285,25 @@ fn recorded_decisions_are_asked_again_under_other_policies() {
     assert_eq!((&differ[0]["who"], &differ[0]["was"]), (&"Org1/Farhad".into(), &"denied".into()));
     let diff = owner.json(&["policy", "diff", file, "--decisions", "5"]);
     assert_eq!((&diff["ended"], diff["recorded"]["differ"].as_array().unwrap().len()), (&0.into(), 1), "{diff}");
+
+    // A proposed set runs beside the one in force, from its proposal on.
+    let proposed = owner.json(&["policy", "propose", file, "--shadow"]);
+    let id = proposed["id"].as_str().unwrap();
+    let beside = || owner.json(&["policy", "shadow"])[0].clone();
+    let before = beside();
+    assert_eq!((&before["proposal"], &before["decisions"]), (&id.into(), &0.into()), "{before}");
+    farhad.run(&["acquire", "Husky/cmd_vel"]).refused(2, &["LGR-3001"]);
+    salma.run(&["release", "Husky/cmd_vel"]).ok();
+    salma.run(&["acquire", "Husky/cmd_vel"]).ok();
+    let after = eventually("both decisions are compared", || {
+        let after = beside();
+        (after["decisions"] == 2).then_some(after)
+    });
+    let differ = after["differ"].as_array().unwrap();
+    assert_eq!((differ.len(), &differ[0]["who"]), (1, &"Org1/Farhad".into()), "{after}");
+    assert_eq!(owner.json(&["policy", "history"]).as_array().unwrap().len(), 0, "nothing is in force by it");
+    owner.run(&["policy", "withdraw", id]).ok();
+    assert_eq!(owner.json(&["policy", "shadow"]).as_array().unwrap().len(), 0);
 
     // Somebody whom a command names is found by the name.
     dev.admin().run(&["identity", "revoke", "Farhad", "--reason", "lost"]).ok();

@@ -102,7 +102,7 @@ fn sets_of_policies_have_numbers_are_rolled_back_and_need_the_agreement_that_the
     owner.run(&["policy", "apply", &open, &closed]).refused(5, &["LGR-3024", "found   Husky", "--i-mean-it"]);
     let ended = owner.json(&["policy", "apply", &open, &closed, "--i-mean-it"]);
     assert_eq!(ended["ended"][0]["holder"], "Org1/Salma", "{ended}");
-    salma.run(&["acquire", "Husky"]).refused(2, &["LGR-3002", "(policies of Org2, version 2)"]);
+    salma.run(&["acquire", "Husky"]).refused(2, &["LGR-3002", "(policies of Org2, version 2: closed)"]);
     owner.run(&["policy", "rollback", "1", "--base", "1"]).refused(5, &["LGR-3023", "version 2 in force"]);
     owner.run(&["policy", "rollback", "1", "-m", "too strict"]).ok();
     salma.run(&["acquire", "Husky"]).ok();

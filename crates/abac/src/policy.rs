@@ -26,13 +26,13 @@ use self::explain::Explanation;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
 use cedar_policy::{Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, Validator};
-use ledger_contract::{Attributes, Limits, PolicyFault};
+use ledger_contract::{Attributes, Limits, POLICIES_TOLD_MAX, PolicyFault};
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use quick_cache::Weighter;
 use quick_cache::unsync::Cache;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -126,6 +126,16 @@ pub(crate) enum Verdict {
     Fault(String),
 }
 
+impl Verdict {
+    /// The first policies that forbid it.
+    fn forbidding(&self) -> Vec<String> {
+        match self {
+            Self::Forbidden(ids) => ids.iter().take(POLICIES_TOLD_MAX).cloned().collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
 /// The annotations of policies on something that they permit.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Permit {
@@ -135,6 +145,8 @@ pub(crate) struct Permit {
     pub(crate) limits: Limits,
     /// When the last of these windows closes (block time, microseconds); never, if a policy without one permits it.
     pub(crate) closes: Option<u64>,
+    /// The ids of the policies that permit it, in order; none under rules that do not tell them.
+    pub(crate) policies: Vec<String>,
 }
 
 impl Permit {
@@ -145,14 +157,21 @@ impl Permit {
         if closes.is_none() {
             limits.between.clear();
         }
-        Self { priority: self.priority.max(other.priority), limits, closes }
+        let policies = both(self.policies, other.policies);
+        Self { priority: self.priority.max(other.priority), limits, closes, policies }
     }
 
     /// Another use must be permitted as well.
     pub(crate) fn and(self, other: Self) -> Self {
         let closes = self.closes.into_iter().chain(other.closes).min();
-        Self { priority: self.priority, limits: self.limits.and(other.limits), closes }
+        let policies = both(self.policies, other.policies);
+        Self { priority: self.priority, limits: self.limits.and(other.limits), closes, policies }
     }
+}
+
+/// The ids of two lists, each once and in order.
+fn both(one: Vec<String>, other: Vec<String>) -> Vec<String> {
+    BTreeSet::from_iter(one.into_iter().chain(other)).into_iter().collect()
 }
 
 /// A verdict, and whether it holds whatever the time is.

@@ -45,7 +45,14 @@ pub struct Grant {
     /// The number of the owner's set of policies under which it was given or renewed; 0 if the owner has never had any.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub policy_version: u64,
+    /// The policies that permitted it then, by their ids in order, at most [`POLICIES_TOLD_MAX`]. None if an admin took it whatever
+    /// policies say, or under rules that do not tell them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub policies: Vec<String>,
 }
+
+/// Most policies that a grant names.
+pub const POLICIES_TOLD_MAX: usize = 8;
 
 fn is_zero(number: &u64) -> bool {
     *number == 0

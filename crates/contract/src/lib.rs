@@ -43,7 +43,7 @@ pub use confidential::{
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};
 pub use emergency::{Emergency, EmergencyAnswer, Stopped};
-pub use grant::{Grant, Reason, Released};
+pub use grant::{Grant, POLICIES_TOLD_MAX, Reason, Released};
 pub use limits::Limits;
 pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
 pub use message::{Latest, MessageEvent, Published};

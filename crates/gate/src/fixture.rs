@@ -221,6 +221,7 @@ pub fn grant(holder: &str, epoch: u64) -> Grant {
         follows: None,
         task: None,
         policy_version: 0,
+        policies: Vec::new(),
     }
 }
 

@@ -228,7 +228,7 @@ impl Executor<'_> {
         transaction.check_time(header.time)?;
         let (identity, new) = self.identities.creator(transaction, overlay, (header.time, self.rules))?;
         if !verified {
-            transaction.verify(&identity.public_key)?;
+            transaction.verify_by(self.rules, &identity.public_key)?;
         }
         Ok((identity, new))
     }

@@ -116,7 +116,9 @@ impl Identities {
         at: u64,
     ) -> Vec<T> {
         let mut verified = Vec::new();
-        let mut known = transactions.filter_map(|(which, transaction)| {
+        // The hash of a long one costs more than what is saved, and it may be signed by its id.
+        let short = transactions.filter(|(_, transaction)| !transaction.is_long());
+        let mut known = short.filter_map(|(which, transaction)| {
             let identity = self.remembered(&transaction.creator(), at)?;
             (identity.public_key.kind() == KeyKind::Ed25519).then_some((which, (transaction, identity)))
         });

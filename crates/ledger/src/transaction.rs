@@ -2,9 +2,10 @@
 //!
 //! The message formats are those of `crates/api/proto/ledgerd/v1/transaction.proto`. A transaction travels and is
 //! stored as the exact bytes that its creator sent. Its id is the SHA-256 of its body, so a rewritten signature (ECDSA
-//! allows many) is still the same transaction.
+//! allows many) is still the same transaction. The creator signs the body, or the id of a long one.
 
 use crate::block::{PAYLOAD_BYTES_MAX, leaf};
+use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -27,6 +28,11 @@ pub const NAME_BYTES_MAX: usize = 128;
 pub const NONCE_BYTES: usize = 16;
 /// Separates these signatures from everything else that the same key may sign (TLS, certificate requests).
 const SIGNATURE_DOMAIN: &[u8] = b"ledgerd transaction v1\0";
+/// The same where the id is signed.
+const ID_SIGNATURE_DOMAIN: &[u8] = b"ledgerd transaction id v1\0";
+/// A body with more bytes may be signed by its id. Ed25519 hashes what it signs twice, and every check hashes it again,
+/// with a hash for which processors have no instructions; the id is needed anyway.
+pub const SIGNED_WHOLE_MAX: usize = 4096;
 
 /// The bytes that the creator signs.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
@@ -68,11 +74,11 @@ struct Envelope {
 /// A transaction whose form has been checked; its signature has not (see [`Transaction::verify`]).
 #[derive(Clone, Debug)]
 pub struct Transaction {
-    id: Hash,
     body: Body,
     envelope: Envelope,
     encoded: Bytes,
-    /// Calculated when somebody asks: hashing megabytes takes a millisecond.
+    /// Both are calculated when somebody asks: hashing megabytes takes a millisecond.
+    id: OnceLock<Hash>,
     leaf: OnceLock<Hash>,
 }
 
@@ -84,7 +90,7 @@ impl PartialEq for Transaction {
 }
 
 impl Transaction {
-    /// Signs a body.
+    /// Signs a body whole, as every network understands it.
     ///
     /// # Errors
     /// A transaction that [`Transaction::decode`] would refuse.
@@ -94,7 +100,21 @@ impl Transaction {
         body.encode_raw(&mut signed);
         let signature = key.sign(&signed).into();
         let body = Bytes::from(signed).slice(SIGNATURE_DOMAIN.len()..);
-        Self::from_envelope(Envelope { body, signature, certificate: Bytes::new() })
+        Self::from_envelope(Envelope { body, signature, certificate: Bytes::new() }, OnceLock::new())
+    }
+
+    /// Signs a body by its id if it is long, as [rules 3](crate::Rules) allow it, else whole.
+    ///
+    /// # Errors
+    /// As [`Transaction::sign`].
+    pub fn sign_by_id(body: &Body, key: &SigningKey) -> Result<Self, Rejection> {
+        if body.encoded_len() <= SIGNED_WHOLE_MAX {
+            return Self::sign(body, key);
+        }
+        let body = Bytes::from(body.encode_to_vec());
+        let id = Hash::of(&[&body]);
+        let signature = key.sign(&signed_id(&id)).into();
+        Self::from_envelope(Envelope { body, signature, certificate: Bytes::new() }, id.into())
     }
 
     /// The same transaction, carrying its creator's certificate.
@@ -102,7 +122,7 @@ impl Transaction {
     /// # Errors
     /// [`Code::TooLarge`] if it does not fit.
     pub fn with_certificate(&self, certificate: Bytes) -> Result<Self, Rejection> {
-        Self::from_envelope(Envelope { certificate, ..self.envelope.clone() })
+        Self::from_envelope(Envelope { certificate, ..self.envelope.clone() }, self.id.clone())
     }
 
     /// Reads a transaction and checks its form.
@@ -121,16 +141,17 @@ impl Transaction {
         check_encoding("Transaction", &envelope, encoded.len())?;
         check_encoding("TransactionBody", &body, envelope.body.len())?;
         check_form(&body)?;
-        Ok(Self { id: Hash::of(&[&envelope.body]), body, envelope, encoded, leaf: OnceLock::new() })
+        Ok(Self { body, envelope, encoded, id: OnceLock::new(), leaf: OnceLock::new() })
     }
 
-    fn from_envelope(envelope: Envelope) -> Result<Self, Rejection> {
-        Self::decode(envelope.encode_to_vec().into())
+    /// `id` is that of the body, if it was calculated.
+    fn from_envelope(envelope: Envelope, id: OnceLock<Hash>) -> Result<Self, Rejection> {
+        Ok(Self { id, ..Self::decode(envelope.encode_to_vec().into())? })
     }
 
     /// SHA-256 of the body.
     pub fn id(&self) -> Hash {
-        self.id
+        *self.id.get_or_init(|| Hash::of(&[&self.envelope.body]))
     }
 
     /// Its leaf in the Merkle tree of a block.
@@ -158,18 +179,37 @@ impl Transaction {
         &self.encoded
     }
 
-    /// Checks the creator's signature.
+    /// May its signature be over its id?
+    pub(crate) fn is_long(&self) -> bool {
+        self.envelope.body.len() > SIGNED_WHOLE_MAX
+    }
+
+    /// Checks the creator's signature, over the body or over the id of a long one. For who reads what a block has: the rules
+    /// of that block decided which of both was good.
     ///
     /// # Errors
     /// [`Code::BadSignature`].
     pub fn verify(&self, key: &PublicKey) -> Result<(), Rejection> {
+        let by_id = self.is_long() && key.verify(&signed_id(&self.id()), &self.envelope.signature).is_ok();
+        if by_id { Ok(()) } else { self.verify_whole(key) }
+    }
+
+    /// Checks the creator's signature by the rules of a block.
+    ///
+    /// # Errors
+    /// [`Code::BadSignature`].
+    pub(crate) fn verify_by(&self, rules: Rules, key: &PublicKey) -> Result<(), Rejection> {
+        if rules.signs_ids() { self.verify(key) } else { self.verify_whole(key) }
+    }
+
+    fn verify_whole(&self, key: &PublicKey) -> Result<(), Rejection> {
         key.verify(&signed_bytes(&self.envelope.body), &self.envelope.signature).map_err(|error| {
-            Rejection::new(Code::BadSignature, format!("signature of transaction {} is not valid: {error}", self.id))
+            Rejection::new(Code::BadSignature, format!("signature of transaction {} is not valid: {error}", self.id()))
                 .wanted(format!("a signature by the key of certificate {}", self.creator()))
         })
     }
 
-    /// Do the creators' signatures of all these verify? As [`PublicKey::verify_together`].
+    /// Do the creators' signatures over the bodies of all these verify? As [`PublicKey::verify_together`].
     pub(crate) fn verify_together(signed: &[(&Self, Arc<Identity>)]) -> bool {
         let messages: Vec<_> = signed.iter().map(|(transaction, _)| signed_bytes(&transaction.envelope.body)).collect();
         PublicKey::verify_together(signed.iter().zip(&messages).map(|((transaction, identity), message)| {
@@ -218,6 +258,10 @@ pub fn claimed_creator(encoded: &Bytes) -> Option<Hash> {
 
 fn signed_bytes(body: &[u8]) -> Vec<u8> {
     [SIGNATURE_DOMAIN, body].concat()
+}
+
+fn signed_id(id: &Hash) -> Vec<u8> {
+    [ID_SIGNATURE_DOMAIN, &id.0].concat()
 }
 
 fn malformed(what: &str) -> Rejection {
@@ -286,6 +330,47 @@ mod tests {
         let signature = key.sign(&signed_bytes(&body)).into();
         let envelope = Envelope { body: body.into(), signature, certificate: Bytes::new() };
         Transaction::decode([&envelope.encode_to_vec(), beyond].concat().into())
+    }
+
+    /// A call that this key has signed in this way.
+    fn signed_as(body: &[u8], key: &SigningKey, message: &[u8]) -> Transaction {
+        let signature = key.sign(message).into();
+        let envelope = Envelope { body: body.to_vec().into(), signature, certificate: Bytes::new() };
+        Transaction::decode(envelope.encode_to_vec().into()).unwrap()
+    }
+
+    #[test]
+    fn a_long_body_may_be_signed_by_its_id_and_a_short_one_may_not() {
+        let with = |argument: usize| Body { args: vec![vec![7; argument].into()], ..body() };
+        let longest = SIGNED_WHOLE_MAX - with(SIGNED_WHOLE_MAX).encoded_len() + SIGNED_WHOLE_MAX;
+        for kind in [KeyKind::Ed25519, KeyKind::P256] {
+            let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
+            for (argument, may) in [(longest, false), (longest + 1, true)] {
+                let encoded = with(argument).encode_to_vec();
+                assert_eq!(encoded.len() > SIGNED_WHOLE_MAX, may);
+                let id = Hash::of(&[&encoded]);
+                let by_id = signed_as(&encoded, &key, &signed_id(&id));
+                assert_eq!(by_id.verify(&key.public_key()).is_ok(), may);
+                assert_eq!(by_id.verify_by(Rules::NEWEST, &key.public_key()).is_ok(), may);
+                assert!(by_id.verify_by(Rules::FIRST, &key.public_key()).is_err());
+                let whole = signed_as(&encoded, &key, &signed_bytes(&encoded));
+                for rules in Rules::all() {
+                    whole.verify_by(rules, &key.public_key()).unwrap();
+                }
+                // The text before keeps one kind of signature from passing for the other, and for that of another message.
+                let of_another = signed_as(&encoded, &key, &signed_id(&Hash::of(&[b"another"])));
+                let mixed = signed_as(&encoded, &key, &signed_bytes(&id.0));
+                assert!(of_another.verify(&key.public_key()).is_err() && mixed.verify(&key.public_key()).is_err());
+                let made = Transaction::sign_by_id(&with(argument), &key).unwrap();
+                made.verify(&key.public_key()).unwrap();
+                assert_eq!(
+                    made.verify_whole(&key.public_key()).is_err(),
+                    may,
+                    "the shorter way is taken where it may be"
+                );
+                assert_eq!(made.id(), id);
+            }
+        }
     }
 
     #[test]

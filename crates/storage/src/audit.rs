@@ -25,7 +25,7 @@ use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The form of the rows. An index of another one is made again.
-const VERSION: u64 = 1;
+const VERSION: u64 = 2;
 const META: &[u8] = b"m";
 const ROWS: u8 = b'r';
 const GRANTS: u8 = b'g';
@@ -139,13 +139,14 @@ impl Index {
         Ok(more)
     }
 
-    /// The number of the set of policies under which a grant was given, and whose set it is.
+    /// The number of the set of policies under which a grant was given, and the ids of those that permitted it.
     ///
     /// # Errors
     /// [`Code::Corrupt`], [`Code::DiskFailed`].
-    pub fn policies_of(&self, service: &str, epoch: u64) -> Result<u64, Rejection> {
+    pub fn policies_of(&self, service: &str, epoch: u64) -> Result<(u64, Vec<String>), Rejection> {
         let value = self.store.get(&grant_key(service, epoch))?;
-        Ok(value.and_then(|value| value.first_chunk().copied()).map_or(0, u64::from_be_bytes))
+        let row = value.map(|value| Row::read(&value)).transpose()?.unwrap_or_default();
+        Ok((row.policy_version, row.policies))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -206,8 +207,9 @@ fn put(place: &Place, row: &Row, writes: &mut WriteSet) {
 }
 
 fn grant_of(row: &Row) -> Option<(Bytes, Bytes)> {
-    let is_grant = row.decision == "granted" && row.policy_version > 0;
-    let value = || Bytes::copy_from_slice(&row.policy_version.to_be_bytes());
+    let is_grant = row.decision == "granted" && (row.policy_version > 0 || !row.policies.is_empty());
+    let Row { policy_version, policies, .. } = row.clone();
+    let value = || Row { policy_version, policies, ..Row::default() }.to_bytes();
     is_grant.then(|| (grant_key(&row.subject, row.epoch).into(), value()))
 }
 

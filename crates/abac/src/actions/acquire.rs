@@ -238,7 +238,8 @@ pub(crate) fn give(
             may_delegate,
             follows,
             task,
-            policy_version: texts::version(ctx, &target.robot.organisation)?.number,
+            policy_version: 0,
+            policies: Vec::new(),
         },
         principal,
         priority,
@@ -250,6 +251,7 @@ pub(crate) fn give(
         givers,
     };
     holding.bind(&target.service, &permit.limits, permit.closes);
+    holding.decided_by(texts::version(ctx, &target.robot.organisation)?.number, &permit.policies);
     holding.extend(now);
     grant::put(ctx, &holding)?;
     if let Some(idle) = Terms::of(&target.service.sharing).idle_release_us {

@@ -37,7 +37,7 @@ pub(crate) fn renewed(
     after.grant.lease_ms = lease_ms.unwrap_or(before.grant.lease_ms).min(target.service.lease_ms_max);
     after.grant.next_seq = publish::next_sequence(ctx, decider, target, before.grant.epoch, &before.grant.holder)?;
     after.bind(&target.service, &permit.limits, permit.closes);
-    after.grant.policy_version = texts::version(ctx, &target.robot.organisation)?.number;
+    after.decided_by(texts::version(ctx, &target.robot.organisation)?.number, &permit.policies);
     after.extend(ctx.block_time());
     grant::replace(ctx, &before, &after)?;
     let told = store::json(&after.grant)?;
@@ -61,7 +61,7 @@ pub(crate) fn used(
     let Ok(permit) = decider::may_keep(ctx, decider, before, target) else { return Ok(()) };
     let mut after = before.clone();
     after.bind(&target.service, &permit.limits, permit.closes);
-    after.grant.policy_version = texts::version(ctx, &target.robot.organisation)?.number;
+    after.decided_by(texts::version(ctx, &target.robot.organisation)?.number, &permit.policies);
     after.extend(now);
     grant::replace(ctx, before, &after)
 }

@@ -65,7 +65,7 @@ pub(super) enum Said {
 /// # Errors
 /// The annotation that cannot be read: it was put under rules that did not look at it.
 pub(super) fn said(policy: &Policy, time_ms: i64) -> Result<Said, String> {
-    let mut permit = Permit::default();
+    let mut permit = Permit { policies: vec![policy.id().to_string()], ..Permit::default() };
     for (name, value) in policy.annotations() {
         read(name, value, &mut permit)
             .map_err(|wanted| format!("@{name}({}) of {}: wanted {wanted}", shown(value), policy.id()))?;

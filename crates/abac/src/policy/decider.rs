@@ -202,8 +202,9 @@ impl Decider {
             Verdict::Permit(permit) => Ok(permit),
             denial => {
                 let why = || self.explanation(ctx, principal, Object::Service(target, action));
+                let forbidding = denial.forbidding();
                 let refused = refusal::explain(principal, target, action, denial, why);
-                Err(by_version(ctx, &target.robot.organisation, refused))
+                Err(by_version(ctx, &target.robot.organisation, &forbidding, refused))
             }
         }
     }
@@ -226,8 +227,9 @@ impl Decider {
             Verdict::Permit(_) => Ok(()),
             denial => {
                 let why = || self.explanation(ctx, principal, Object::Robot(robot, action));
+                let forbidding = denial.forbidding();
                 let refused = refusal::explain_robot(principal, robot, action, denial, why);
-                Err(by_version(ctx, &robot.organisation, refused))
+                Err(by_version(ctx, &robot.organisation, &forbidding, refused))
             }
         }
     }
@@ -321,11 +323,12 @@ impl Decider {
     }
 }
 
-/// A refusal names the set of policies that decided, if it has a number.
-fn by_version(ctx: &Context<'_>, owner: &str, mut refused: Rejection) -> Rejection {
+/// A refusal names the set of policies that decided, if it has a number, and those of it that forbid.
+fn by_version(ctx: &Context<'_>, owner: &str, forbidding: &[String], mut refused: Rejection) -> Rejection {
     let number = texts::version(ctx, owner).map_or(0, |version| version.number);
     if number > 0 {
-        refused.message = format!("{} (policies of {owner}, version {number})", refused.message);
+        let ids = if forbidding.is_empty() { String::new() } else { format!(": {}", forbidding.join(", ")) };
+        refused.message = format!("{} (policies of {owner}, version {number}{ids})", refused.message);
     }
     refused
 }

@@ -12,7 +12,7 @@ use super::service::{Service, Target};
 use super::{service, store};
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::{Grant, Limits, Reason};
+use ledger_contract::{Grant, Limits, POLICIES_TOLD_MAX, Reason};
 use ledger_mutation::lease_clock;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -91,6 +91,12 @@ impl Holding {
     /// Its holder, and those who passed it on.
     pub(crate) fn principals(&self) -> impl Iterator<Item = &Principal> {
         [&self.principal].into_iter().chain(self.givers.iter().map(|giver| &giver.principal))
+    }
+
+    /// Takes note of the policies that permitted it, those of a set with this number.
+    pub(crate) fn decided_by(&mut self, version: u64, policies: &[String]) {
+        self.grant.policy_version = version;
+        self.grant.policies = policies.iter().take(POLICIES_TOLD_MAX).cloned().collect();
     }
 
     /// Binds it to what policies say. Speeds are limited where messages have them.
@@ -264,6 +270,7 @@ mod tests {
             follows: None,
             task: None,
             policy_version: 0,
+            policies: Vec::new(),
         };
         let principal = Principal {
             organisation: "Org1".to_owned(),

@@ -48,10 +48,11 @@ const OF_RULES_2: [&str; 2] = [
     "7d4913a4df1dd0a9a4b14548131ea22f2bfed74f738fb4206b2ceabba3be6778",
     "82a50de3ff171b82e01a9a975708dfcf5c6a4ee84207f9a3a4d1d4cb86f90043",
 ];
-/// Robots have an index by owner, versions of policies their steps, and what is decided again is marked meanwhile.
+/// Robots have an index by owner, versions of policies their steps, what is decided again is marked meanwhile, and grants name
+/// the policies that permitted them.
 const OF_RULES_3: [&str; 2] = [
-    "064c07172b7af1af3e5ce3eb04836d4898bdc125a8f5db084ee3d62896e952ad",
-    "d5c4c2cd9da249daac1bd0613f7c1772c4217d3f85128f2dfc05e94744484e98",
+    "e6e2f7682084bf142dd21cbc0db4b81f26246ef5a427ff805357413a10abd1eb",
+    "8a0bf6aa39140c2bb52081778a5e5d83c8faa8cd6ccb97d957aa12f93eee9c17",
 ];
 
 #[test]

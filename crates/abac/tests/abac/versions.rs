@@ -88,6 +88,7 @@ fn grants_refusals_and_answers_name_the_set_that_decided() {
     let mut fleet = Fleet::of_the_paper();
     let granted: Grant = fleet.get(&salma(), "acquire", &[HUSKY]);
     assert_eq!(granted.policy_version, 0, "the built-in policy, never changed");
+    assert!(!granted.policies.is_empty() && granted.policies.iter().all(|id| id.starts_with("default")), "{granted:?}");
     fleet.ok(&salma(), "release", &[HUSKY]);
     fleet.ok(&owner(), "policy", &["apply", &json(&set("first"))]);
     fleet.ok(&owner(), "policy", &["apply", &json(&set("again"))]);
@@ -97,12 +98,19 @@ fn grants_refusals_and_answers_name_the_set_that_decided() {
     let draft = PolicyDraft { policies: Some(vec![policy("all", only)]), ..set("") };
     fleet.ok(&owner(), "policy", &["apply", &json(&draft)]);
     let renewed: Grant = fleet.get(&salma(), "renew", &[HUSKY]);
-    assert_eq!(renewed.policy_version, 3);
+    assert_eq!((renewed.policy_version, renewed.policies), (3, vec!["all".to_owned()]));
     let refused = fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[TURTLEBOT]);
     assert!(refused.message.ends_with("(policies of Org2, version 3)"), "{refused}");
+    let not_farhad = "forbid (principal, action, resource) when { principal.name == \"Farhad\" };";
+    let policies = vec![policy("all", ALL), policy("also", ALL), policy("not-farhad", not_farhad)];
+    fleet.ok(&owner(), "policy", &["apply", &json(&PolicyDraft { policies: Some(policies), ..set("") })]);
+    let renewed: Grant = fleet.get(&salma(), "renew", &[HUSKY]);
+    assert_eq!((renewed.policy_version, renewed.policies), (4, vec!["all".to_owned(), "also".to_owned()]));
+    let refused = fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[TURTLEBOT]);
+    assert!(refused.message.ends_with("(policies of Org2, version 4: not-farhad)"), "{refused}");
     let ask = Ask { action: "acquire".into(), service: TURTLEBOT.into(), ..Ask::default() };
     let can: Can = fleet.get(&farhad(), "can", &[&serde_json::to_string(&ask).unwrap()]);
-    assert_eq!((can.allowed, can.policy_version), (false, 3));
+    assert_eq!((can.allowed, can.policy_version), (false, 4));
 }
 
 #[test]

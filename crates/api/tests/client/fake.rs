@@ -5,6 +5,7 @@ mod enrolment;
 use crate::authority::{Authority, NETWORK};
 use crate::plugged::Plugged;
 use bytes::Bytes;
+use ledger::Rules;
 use ledger::transaction::Transaction;
 use ledger_api::tls::{TrustSource, server_config};
 use ledger_api::v1::enrolment_server::EnrolmentServer;
@@ -17,7 +18,7 @@ use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::io;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::net::TcpListener;
@@ -99,6 +100,8 @@ pub(crate) struct Node {
     pub(crate) cut_off: AtomicBool,
     /// The organisations whose CA it carries.
     pub(crate) carries: Mutex<Vec<String>>,
+    /// The number of the rules that it tells.
+    pub(crate) rules: AtomicU32,
     /// The way that it shows to who asks for the governance.
     pub(crate) steps: Mutex<Vec<v1::GovernanceStep>>,
     /// Makes proofs of a block, with the id of the newest transaction.
@@ -146,6 +149,7 @@ impl Fake {
             no_renewal: Mutex::default(),
             cut_off: AtomicBool::new(false),
             carries: Mutex::new(vec!["Org1".into()]),
+            rules: AtomicU32::new(Rules::NEWEST.number()),
             steps: Mutex::default(),
             prover: Mutex::new(Arc::new(|_, _| Bytes::new())),
         });
@@ -316,6 +320,7 @@ impl Node {
             clock: self.clock(),
             cut_off: self.cut_off.load(Ordering::SeqCst),
             carries: self.carries.lock().unwrap().clone(),
+            rules: self.rules.load(Ordering::SeqCst),
         }
     }
 }

@@ -4,9 +4,10 @@ use crate::authority::Authority;
 use crate::fake::{Chain, Fake, Reaction, until};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger_api::{Call, Client, Context, Options};
+use ledger_api::{Call, Client, Context, Options, v1};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use prost::Message as _;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -34,6 +35,28 @@ async fn an_executed_call_answers_with_height_and_response() {
     assert_eq!((done.height, done.response), (1, Bytes::from("1")));
     assert_eq!(client.height_seen(), 1);
     assert_eq!(ids(&node.received()), [done.id]);
+}
+
+#[tokio::test]
+async fn a_long_call_is_signed_by_its_id_where_the_rules_of_the_network_allow_it() {
+    let authority = Arc::new(Authority::new());
+    for (rules, by_id) in [(2, false), (3, true), (4, false)] {
+        let node = Fake::start(&authority).await;
+        node.node.rules.store(rules, Ordering::SeqCst);
+        let context = authority.context(&[&node]);
+        let client = Client::connect(&context).await.unwrap();
+        client.invoke("abac", "set", vec![vec![7; 10_000].into()]).await.unwrap();
+        let sent = v1::Transaction::decode(node.received()[0].clone()).unwrap();
+        let prefixes: [&[u8]; 2] = [b"ledgerd transaction v1\0", b"ledgerd transaction id v1\0"];
+        let id = Hash::of(&[&sent.body]);
+        let signed = [&sent.body[..], id.as_ref()];
+        let verifies = |which: usize| {
+            let message = [prefixes[which], signed[which]].concat();
+            context.key.public_key().verify(&message, &sent.signature).is_ok()
+        };
+        // Of rules that it does not know a client assumes nothing.
+        assert_eq!([verifies(0), verifies(1)], [!by_id, by_id], "rules {rules}");
+    }
 }
 
 #[tokio::test]

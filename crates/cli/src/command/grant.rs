@@ -332,6 +332,7 @@ mod tests {
             follows: None,
             task: None,
             policy_version: 0,
+            policies: Vec::new(),
         };
         let transaction = ledger_hash::Hash::ZERO;
         Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction, renewed, passed_on: false }

@@ -79,6 +79,9 @@ pub struct Row {
     /// The node whose word it is: it refused before ordering. Empty if the chain itself shows it.
     #[prost(string, tag = "20")]
     pub told_by: String,
+    /// Ids of the policies that decided, of the set with that number.
+    #[prost(string, repeated, tag = "21")]
+    pub policies: Vec<String>,
 }
 
 impl Row {

@@ -138,6 +138,7 @@ fn a_grant_names_the_policies_of_its_commands_and_old_rows_are_dropped_with_thei
         subject: "T/c".into(),
         epoch,
         policy_version: epoch + 10,
+        policies: vec!["day".into(), "night".into()],
         count: 1,
         ..Row::default()
     };
@@ -149,13 +150,16 @@ fn a_grant_names_the_policies_of_its_commands_and_old_rows_are_dropped_with_thei
         })
         .collect();
     index.add(&blocks).unwrap();
-    assert_eq!((index.policies_of("T/c", 7).unwrap(), index.policies_of("T/c", 4001).unwrap()), (17, 0));
+    let (by, nobody) = (vec!["day".to_owned(), "night".to_owned()], (0, Vec::new()));
+    assert_eq!(index.policies_of("T/c", 7).unwrap(), (17, by.clone()));
+    assert_eq!(index.policies_of("T/c", 4001).unwrap(), nobody);
     while index.prune(3000, 3_000_000).unwrap() {}
     let known = index.known().unwrap();
     assert_eq!((known.from, known.height), (3000, 4000));
     let left = all(&index, &Question { robot: "T".into(), ..Question::default() });
     assert_eq!((left.len(), left[0].height), (1001, 3000));
-    assert_eq!((index.policies_of("T/c", 2999).unwrap(), index.policies_of("T/c", 3000).unwrap()), (0, 3010));
+    assert_eq!(index.policies_of("T/c", 2999).unwrap(), nobody);
+    assert_eq!(index.policies_of("T/c", 3000).unwrap(), (3010, by));
     assert!(!index.prune(3000, 3_000_000).unwrap(), "nothing is left to drop");
 }
 

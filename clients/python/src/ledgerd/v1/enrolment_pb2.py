@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from ledgerd.v1 import gateway_pb2 as ledgerd_dot_v1_dot_gateway__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1aledgerd/v1/enrolment.proto\x12\nledgerd.v1\x1a\x18ledgerd/v1/gateway.proto\"\x1f\n\x0cRenewRequest\x12\x0f\n\x07request\x18\x01 \x01(\x0c\"\x10\n\x0eGenesisRequest\"\"\n\x0fGenesisResponse\x12\x0f\n\x07genesis\x18\x01 \x01(\x0c\"\'\n\x17JoinOrganisationRequest\x12\x0c\n\x04join\x18\x01 \x01(\x0c\"@\n\x18JoinOrganisationResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"\x10\n\x0eNetworkRequest\"\x93\x01\n\x0fNetworkResponse\x12\x0f\n\x07network\x18\x01 \x01(\x0c\x12\r\n\x05label\x18\x02 \x01(\t\x12/\n\rorganisations\x18\x03 \x03(\x0b\x32\x18.ledgerd.v1.Organisation\x12\r\n\x05\x63lock\x18\x04 \x01(\x04\x12\x0f\n\x07\x63ut_off\x18\x05 \x01(\x08\x12\x0f\n\x07\x63\x61rries\x18\x06 \x03(\t\"w\n\x0cOrganisation\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05roots\x18\x02 \x03(\x0c\x12\x15\n\rintermediates\x18\x03 \x03(\x0c\x12\x11\n\taddresses\x18\x04 \x03(\t\x12 \n\x05units\x18\x05 \x01(\x0b\x32\x11.ledgerd.v1.Units\"(\n\x05Units\x12\x1f\n\x05units\x18\x01 \x03(\x0b\x32\x10.ledgerd.v1.Unit\"2\n\x04Unit\x12\x0c\n\x04unit\x18\x01 \x01(\t\x12\x0c\n\x04role\x18\x02 \x01(\t\x12\x0e\n\x06issuer\x18\x03 \x01(\x0c\"=\n\x0c\x45nrolRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06secret\x18\x02 \x01(\t\x12\x0f\n\x07request\x18\x03 \x01(\x0c\"\xaf\x01\n\rEnrolResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x13\n\x0b\x63\x65rtificate\x18\x02 \x01(\x0c\x12\r\n\x05\x63hain\x18\x03 \x03(\x0c\x12\x14\n\x0corganisation\x18\x04 \x01(\t\x12,\n\x07network\x18\x05 \x01(\x0b\x32\x1b.ledgerd.v1.NetworkResponse\x12\x10\n\x08\x63\x61rriers\x18\x06 \x03(\t\"&\n\x0eOfferCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\"z\n\x0fOfferCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"h\n\rSealCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"T\n\x0eSealCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"C\n\rTakeCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"6\n\x0eTakeCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict2\xb4\x04\n\tEnrolment\x12\x42\n\x07Network\x12\x1a.ledgerd.v1.NetworkRequest\x1a\x1b.ledgerd.v1.NetworkResponse\x12<\n\x05\x45nrol\x12\x18.ledgerd.v1.EnrolRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12<\n\x05Renew\x12\x18.ledgerd.v1.RenewRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12\x42\n\x07Genesis\x12\x1a.ledgerd.v1.GenesisRequest\x1a\x1b.ledgerd.v1.GenesisResponse\x12\x42\n\x07OfferCa\x12\x1a.ledgerd.v1.OfferCaRequest\x1a\x1b.ledgerd.v1.OfferCaResponse\x12?\n\x06SealCa\x12\x19.ledgerd.v1.SealCaRequest\x1a\x1a.ledgerd.v1.SealCaResponse\x12?\n\x06TakeCa\x12\x19.ledgerd.v1.TakeCaRequest\x1a\x1a.ledgerd.v1.TakeCaResponse\x12]\n\x10JoinOrganisation\x12#.ledgerd.v1.JoinOrganisationRequest\x1a$.ledgerd.v1.JoinOrganisationResponseB\x16Z\x14ledgerd/v1;ledgerdv1b\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1aledgerd/v1/enrolment.proto\x12\nledgerd.v1\x1a\x18ledgerd/v1/gateway.proto\"\x1f\n\x0cRenewRequest\x12\x0f\n\x07request\x18\x01 \x01(\x0c\"\x10\n\x0eGenesisRequest\"\"\n\x0fGenesisResponse\x12\x0f\n\x07genesis\x18\x01 \x01(\x0c\"\'\n\x17JoinOrganisationRequest\x12\x0c\n\x04join\x18\x01 \x01(\x0c\"@\n\x18JoinOrganisationResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"\x10\n\x0eNetworkRequest\"\xa2\x01\n\x0fNetworkResponse\x12\x0f\n\x07network\x18\x01 \x01(\x0c\x12\r\n\x05label\x18\x02 \x01(\t\x12/\n\rorganisations\x18\x03 \x03(\x0b\x32\x18.ledgerd.v1.Organisation\x12\r\n\x05\x63lock\x18\x04 \x01(\x04\x12\x0f\n\x07\x63ut_off\x18\x05 \x01(\x08\x12\x0f\n\x07\x63\x61rries\x18\x06 \x03(\t\x12\r\n\x05rules\x18\x07 \x01(\r\"w\n\x0cOrganisation\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05roots\x18\x02 \x03(\x0c\x12\x15\n\rintermediates\x18\x03 \x03(\x0c\x12\x11\n\taddresses\x18\x04 \x03(\t\x12 \n\x05units\x18\x05 \x01(\x0b\x32\x11.ledgerd.v1.Units\"(\n\x05Units\x12\x1f\n\x05units\x18\x01 \x03(\x0b\x32\x10.ledgerd.v1.Unit\"2\n\x04Unit\x12\x0c\n\x04unit\x18\x01 \x01(\t\x12\x0c\n\x04role\x18\x02 \x01(\t\x12\x0e\n\x06issuer\x18\x03 \x01(\x0c\"=\n\x0c\x45nrolRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06secret\x18\x02 \x01(\t\x12\x0f\n\x07request\x18\x03 \x01(\x0c\"\xaf\x01\n\rEnrolResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x13\n\x0b\x63\x65rtificate\x18\x02 \x01(\x0c\x12\r\n\x05\x63hain\x18\x03 \x03(\x0c\x12\x14\n\x0corganisation\x18\x04 \x01(\t\x12,\n\x07network\x18\x05 \x01(\x0b\x32\x1b.ledgerd.v1.NetworkResponse\x12\x10\n\x08\x63\x61rriers\x18\x06 \x03(\t\"&\n\x0eOfferCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\"z\n\x0fOfferCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"h\n\rSealCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"T\n\x0eSealCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"C\n\rTakeCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"6\n\x0eTakeCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict2\xb4\x04\n\tEnrolment\x12\x42\n\x07Network\x12\x1a.ledgerd.v1.NetworkRequest\x1a\x1b.ledgerd.v1.NetworkResponse\x12<\n\x05\x45nrol\x12\x18.ledgerd.v1.EnrolRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12<\n\x05Renew\x12\x18.ledgerd.v1.RenewRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12\x42\n\x07Genesis\x12\x1a.ledgerd.v1.GenesisRequest\x1a\x1b.ledgerd.v1.GenesisResponse\x12\x42\n\x07OfferCa\x12\x1a.ledgerd.v1.OfferCaRequest\x1a\x1b.ledgerd.v1.OfferCaResponse\x12?\n\x06SealCa\x12\x19.ledgerd.v1.SealCaRequest\x1a\x1a.ledgerd.v1.SealCaResponse\x12?\n\x06TakeCa\x12\x19.ledgerd.v1.TakeCaRequest\x1a\x1a.ledgerd.v1.TakeCaResponse\x12]\n\x10JoinOrganisation\x12#.ledgerd.v1.JoinOrganisationRequest\x1a$.ledgerd.v1.JoinOrganisationResponseB\x16Z\x14ledgerd/v1;ledgerdv1b\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -46,29 +46,29 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_NETWORKREQUEST']._serialized_start=262
   _globals['_NETWORKREQUEST']._serialized_end=278
   _globals['_NETWORKRESPONSE']._serialized_start=281
-  _globals['_NETWORKRESPONSE']._serialized_end=428
-  _globals['_ORGANISATION']._serialized_start=430
-  _globals['_ORGANISATION']._serialized_end=549
-  _globals['_UNITS']._serialized_start=551
-  _globals['_UNITS']._serialized_end=591
-  _globals['_UNIT']._serialized_start=593
-  _globals['_UNIT']._serialized_end=643
-  _globals['_ENROLREQUEST']._serialized_start=645
-  _globals['_ENROLREQUEST']._serialized_end=706
-  _globals['_ENROLRESPONSE']._serialized_start=709
-  _globals['_ENROLRESPONSE']._serialized_end=884
-  _globals['_OFFERCAREQUEST']._serialized_start=886
-  _globals['_OFFERCAREQUEST']._serialized_end=924
-  _globals['_OFFERCARESPONSE']._serialized_start=926
-  _globals['_OFFERCARESPONSE']._serialized_end=1048
-  _globals['_SEALCAREQUEST']._serialized_start=1050
-  _globals['_SEALCAREQUEST']._serialized_end=1154
-  _globals['_SEALCARESPONSE']._serialized_start=1156
-  _globals['_SEALCARESPONSE']._serialized_end=1240
-  _globals['_TAKECAREQUEST']._serialized_start=1242
-  _globals['_TAKECAREQUEST']._serialized_end=1309
-  _globals['_TAKECARESPONSE']._serialized_start=1311
-  _globals['_TAKECARESPONSE']._serialized_end=1365
-  _globals['_ENROLMENT']._serialized_start=1368
-  _globals['_ENROLMENT']._serialized_end=1932
+  _globals['_NETWORKRESPONSE']._serialized_end=443
+  _globals['_ORGANISATION']._serialized_start=445
+  _globals['_ORGANISATION']._serialized_end=564
+  _globals['_UNITS']._serialized_start=566
+  _globals['_UNITS']._serialized_end=606
+  _globals['_UNIT']._serialized_start=608
+  _globals['_UNIT']._serialized_end=658
+  _globals['_ENROLREQUEST']._serialized_start=660
+  _globals['_ENROLREQUEST']._serialized_end=721
+  _globals['_ENROLRESPONSE']._serialized_start=724
+  _globals['_ENROLRESPONSE']._serialized_end=899
+  _globals['_OFFERCAREQUEST']._serialized_start=901
+  _globals['_OFFERCAREQUEST']._serialized_end=939
+  _globals['_OFFERCARESPONSE']._serialized_start=941
+  _globals['_OFFERCARESPONSE']._serialized_end=1063
+  _globals['_SEALCAREQUEST']._serialized_start=1065
+  _globals['_SEALCAREQUEST']._serialized_end=1169
+  _globals['_SEALCARESPONSE']._serialized_start=1171
+  _globals['_SEALCARESPONSE']._serialized_end=1255
+  _globals['_TAKECAREQUEST']._serialized_start=1257
+  _globals['_TAKECAREQUEST']._serialized_end=1324
+  _globals['_TAKECARESPONSE']._serialized_start=1326
+  _globals['_TAKECARESPONSE']._serialized_end=1380
+  _globals['_ENROLMENT']._serialized_start=1383
+  _globals['_ENROLMENT']._serialized_end=1947
 # @@protoc_insertion_point(module_scope)

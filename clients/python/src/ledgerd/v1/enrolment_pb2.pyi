@@ -40,20 +40,22 @@ class NetworkRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class NetworkResponse(_message.Message):
-    __slots__ = ("network", "label", "organisations", "clock", "cut_off", "carries")
+    __slots__ = ("network", "label", "organisations", "clock", "cut_off", "carries", "rules")
     NETWORK_FIELD_NUMBER: _ClassVar[int]
     LABEL_FIELD_NUMBER: _ClassVar[int]
     ORGANISATIONS_FIELD_NUMBER: _ClassVar[int]
     CLOCK_FIELD_NUMBER: _ClassVar[int]
     CUT_OFF_FIELD_NUMBER: _ClassVar[int]
     CARRIES_FIELD_NUMBER: _ClassVar[int]
+    RULES_FIELD_NUMBER: _ClassVar[int]
     network: bytes
     label: str
     organisations: _containers.RepeatedCompositeFieldContainer[Organisation]
     clock: int
     cut_off: bool
     carries: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, network: _Optional[bytes] = ..., label: _Optional[str] = ..., organisations: _Optional[_Iterable[_Union[Organisation, _Mapping]]] = ..., clock: _Optional[int] = ..., cut_off: _Optional[bool] = ..., carries: _Optional[_Iterable[str]] = ...) -> None: ...
+    rules: int
+    def __init__(self, network: _Optional[bytes] = ..., label: _Optional[str] = ..., organisations: _Optional[_Iterable[_Union[Organisation, _Mapping]]] = ..., clock: _Optional[int] = ..., cut_off: _Optional[bool] = ..., carries: _Optional[_Iterable[str]] = ..., rules: _Optional[int] = ...) -> None: ...
 
 class Organisation(_message.Message):
     __slots__ = ("name", "roots", "intermediates", "addresses", "units")

@@ -437,7 +437,7 @@ class AuditResponse(_message.Message):
     def __init__(self, rows: _Optional[_Iterable[_Union[AuditRow, _Mapping]]] = ..., after: _Optional[bytes] = ..., more: _Optional[bool] = ..., from_height: _Optional[int] = ..., height: _Optional[int] = ..., executed: _Optional[int] = ...) -> None: ...
 
 class AuditRow(_message.Message):
-    __slots__ = ("time", "height", "decision", "who", "by", "robot", "subject", "code", "count", "first", "last", "last_height", "epoch", "policy_version", "detail", "found", "transaction", "told_by")
+    __slots__ = ("time", "height", "decision", "who", "by", "robot", "subject", "code", "count", "first", "last", "last_height", "epoch", "policy_version", "detail", "found", "transaction", "told_by", "policies")
     TIME_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     DECISION_FIELD_NUMBER: _ClassVar[int]
@@ -456,6 +456,7 @@ class AuditRow(_message.Message):
     FOUND_FIELD_NUMBER: _ClassVar[int]
     TRANSACTION_FIELD_NUMBER: _ClassVar[int]
     TOLD_BY_FIELD_NUMBER: _ClassVar[int]
+    POLICIES_FIELD_NUMBER: _ClassVar[int]
     time: int
     height: int
     decision: str
@@ -474,7 +475,8 @@ class AuditRow(_message.Message):
     found: str
     transaction: bytes
     told_by: str
-    def __init__(self, time: _Optional[int] = ..., height: _Optional[int] = ..., decision: _Optional[str] = ..., who: _Optional[str] = ..., by: _Optional[str] = ..., robot: _Optional[str] = ..., subject: _Optional[str] = ..., code: _Optional[int] = ..., count: _Optional[int] = ..., first: _Optional[int] = ..., last: _Optional[int] = ..., last_height: _Optional[int] = ..., epoch: _Optional[int] = ..., policy_version: _Optional[int] = ..., detail: _Optional[str] = ..., found: _Optional[str] = ..., transaction: _Optional[bytes] = ..., told_by: _Optional[str] = ...) -> None: ...
+    policies: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, time: _Optional[int] = ..., height: _Optional[int] = ..., decision: _Optional[str] = ..., who: _Optional[str] = ..., by: _Optional[str] = ..., robot: _Optional[str] = ..., subject: _Optional[str] = ..., code: _Optional[int] = ..., count: _Optional[int] = ..., first: _Optional[int] = ..., last: _Optional[int] = ..., last_height: _Optional[int] = ..., epoch: _Optional[int] = ..., policy_version: _Optional[int] = ..., detail: _Optional[str] = ..., found: _Optional[str] = ..., transaction: _Optional[bytes] = ..., told_by: _Optional[str] = ..., policies: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class TransferLeadershipRequest(_message.Message):
     __slots__ = ("node_id",)

@@ -7,7 +7,7 @@ use serde::Serialize;
 use std::io::{self, Write};
 
 /// The names of the columns, as those of the fields in JSON.
-pub(super) const CSV_HEAD: &str = "time,height,decision,who,by,robot,subject,code,count,first,last,last_height,epoch,policy_version,detail,found,transaction,told_by\n";
+pub(super) const CSV_HEAD: &str = "time,height,decision,who,by,robot,subject,code,count,first,last,last_height,epoch,policy_version,policies,detail,found,transaction,told_by\n";
 
 /// A decision about control. Times are those of RFC 3339.
 #[derive(Debug, Serialize)]
@@ -27,6 +27,8 @@ pub(super) struct Row {
     last_height: u64,
     epoch: u64,
     policy_version: u64,
+    /// Ids of those that decided.
+    policies: Vec<String>,
     detail: String,
     found: String,
     transaction: String,
@@ -52,6 +54,7 @@ impl From<AuditRow> for Row {
             last_height: row.last_height,
             epoch: row.epoch,
             policy_version: row.policy_version,
+            policies: row.policies,
             detail: row.detail,
             found: row.found,
             transaction: hex::encode(&row.transaction),
@@ -66,7 +69,7 @@ impl Row {
     pub(super) fn csv(&self) -> String {
         let numbers =
             [self.height, self.count, self.last_height, self.epoch, self.policy_version].map(|n| n.to_string());
-        let [height, count, last_height, epoch, policies] = &numbers;
+        let [height, count, last_height, epoch, version] = &numbers;
         let cells = [
             &self.time,
             height,
@@ -81,7 +84,8 @@ impl Row {
             &self.last,
             last_height,
             epoch,
-            policies,
+            version,
+            &self.policies.join(" "),
             &self.detail,
             &self.found,
             &self.transaction,
@@ -138,7 +142,7 @@ impl Facts for Rows {
                 [&row.decision, &row.code].map(String::as_str).join(" ").trim().to_owned(),
                 row.subject.clone(),
                 row.count.to_string(),
-                if row.policy_version == 0 { String::new() } else { format!("version {}", row.policy_version) },
+                row.decided_by(),
                 row.words(),
             ]);
         }
@@ -147,6 +151,13 @@ impl Facts for Rows {
 }
 
 impl Row {
+    /// The set of policies that decided and those of it that did, e.g. `version 3: night, rain`.
+    fn decided_by(&self) -> String {
+        let version = if self.policy_version == 0 { String::new() } else { format!("version {}", self.policy_version) };
+        let parts = [version, self.policies.join(", ")];
+        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(": ")
+    }
+
     fn words(&self) -> String {
         let by = if self.by.is_empty() { String::new() } else { format!("by {}", self.by) };
         let epoch = if self.epoch == 0 { String::new() } else { format!("epoch {}", self.epoch) };

@@ -32,6 +32,9 @@ pub(crate) struct Propose {
     /// Propose the policies of an earlier version
     #[arg(long, value_name = "VERSION", conflicts_with_all = ["files", "built_in"])]
     restore: Option<u64>,
+    /// Say how it does beside the set in force, and leave approvals for later
+    #[arg(long)]
+    shadow: bool,
 }
 
 /// List the proposed sets of policies, or show one with its texts.
@@ -97,10 +100,24 @@ pub(super) async fn resolve(session: &Session, digits: &str) -> Result<String, F
     }
 }
 
+/// The ids of the sets that are proposed for the own organisation.
+pub(super) async fn of_own_organisation(session: &Session) -> Result<Vec<String>, Rejection> {
+    let all: Vec<PolicyProposal> = session.list(ABAC, "policy_proposals").await?;
+    let own = &session.context().organisation;
+    Ok(all.into_iter().filter(|proposal| proposal.organisation == *own).map(|proposal| proposal.id).collect())
+}
+
+/// A proposed set with its texts.
+pub(super) async fn whole(session: &Session, id: String) -> Result<PolicyProposalTexts, Rejection> {
+    let response = session.ask(ABAC, "policy_proposal", vec![Bytes::from(id)]).await?;
+    answer::parse(&response, "a proposed set of policies")
+}
+
 impl Propose {
     pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let args = arguments("propose", &self.set.draft(self.restore)?)?;
-        call(&Session::open(global).await?, output, args, "proposed").await
+        let done = if self.shadow { "shadow" } else { "proposed" };
+        call(&Session::open(global).await?, output, args, done).await
     }
 }
 
@@ -122,9 +139,8 @@ impl Proposals {
         let Some(id) = self.id else {
             return output.show(&Standing(session.list(ABAC, "policy_proposals").await?));
         };
-        let id = Bytes::from(resolve(&session, &id).await?);
-        let response = session.ask(ABAC, "policy_proposal", vec![id]).await?;
-        output.show(&Whole(answer::parse(&response, "a proposed set of policies")?))
+        let id = resolve(&session, &id).await?;
+        output.show(&Whole(whole(&session, id).await?))
     }
 }
 
@@ -160,7 +176,7 @@ async fn call(session: &Session, output: &mut Output, args: Vec<Bytes>, done: &'
 }
 
 /// The first digits of an id: enough to name a proposal.
-fn short(id: &str) -> &str {
+pub(super) fn short(id: &str) -> &str {
     id.get(..12).unwrap_or(id)
 }
 
@@ -206,10 +222,17 @@ struct Done {
 impl Facts for Done {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let (id, organisation) = (short(&self.proposal.id), printable(&self.proposal.organisation));
-        writeln!(out, "{}: set of policies {id} of {organisation}", self.done)?;
+        let done = if self.done == "shadow" { "proposed" } else { self.done };
+        writeln!(out, "{done}: set of policies {id} of {organisation}")?;
         facts(&self.proposal, out)?;
         match (self.done, self.proposal.needs.iter().any(|need| need.missing > 0)) {
             ("withdrawn", _) => Ok(()),
+            ("shadow", _) => {
+                writeln!(
+                    out,
+                    "it is compared with the set in force from now on: ledgerctl policy shadow --proposal {id}"
+                )
+            }
             (_, true) => writeln!(out, "next, others type: ledgerctl policy approve {id}"),
             (_, false) => {
                 writeln!(out, "next, an admin of {organisation} types: ledgerctl policy apply --proposal {id}")

@@ -1,5 +1,6 @@
 //! Recorded decisions, asked once more under other policies: `policy shadow`, and `policy diff --decisions`.
 
+use super::propose;
 use crate::argument::moment::Moment;
 use crate::argument::{number, policies};
 use crate::cli::Global;
@@ -10,39 +11,83 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
 use ledger_api::v1::{AuditRequest, AuditRow};
-use ledger_contract::{Ask, PolicyText, RobotAsset};
+use ledger_contract::{Ask, PolicyProposalTexts, PolicyText, RobotAsset};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, Write};
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Rows of one question.
 const ROWS_AT_ONCE: u32 = 1000;
 /// Most different decisions that are asked about again.
 const DECISIONS_MAX: u64 = 1000;
+/// Decisions of this time are compared with files, microseconds.
+const DAY: u64 = 86_400_000_000;
+/// Time between two looks of who follows.
+const BETWEEN_LOOKS: Duration = Duration::from_secs(2);
 
-/// Tell which recorded decisions policies in files would have changed, before they rule.
+/// Tell which recorded decisions a set of policies would have changed, before it rules.
 ///
-/// Takes the grants and the refusals by policies from the audit, about robots of your organisation. Each is asked again under
-/// the files as the whole set of your organisation, at its own time, with the attributes that people have now. Nothing is
-/// changed. Grants count as allowed, refusals with LGR-3001 and LGR-3002 as denied.
+/// The set is a proposed one (`ledgerctl policy propose --shadow`), from the block that proposed it on: it runs beside the set in
+/// force for as long as it stands. Without a proposal and without files, that is each proposed set of your organisation. Files
+/// are a set that nobody has proposed, and are asked about the last day, or since `--since`.
+///
+/// Takes the grants, the commands in open mode and the refusals by policies from the audit, about robots of your organisation. Each
+/// is asked again under the set as the whole set of your organisation, at its own time, with the attributes that people have now.
+/// Nothing is changed. Refusals with LGR-3001 and LGR-3002 count as denied, all else as allowed.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl policy shadow night.cedar guests.cedar --since 7d")]
+#[command(after_help = "\
+Example:
+  ledgerctl policy shadow
+  ledgerctl policy shadow --proposal 3f9a0c77 --follow
+  ledgerctl policy shadow night.cedar guests.cedar --since 7d")]
 pub(crate) struct Shadow {
-    /// Files with policies in Cedar
-    #[arg(value_name = "FILE", required = true)]
+    /// Files with policies in Cedar; without any, the proposed sets
+    #[arg(value_name = "FILE", conflicts_with = "proposal")]
     files: Vec<PathBuf>,
+    /// Only the proposed set with this id, or with its first 8 digits or more
+    #[arg(long, value_name = "ID")]
+    proposal: Option<String>,
     /// Decisions from this moment on: a span ago such as 10m, a time of today, a time, or a height
-    #[arg(long, value_name = "MOMENT", default_value = "1d")]
-    since: Moment,
+    #[arg(long, value_name = "MOMENT")]
+    since: Option<Moment>,
     /// The last so many different decisions
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = number::count)]
+    #[arg(long, value_name = "N", default_value_t = DECISIONS_MAX, value_parser = number::count)]
     most: u64,
+    /// Go on, and tell it again whenever a count has changed
+    #[arg(long)]
+    follow: bool,
 }
 
+/// A set that is compared with the one in force.
+struct Candidate {
+    /// Of the proposal; none of files.
+    id: Option<String>,
+    policies: Vec<PolicyText>,
+    /// Decisions since this time, microseconds since the UNIX epoch.
+    since: u64,
+}
+
+/// The set in force beside a candidate.
+#[derive(PartialEq, Eq, Serialize)]
+struct Beside {
+    /// The proposal; none of files.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    proposal: Option<String>,
+    /// From when on decisions are compared, microseconds since the UNIX epoch.
+    since: u64,
+    #[serde(flatten)]
+    compared: Compared,
+}
+
+/// One or more of them.
+#[derive(PartialEq, Eq, Serialize)]
+struct All(Vec<Beside>);
+
 /// The decisions that would be others.
-#[derive(Serialize)]
+#[derive(PartialEq, Eq, Serialize)]
 pub(super) struct Compared {
     /// Different decisions: the same one for the same person and service counts once.
     decisions: usize,
@@ -54,7 +99,7 @@ pub(super) struct Compared {
 }
 
 /// A decision that would be another one.
-#[derive(Serialize)]
+#[derive(PartialEq, Eq, Serialize)]
 struct Differs {
     who: String,
     service: String,
@@ -74,6 +119,7 @@ struct Differs {
 struct Decided {
     who: String,
     service: String,
+    action: &'static str,
     allowed: bool,
     times: u64,
     last: u64,
@@ -82,10 +128,51 @@ struct Decided {
 
 impl Shadow {
     pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let policies = policies::read(&self.files)?.unwrap_or_default();
         let session = Session::open(global).await?;
-        let since = moment(&session, self.since).await?;
-        output.show(&compare(&session, policies, since, self.most).await?)
+        let mut told = None;
+        loop {
+            let all = self.compare(&session).await?;
+            if told.as_ref() != Some(&all) {
+                output.show(&all)?;
+            }
+            if !self.follow {
+                return Ok(());
+            }
+            told = Some(all);
+            tokio::time::sleep(BETWEEN_LOOKS).await;
+        }
+    }
+
+    async fn compare(&self, session: &Session) -> Result<All, Failure> {
+        let mut all = Vec::new();
+        for Candidate { id, policies, since } in self.candidates(session).await? {
+            let compared = compare(session, policies, since, self.most).await?;
+            all.push(Beside { proposal: id, since, compared });
+        }
+        Ok(All(all))
+    }
+
+    /// The sets to compare, and since when.
+    async fn candidates(&self, session: &Session) -> Result<Vec<Candidate>, Failure> {
+        let since = match self.since {
+            Some(since) => Some(moment(session, since).await?),
+            None => None,
+        };
+        if let Some(policies) = policies::read(&self.files)? {
+            let since = since.unwrap_or_else(|| time::now().saturating_sub(DAY));
+            return Ok(vec![Candidate { id: None, policies, since }]);
+        }
+        let ids = match &self.proposal {
+            Some(id) => vec![propose::resolve(session, id).await?],
+            None => propose::of_own_organisation(session).await?,
+        };
+        let mut candidates = Vec::new();
+        for id in ids {
+            let PolicyProposalTexts { proposal, policies } = propose::whole(session, id).await?;
+            let since = since.unwrap_or(proposal.created);
+            candidates.push(Candidate { id: Some(proposal.id), policies, since });
+        }
+        Ok(candidates)
     }
 }
 
@@ -98,11 +185,11 @@ pub(super) async fn compare(
 ) -> Result<Compared, Rejection> {
     let decided = decided(session, since, most.min(DECISIONS_MAX)).await?;
     let mut compared = Compared { decisions: decided.len(), times: 0, differ: Vec::new(), unknown: 0 };
-    for Decided { who, service, allowed, times, last, height } in decided {
+    for Decided { who, service, action, allowed, times, last, height } in decided {
         compared.times += times;
         let ask = Ask {
             who: Some(who.clone()),
-            action: "acquire".to_owned(),
+            action: action.to_owned(),
             service: service.clone(),
             at: Some(last),
             policies: Some(policies.clone()),
@@ -135,16 +222,17 @@ async fn decided(session: &Session, since: u64, most: u64) -> Result<VecDeque<De
     let robots: Vec<RobotAsset> = session.list(ABAC, "robots").await?;
     let mine: BTreeSet<&str> =
         robots.iter().filter(|robot| robot.organisation == *own).map(|robot| robot.name.as_str()).collect();
-    let mut found: BTreeMap<(String, String, bool), Decided> = BTreeMap::new();
+    let mut found: BTreeMap<(String, String, &str, bool), Decided> = BTreeMap::new();
     let mut request = AuditRequest { since, limit: ROWS_AT_ONCE, ..AuditRequest::default() };
     loop {
         let answer = session.client.audit(request.clone()).await?;
         for row in answer.rows.iter().filter(|row| mine.contains(row.robot.as_str()) && row.who.contains('/')) {
-            let Some(allowed) = verdict(row) else { continue };
-            let key = (row.who.clone(), row.subject.clone(), allowed);
+            let Some((action, allowed)) = verdict(row) else { continue };
+            let key = (row.who.clone(), row.subject.clone(), action, allowed);
             let known = found.entry(key).or_insert_with(|| Decided {
                 who: row.who.clone(),
                 service: row.subject.clone(),
+                action,
                 allowed,
                 times: 0,
                 last: row.last,
@@ -163,13 +251,35 @@ async fn decided(session: &Session, since: u64, most: u64) -> Result<VecDeque<De
     Ok(decided.split_off(beyond).into())
 }
 
-/// Was it allowed? None if policies did not decide.
-fn verdict(row: &AuditRow) -> Option<bool> {
+/// The action that policies decided about, and whether they allowed it. None if they did not decide. Commands under a grant are
+/// decided with it.
+fn verdict(row: &AuditRow) -> Option<(&'static str, bool)> {
     let denied = [Code::MissingAttribute, Code::DeniedByPolicy].map(|code| u32::from(code.number()));
     match row.decision.as_str() {
-        "granted" => Some(true),
-        "refused" if denied.contains(&row.code) => Some(false),
+        "granted" => Some(("acquire", true)),
+        "used" if row.epoch == 0 => Some(("publish", true)),
+        "refused" if denied.contains(&row.code) => Some(("acquire", false)),
         _ => None,
+    }
+}
+
+impl Facts for All {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.0.is_empty() {
+            return writeln!(out, "no set of policies is proposed: ledgerctl policy propose FILE… --shadow");
+        }
+        for Beside { proposal, since, compared } in &self.0 {
+            if let Some(id) = proposal {
+                writeln!(
+                    out,
+                    "proposed set {} beside the one in force, since {}",
+                    propose::short(id),
+                    time::moment(*since)
+                )?;
+            }
+            compared.text(out)?;
+        }
+        Ok(())
     }
 }
 
