@@ -25,6 +25,19 @@ fn program() -> &'static Path {
     })
 }
 
+/// The profile for large messages that docs/bridge.md recommends.
+fn profile() -> &'static Path {
+    static PROFILE: OnceLock<PathBuf> = OnceLock::new();
+    PROFILE.get_or_init(|| {
+        let mut above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|above| above.join("docs/bridge.md"));
+        let page = std::fs::read_to_string(above.find(|path| path.is_file()).expect("the page")).unwrap();
+        let profile = page.split_once("```xml").and_then(|(_, rest)| rest.split_once("```")).expect("a profile").0;
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("bench-fastdds-{}.xml", std::process::id()));
+        std::fs::write(&path, profile.trim_start()).unwrap();
+        path
+    })
+}
+
 /// One end of a topic.
 #[derive(Clone, Copy)]
 pub(crate) struct End<'a> {
@@ -64,6 +77,9 @@ impl End<'_> {
         let mut command = Command::new(program());
         command.args([role, &self.domain.to_string(), self.topic, &count.to_string(), about, &self.size.to_string()]);
         command.stdin(Stdio::null()).stdout(Stdio::piped());
+        if self.size > 0 {
+            command.env("FASTRTPS_DEFAULT_PROFILES_FILE", profile());
+        }
         if let Some(enclave) = self.enclave {
             command.env("STREAM_ENCLAVE", enclave);
         }

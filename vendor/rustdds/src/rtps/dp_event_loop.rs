@@ -314,7 +314,13 @@ impl DPEventLoop {
       } else {
         Duration::from_millis(2)
       };
-      let poll_timeout = timeout_until(ev_wrapper.shared_timer.borrow().next_deadline(), idle_cap);
+      let mut poll_timeout = timeout_until(ev_wrapper.shared_timer.borrow().next_deadline(), idle_cap);
+      // A poll rounds up to whole milliseconds, which is longer than a pause
+      // between bursts.
+      if poll_timeout < Duration::from_millis(1) {
+        std::thread::sleep(poll_timeout);
+        poll_timeout = Duration::ZERO;
+      }
       match ev_wrapper.poll.poll(&mut events, Some(poll_timeout)) {
         Ok(_) => {}
         // A signal, such as SIGCONT, ends no event loop. `events` is empty then.
