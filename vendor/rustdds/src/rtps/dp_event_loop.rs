@@ -317,7 +317,7 @@ impl DPEventLoop {
       let mut poll_timeout = timeout_until(ev_wrapper.shared_timer.borrow().next_deadline(), idle_cap);
       // A poll rounds up to whole milliseconds, which is longer than a pause
       // between bursts.
-      if poll_timeout < Duration::from_millis(1) {
+      if poll_timeout <= PUSH_PAUSE {
         std::thread::sleep(poll_timeout);
         poll_timeout = Duration::ZERO;
       }
