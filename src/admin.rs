@@ -85,6 +85,11 @@ async fn live() -> &'static str {
     "ok\n"
 }
 
+/// Can the node do its work?
+pub(crate) fn is_ready(node: &Description) -> bool {
+    node.status().is_ok_and(|status| checks::all(&status).iter().all(Check::is_ok))
+}
+
 /// Can the node do its work? With `?verbose` every check is told, otherwise only those that failed.
 async fn ready(State(node): State<Arc<Description>>, RawQuery(query): RawQuery) -> Response {
     let verbose = query.is_some_and(|query| query.split('&').any(|word| word.split('=').next() == Some("verbose")));

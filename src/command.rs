@@ -165,7 +165,12 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             telemetry::start(&log);
             let _known = memory::keep();
             block_on_with(1, async move {
-                let changes = read_again(|| ros_bridge::Config::load(&path, |root| Log::default().read(root)));
+                let changes = read_again(|| {
+                    let mut log = Log::default();
+                    let config = ros_bridge::Config::load(&path, |root| log.read(root))?;
+                    telemetry::set_level(&log);
+                    Ok(config)
+                });
                 ros_bridge::run(config, changes, stop_signal()).await
             })
         }

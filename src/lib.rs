@@ -61,6 +61,7 @@ mod dev;
 mod early;
 mod enrolment;
 mod gateway;
+mod health;
 mod host;
 mod housekeeping;
 mod identity;

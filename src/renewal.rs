@@ -5,7 +5,7 @@
 
 mod endings;
 
-use crate::ca::pem;
+use crate::ca::{check_secret, pem};
 use crate::clock::wall;
 use crate::enrolment::{Authorities, EnrolmentService, lock};
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
@@ -105,6 +105,29 @@ impl Renewer {
         self.identity.renew(&renewed);
         Ok(validity(&renewed)?.1)
     }
+}
+
+/// Takes the certificate and the key in the data directory, if somebody has put others there; true if they are others.
+///
+/// # Errors
+/// [`Code::BadFile`] if they cannot be used, or are those of another identity; the fault of the certificate.
+pub(crate) fn read_again(data: &Path, identity: &TlsIdentity, msps: &Msps) -> Result<bool, Rejection> {
+    let (certificate, key) = (data.join(CERTIFICATE_FILE), data.join(KEY_FILE));
+    check_secret(&key, "if others may have read it, take another key")?;
+    let lies_there = TlsIdentity::from_pem_files(&certificate, &key)
+        .map_err(|error| Rejection::new(Code::BadFile, error.to_string()).next("restore the file from a copy"))?;
+    if lies_there.own().certificate() == identity.own().certificate() {
+        return Ok(false);
+    }
+    let (before, after) = (own_identity(identity, msps)?, own_identity(&lies_there, msps)?);
+    after.check_validity(wall())?;
+    if before.id() != after.id() || before.role != after.role {
+        return Err(Rejection::new(Code::BadFile, format!("{} is of another identity", certificate.display()))
+            .found(format!("{} {}", after.role, after.id()))
+            .wanted(format!("{} {}", before.role, before.id())));
+    }
+    identity.renew(&lies_there);
+    Ok(true)
 }
 
 /// Sees to it that the certificate is valid when the node starts. One that ran out while the node was away is replaced

@@ -3,25 +3,49 @@
 use crate::config::{Log, LogFormat};
 use std::ffi::OsStr;
 use std::io::IsTerminal;
+use std::sync::OnceLock;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::LevelFilter;
 
 /// Set to anything, it switches colours off: <https://no-color.org>.
 const NO_COLOR: &str = "NO_COLOR";
 
+/// Changes what is logged from now on.
+type Change = Box<dyn Fn(EnvFilter) + Send + Sync>;
+
+static CHANGE: OnceLock<Change> = OnceLock::new();
+
 /// Starts logging. `RUST_LOG` overrides the configured level.
 pub(crate) fn start(log: &Log) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter(log.level)));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let builder = tracing_subscriber::fmt().with_env_filter(wanted(log)).with_writer(std::io::stderr);
+    // A second start, in a test of this process, keeps the first one's settings.
     let started = match log.format {
         LogFormat::Text => {
             let coloured = coloured(std::io::stderr().is_terminal(), std::env::var_os(NO_COLOR).as_deref());
-            builder.with_ansi(coloured).with_target(false).try_init()
+            let builder = builder.with_ansi(coloured).with_target(false).with_filter_reloading();
+            let handle = builder.reload_handle();
+            builder.try_init().is_ok().then(|| Box::new(move |filter| drop(handle.reload(filter))) as Change)
         }
-        LogFormat::Json => builder.json().try_init(),
+        LogFormat::Json => {
+            let builder = builder.json().with_filter_reloading();
+            let handle = builder.reload_handle();
+            builder.try_init().is_ok().then(|| Box::new(move |filter| drop(handle.reload(filter))) as Change)
+        }
     };
-    // A second start, in a test of this process, keeps the first one's settings.
-    drop(started);
+    if let Some(change) = started {
+        CHANGE.get_or_init(|| change);
+    }
+}
+
+/// Takes over the level of a configuration that was read again.
+pub(crate) fn set_level(log: &Log) {
+    if let Some(change) = CHANGE.get() {
+        change(wanted(log));
+    }
+}
+
+fn wanted(log: &Log) -> EnvFilter {
+    EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter(log.level)))
 }
 
 /// Colours are for terminals, and not for people who want none.

@@ -8,8 +8,10 @@ use crate::config::Config;
 use crate::instance::{Ended, Instance, Prepared};
 use crate::join::{advised, nothing_here};
 use crate::stores::Stores;
+use crate::{renewal, telemetry};
 use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::{AccessControl, Rule};
+use ledger_api::tls::TlsIdentity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::net::SocketAddr;
@@ -98,6 +100,8 @@ impl NodeBuilder {
 pub struct Node {
     host: Host,
     instance: Instance,
+    /// Its certificate and key, shared with all that show them.
+    identity: TlsIdentity,
     serving: Serving,
     bridge: Option<NodeBridge>,
     admin: Option<Admin>,
@@ -132,7 +136,7 @@ impl Node {
                 Some(Admin::serve(address, node, (identity.clone(), trust)).await?)
             }
         };
-        let serving = host.serve(network, identity, services, &config.limits)?;
+        let serving = host.serve(network, identity.clone(), services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
             Err(reason) => {
@@ -143,15 +147,21 @@ impl Node {
         let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
-        Ok(Self { host, instance, serving, bridge, admin })
+        Ok(Self { host, instance, identity, serving, bridge, admin })
     }
 
-    /// Takes over the routes of the bridge in another configuration. All other settings, and a bridge that comes or goes as a whole, count
-    /// from the next start on.
+    /// Takes over the level of the log and the routes of the bridge in another configuration, and a certificate of the node that lies in its
+    /// data directory now. All other settings, and a bridge that comes or goes as a whole, count from the next start on.
     pub fn reload(&self, config: &Config) {
+        telemetry::set_level(&config.log);
+        match renewal::read_again(&config.data, &self.identity, &self.instance.ledger.msps()) {
+            Ok(true) => tracing::info!("the node shows the certificate that lies in its data directory now"),
+            Ok(false) => {}
+            Err(fault) => tracing::error!(%fault, "the node keeps the certificate that it has"),
+        }
         match (&self.bridge, &config.bridge) {
             (Some(bridge), Some(settings)) => bridge.reload(settings.clone()),
-            (None, None) => tracing::warn!("this node has no bridge: nothing but routes changes while it runs"),
+            (None, None) => {}
             _ => tracing::warn!("a bridge comes or goes when the node starts again: it goes on as it is"),
         }
     }

@@ -6,6 +6,7 @@ use super::ledgers::Listed;
 use crate::config::Limits;
 use crate::enrolment::EnrolmentService;
 use crate::gateway::GatewayService;
+use crate::health;
 use crate::instance::count;
 use crate::peers::PeerService;
 use ledger::block::PAYLOAD_BYTES_MAX;
@@ -91,12 +92,17 @@ impl Host {
             (gateway, enrolment.max_decoding_message_size(message_bytes_max.min(ENROLMENT_BYTES_MAX)), peer)
         };
         let (stop, stopping) = watch::channel(false);
+        let health = health::health(Arc::clone(&gateway.description), stopping.clone());
+        let (reflection, reflection_alpha) = health::reflection()?;
         let (gateway_server, enrolment_server, peer_server) =
             services(message_bytes_max, PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES);
         let for_members = server(WINDOW_BYTES)
             .add_service(gateway_server)
             .add_service(enrolment_server)
             .add_service(peer_server)
+            .add_service(health.clone())
+            .add_service(reflection)
+            .add_service(reflection_alpha)
             .serve_with_incoming_shutdown(of_members, told(stopping.clone()));
         // The same services, as all but one of their calls say that they want a certificate.
         let (gateway_server, enrolment_server, peer_server) =
@@ -107,6 +113,7 @@ impl Host {
             .add_service(gateway_server)
             .add_service(enrolment_server)
             .add_service(peer_server)
+            .add_service(health)
             .serve_with_incoming_shutdown(of_strangers, told(stopping));
         let server = tokio::spawn(vital_task(async move {
             if let Err(error) = tokio::try_join!(for_members, for_strangers) {

@@ -2,14 +2,17 @@
 
 use crate::own_network::isolated;
 use crate::support::network::{free_address, register_robots};
-use crate::support::wait::eventually;
-use crate::support::{Fleet, connect, programs};
+use crate::support::wait::{eventually, until};
+use crate::support::{Fleet, connect, programs, wire};
 use ledger_api::Context;
 use ledger_identity::Role;
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Command;
+use tonic::client::Grpc;
+use tonic::codegen::http::uri::PathAndQuery;
+use tonic_prost::ProstCodec;
 
 /// An address that is not one of loopback, though nothing leaves the namespace.
 const ELSEWHERE: &str = "10.77.0.1";
@@ -104,6 +107,83 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
     });
     assert!(body.contains("[-] leader failed: no leader is known") && body.ends_with("not ready\n"), "{body}");
     assert_eq!(get(&other, "/livez").1, "ok\n");
+}
+
+/// The answer to a health check (`grpc.health.v1.HealthCheckResponse`): 1 is SERVING, 2 NOT_SERVING.
+async fn health(context: &Context, named: bool, service: &str) -> Result<u64, tonic::Code> {
+    #[derive(Clone, PartialEq, prost::Message)]
+    struct Request {
+        #[prost(string, tag = "1")]
+        service: String,
+    }
+    #[derive(Clone, PartialEq, prost::Message)]
+    struct Answer {
+        #[prost(uint64, tag = "1")]
+        status: u64,
+    }
+    let mut client = Grpc::new(wire::channel(context, named).await);
+    client.ready().await.unwrap();
+    let path = PathAndQuery::from_static("/grpc.health.v1.Health/Check");
+    let codec = ProstCodec::<Request, Answer>::default();
+    let answer = client.unary(tonic::Request::new(Request { service: service.into() }), path, codec).await;
+    answer.map(|answer| answer.into_inner().status).map_err(|status| status.code())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn health_checks_of_grpc_tell_what_readyz_tells_also_to_who_has_no_certificate() {
+    let fleet = Fleet::found(2);
+    let mut nodes: Vec<_> = fleet.nodes.iter().map(|place| place.start()).collect();
+    let owner = Context { nodes: vec![fleet.nodes[1].address.clone()], ..fleet.owner() };
+    connect(&owner).await;
+    for named in [true, false] {
+        for service in ["", "ledgerd.v1.Gateway"] {
+            until("the node is ready", || async { (health(&owner, named, service).await == Ok(1)).then_some(()) })
+                .await;
+        }
+        assert_eq!(health(&owner, named, "ledgerd.v1.Other").await, Err(tonic::Code::NotFound));
+    }
+    // The other one orders. Without it there is no leader.
+    nodes[0].kill();
+    until("the node is not ready", || async { (health(&owner, false, "").await == Ok(2)).then_some(()) }).await;
+    nodes[1].interrupt();
+}
+
+/// `grpcurl list`, as far as it goes: the names of the services (`grpc.reflection.v1`).
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn server_reflection_names_the_services_to_members_and_to_nobody_else() {
+    #[derive(Clone, PartialEq, prost::Message)]
+    struct Request {
+        #[prost(string, tag = "7")]
+        list_services: String,
+    }
+    #[derive(Clone, PartialEq, prost::Message)]
+    struct Answer {
+        #[prost(bytes = "vec", tag = "6")]
+        services: Vec<u8>,
+    }
+    let fleet = Fleet::found(1);
+    let mut node = fleet.nodes[0].start();
+    let owner = fleet.owner();
+    connect(&owner).await;
+    for version in ["v1", "v1alpha"] {
+        let path: PathAndQuery =
+            format!("/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo").parse().unwrap();
+        let ask = async |named| {
+            let mut client = Grpc::new(wire::channel(&owner, named).await);
+            client.ready().await.unwrap();
+            let request = tokio_stream::once(Request { list_services: "*".into() });
+            let codec = ProstCodec::<Request, Answer>::default();
+            let answers = client.streaming(tonic::Request::new(request), path.clone(), codec).await;
+            answers.map_err(|status| status.code())?.into_inner().message().await.map_err(|status| status.code())
+        };
+        let services = ask(true).await.unwrap().unwrap().services;
+        let services = String::from_utf8_lossy(&services).into_owned();
+        for name in ["ledgerd.v1.Gateway", "ledgerd.v1.Enrolment", "ledgerd.v1.Peer", "grpc.health.v1.Health"] {
+            assert!(services.contains(name), "{services}");
+        }
+        assert_eq!(ask(false).await, Err(tonic::Code::Unimplemented));
+    }
+    node.interrupt();
 }
 
 #[test]

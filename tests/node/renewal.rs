@@ -1,10 +1,11 @@
 //! Certificates of nodes renew while the network works: it lives on past the end of its first certificates.
 
 use crate::support::network::NodeWish;
-use crate::support::{Fleet, connect, network, until};
+use crate::support::{Fleet, connect, network, until, wire};
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
+use rustix::process::Signal;
 use std::path::Path;
 
 /// Microseconds.
@@ -72,4 +73,50 @@ async fn a_node_whose_certificate_ran_out_comes_back_by_its_own_ca_or_says_how()
     let _node = fleet.nodes[0].start();
     network::some_block(&connect(&at(&admin, &fleet, 0)).await).await;
     assert!(end(&fleet.nodes[0].data) > network::now() + YEAR / 2);
+}
+
+/// The certificate that a node shows on a new connection.
+async fn shown(context: &Context) -> Vec<u8> {
+    let stream = wire::tls(context, true).await.unwrap();
+    stream.get_ref().1.peer_certificates().unwrap()[0].to_vec()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn sighup_takes_over_the_level_of_the_log_and_a_certificate_put_there_by_hand_and_none_of_somebody_else() {
+    let fleet = Fleet::found_with(&[wish("node1", true)], network::now() - SECOND);
+    let (mut node, admin) = (fleet.nodes[0].start(), fleet.issue("Org1", "Admin", Role::Admin, &[]));
+    let client = connect(&admin).await;
+    let first = shown(&admin).await;
+    let data = &fleet.nodes[0].data;
+    let put = |paper: &Context| {
+        let chain: String =
+            paper.chain.iter().map(|der| pem::encode(&pem::Pem::new("CERTIFICATE", der.to_vec()))).collect();
+        std::fs::write(data.join("node.pem"), chain).unwrap();
+        std::fs::write(data.join("node.key"), paper.key.to_pkcs8_pem().as_bytes()).unwrap();
+    };
+    put(&fleet.issue("Org1", "node2", Role::Node, &[]));
+    node.send(Signal::HUP);
+    until("the node refuses the papers of another one", || async {
+        node.stderr().contains("is of another identity").then_some(())
+    })
+    .await;
+    assert_eq!(shown(&admin).await, first);
+
+    // With the level of errors nothing is told of it; with the level of before it is.
+    let told = || node.stderr().contains("the node shows the certificate that lies in its data directory now");
+    fleet.nodes[0].configure("[log]\nlevel = \"error\"");
+    put(&fleet.issue("Org1", "node1", Role::Node, &[]));
+    node.send(Signal::HUP);
+    until("the node shows its other certificate", || async { (shown(&admin).await != first).then_some(()) }).await;
+    let lies_there = pem::parse(std::fs::read(data.join("node.pem")).unwrap()).unwrap();
+    assert_eq!(shown(&admin).await, lies_there.contents());
+    network::some_block(&client).await;
+    assert!(!told(), "{}", node.stderr());
+    let config = std::fs::read_to_string(&fleet.nodes[0].config).unwrap();
+    std::fs::write(&fleet.nodes[0].config, config.replace("level = \"error\"", "level = \"info\"")).unwrap();
+    put(&fleet.issue("Org1", "node1", Role::Node, &[]));
+    node.send(Signal::HUP);
+    until("the log tells it", || async { told().then_some(()) }).await;
+    connect(&admin).await;
+    node.interrupt();
 }

@@ -52,3 +52,6 @@ pub use report::{ERROR_DOMAIN, accepted, from_status, report, to_status};
 pub mod v1 {
     tonic::include_proto!("ledgerd.v1");
 }
+
+/// The proto files as an encoded `google.protobuf.FileDescriptorSet`, for server reflection.
+pub const FILE_DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
