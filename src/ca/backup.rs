@@ -37,6 +37,15 @@ pub(crate) struct Backup {
 /// # Errors
 /// [`Code::BadArgument`] for a short passphrase, [`Code::BadFile`] if the file exists, a failing disk.
 pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &Path) -> Result<(), Rejection> {
+    ledger_durable::create(path, text(authority, passphrase)?.as_bytes(), SECRET_MODE)?;
+    ledger_durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
+}
+
+/// The content of a backup's file.
+///
+/// # Errors
+/// [`Code::BadArgument`] for a short passphrase.
+pub(crate) fn text(authority: &CertificateAuthority, passphrase: &str) -> Result<String, Rejection> {
     let found = passphrase.chars().count();
     if found < PASSPHRASE_CHARS_MIN {
         return Err(Rejection::new(Code::BadArgument, "the passphrase is too short")
@@ -49,9 +58,7 @@ pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &P
     let encrypted = key.encrypt(passphrase).map_err(failed)?;
     let section = pem::Pem::new(KEY_SECTION, encrypted.as_bytes());
     let key = pem::encode_config(&section, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF));
-    let text = format!("{ORGANISATION}{}\n{key}{}", authority.organisation(), certificates(&[authority.root()]));
-    ledger_durable::create(path, text.as_bytes(), SECRET_MODE)?;
-    ledger_durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
+    Ok(format!("{ORGANISATION}{}\n{key}{}", authority.organisation(), certificates(&[authority.root()])))
 }
 
 /// Reads a backup.
@@ -59,13 +66,23 @@ pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &P
 /// # Errors
 /// [`Code::BadFile`] if it is none, or the passphrase is another.
 pub(crate) fn read(path: &Path, passphrase: &str) -> Result<Backup, Rejection> {
+    parse(&path.display().to_string(), &ledger_durable::read(path, BACKUP_BYTES_MAX)?, passphrase)
+}
+
+/// As [`read`], of the content of a file that is called so.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn parse(name: &str, content: &[u8], passphrase: &str) -> Result<Backup, Rejection> {
     let bad = |found: String| {
-        Rejection::new(Code::BadFile, format!("{} is not usable", path.display()))
+        Rejection::new(Code::BadFile, format!("{name} is not usable"))
             .found(found)
-            .wanted("a file that ledgerd ca backup has written, and its passphrase")
+            .wanted("a file that ca backup has written, and its passphrase")
     };
-    let text = String::from_utf8(ledger_durable::read(path, BACKUP_BYTES_MAX)?)
-        .map_err(|_| bad("bytes that are no text".into()))?;
+    if content.len() > BACKUP_BYTES_MAX {
+        return Err(bad(format!("{} bytes", content.len())));
+    }
+    let text = String::from_utf8(content.to_vec()).map_err(|_| bad("bytes that are no text".into()))?;
     let organisation = text
         .lines()
         .find_map(|line| line.strip_prefix(ORGANISATION))

@@ -7,6 +7,7 @@
 //! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
 
 use super::{Records, enter};
+use crate::backup::RESTORED_FILE;
 use crate::company::{CONFIRMED_FILE, DIVERGED_FILE};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
@@ -27,8 +28,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Files that follow from the blocks, hold them, or say what others had.
-const SET_ASIDE: [&str; 6] =
-    [BLOCKS_DIRECTORY, STATE_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, DIVERGED_FILE, CONFIRMED_FILE];
+const SET_ASIDE: [&str; 7] = [
+    BLOCKS_DIRECTORY,
+    STATE_DIRECTORY,
+    RESULTS_DIRECTORY,
+    SNAPSHOTS_DIRECTORY,
+    DIVERGED_FILE,
+    CONFIRMED_FILE,
+    RESTORED_FILE,
+];
 
 /// The arguments of `ledgerd rejoin`.
 #[derive(Clone, Debug, clap::Args)]
