@@ -55,6 +55,8 @@ enum Command {
     Restore(backup::RestoreOptions),
     /// Goes on with one node when most voters are lost for good. What only they had is lost.
     Recover(recover::RecoverOptions),
+    /// Says where gates and light clients begin anew after such a recovery: at this node, which they believe then.
+    Checkpoint(recover::CheckpointOptions),
     /// Makes a one-time secret for an admin, at a node that carries the CA: the way back for who is locked out.
     AdminSecret(operator::AdminSecret),
     /// Copies, restores or gives up the CA that a node carries.
@@ -175,6 +177,10 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Recover(options) => {
             let config = load(&options.config)?;
             block_on(async { recover::recover(builder, &options, &config).await.map(|text| print_line(&text)) })
+        }
+        Command::Checkpoint(options) => {
+            let config = load(&options.config)?;
+            recover::checkpoint(builder, &options, &config).map(|text| print_line(&text))
         }
         Command::AdminSecret(command) => {
             let config = load(&command.config)?;

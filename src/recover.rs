@@ -4,7 +4,10 @@
 //! a majority can be seen, names the possible loss, wants the name of the network as a confirmation, and stays on the ledger
 //! for ever ([`ledger::msp::Recovery`]). The lost voters must never start again as they were: `ledgerd rejoin` brings each in.
 
+mod checkpoint;
 mod survey;
+
+pub(crate) use checkpoint::{CheckpointOptions, checkpoint};
 
 use crate::backup::RESTORED_FILE;
 use crate::clock::wall;
@@ -147,7 +150,7 @@ impl Survivor {
             return Ok(());
         }
         let found = options.confirm.as_ref().map_or_else(|| "no confirmation".into(), |label| format!("{label:?}"));
-        Err(Rejection::new(Code::BadArgument, format!("nothing was done: {}", self.consequences(config)))
+        Err(Rejection::new(Code::BadArgument, format!("nothing was done: {}", self.consequences(config, false)))
             .found(found)
             .wanted(format!("--confirm {label:?}, the label of the network"))
             .next(format!(
@@ -157,26 +160,27 @@ impl Survivor {
             )))
     }
 
-    /// What it means, in words.
-    fn consequences(&self, config: &Config) -> String {
+    /// What it means, in words: as a threat, or as done.
+    fn consequences(&self, config: &Config, done: bool) -> String {
+        let (is, vote) = if done { ("is", "vote") } else { ("would be", "would vote") };
+        let me =
+            format!("{} {is} the only voter of the network, with the blocks up to {}", self.me.full_name(), self.last);
         let others = self.voters().into_iter().filter(|id| *id != self.me.id).map(|id| self.name(id));
         let others: Vec<_> = others.collect();
-        let others = if others.is_empty() { "nobody".into() } else { others.join(", ") };
+        if others.is_empty() {
+            return format!("{me}; blocks that are in no copy are lost");
+        }
         let heights = confirmed_heights(&config.data);
         let lost = match heights.values().max().filter(|height| **height > self.last) {
             Some(height) => format!("blocks {} to {height}, which others had confirmed, are lost", self.last + 1),
             None => "blocks that only the others had are lost".to_owned(),
         };
-        format!(
-            "{} would be the only voter of the network, with the blocks up to {}; {others} would vote no more; {lost}",
-            self.me.full_name(),
-            self.last
-        )
+        format!("{me}; {} {vote} no more; {lost}", others.join(", "))
     }
 
     /// Writes the change of members behind the log, as committed, in a new term.
     fn force(&self, options: &RecoverOptions, config: &Config) -> Result<String, Rejection> {
-        let consequences = self.consequences(config);
+        let consequences = self.consequences(config, true);
         let recovery = Recovery {
             id: self.me.id,
             node: self.me.full_name(),
@@ -187,16 +191,15 @@ impl Survivor {
         let store = &self.stores.store;
         let before = store.hard_state();
         let term = before.term + 1;
-        let leave = || Bytes::new();
         let mut changes = Vec::new();
         if self.ordering.is_joint() {
-            changes.push(leave());
+            changes.push(Bytes::new());
         }
         let others: Vec<_> = self.ordering.nodes().union(&self.ordering.learners_next).copied().collect();
         let change = recovery.change(others)?;
         changes.push(change.to_bytes());
         if change.changes.len() > 1 {
-            changes.push(leave());
+            changes.push(Bytes::new());
         }
         let entry = |(index, data)| Entry { index, term, kind: EntryKind::ConfChangeV2, data };
         let entries: Vec<_> = (self.last + 1..).zip(changes).map(entry).collect();
@@ -210,13 +213,12 @@ impl Survivor {
         unmark(config)?;
         let file = config.file.display();
         Ok(format!(
-            "RECOVERED BY FORCE: {}.\n\
+            "RECOVERED BY FORCE: {consequences}.\n\
              The ledger says so from block {} on, for ever: event members_forced.\n\n\
              next:\n  ledgerd run --config {file}\n\
              Never start one of the others as it is. On each that comes back: ledgerd rejoin --config FILE --node {}\n\
              For each that is lost: ledgerctl network remove NODE. Gates and checkpoints from before believe nothing that this \
              node alone signs: docs/operations.md says how they begin anew.",
-            consequences.replace(" would be ", " is ").replace(" would vote ", " vote "),
             self.last + 1,
             self.me.address
         ))

@@ -2,10 +2,11 @@
 
 use crate::support::directory::copy;
 use crate::support::network::{NodeWish, free_address, now};
-use crate::support::{Ctl, Fleet, Process, eventually};
+use crate::support::{Ctl, Fleet, Process, eventually, programs};
 use ledger_api::Context;
 use ledger_identity::Role;
 use serde_json::json;
+use std::process::Command;
 
 fn robot(name: &str) -> String {
     let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "exclusive"});
@@ -61,7 +62,7 @@ fn the_stolen_key_of_a_node_opens_nothing_once_its_certificate_is_revoked() {
     };
     let fleet = Fleet::found_with(&[wish(1, true), wish(2, false)], now());
     let admin = fleet.issue("Org1", "Boss", Role::Admin, &[]);
-    Context { nodes: vec![fleet.nodes[0].address.clone()], ..admin }.save(&fleet.home()).unwrap();
+    Context { nodes: vec![fleet.nodes[0].address.clone()], ..admin.clone() }.save(&fleet.home()).unwrap();
     let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
     let boss = fleet.ctl().as_("Boss");
     answers(&boss);
@@ -70,10 +71,23 @@ fn the_stolen_key_of_a_node_opens_nothing_once_its_certificate_is_revoked() {
     eventually("the ledger knows the certificate of the node", || {
         (boss.run(&["identity", "revoke", "node2", "--reason", "stolen disk"]).code == 0).then_some(())
     });
-    // Whoever has the disk starts it.
+    // Whoever has the disk comes in no more, neither as a new node nor as the old one.
+    let mut command = Command::new(programs::ledgerd());
+    let address = &fleet.nodes[0].address;
+    let refused = command.args(["rejoin", "--node", address, "--config"]).arg(&fleet.nodes[1].config).output().unwrap();
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && told.contains("LGR-"), "{told}");
     let mut stolen = fleet.nodes[1].start();
-    let ended = stolen.wait();
-    assert!(!ended.success(), "{ended}\n{}", stolen.stderr());
+    boss.run(&["invoke", "abac", "setup", &robot("Husky")]).ok();
+    let at_it = Context { name: "AtIt".into(), nodes: vec![fleet.nodes[1].address.clone()], ..admin };
+    at_it.save(&fleet.home()).unwrap();
+    let height = boss.json(&["status"])["height"].as_u64().unwrap();
+    let behind = eventually("the stolen node answers whoever asks it", || {
+        let ran = fleet.ctl().as_("AtIt").run(&["status", "-o", "json"]);
+        serde_json::from_str::<serde_json::Value>(&ran.stdout).ok()?["height"].as_u64()
+    });
+    assert!(behind < height, "it has block {behind}, the network {height}");
+    stolen.kill();
     boss.run(&["robot", "list"]).ok();
     nodes[0].check();
     nodes[0].no_panic();
