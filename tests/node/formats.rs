@@ -48,7 +48,7 @@ fn make(directory: &Path) {
     terminal.type_line("ledgerctl enroll Salma --node 127.0.0.1:7450 --ca-fingerprint FINGERPRINT --secret SECRET");
     terminal.type_line("ledgerctl --context Salma acquire Turtlebot4 --for 10m");
     for _ in 0..5 {
-        terminal.type_line("ledgerctl --context Salma publish Turtlebot4/cmd_vel {linear:{x:0.5}}");
+        terminal.type_line("ledgerctl --context Salma publish Turtlebot4/cmd_vel {\"linear\":{\"x\":0.5}}");
     }
     let admin = Ctl::at(&terminal.home()).as_("admin");
     let height = status(&admin)["height"].as_u64().unwrap();
@@ -91,7 +91,7 @@ fn open(fixture: &Path) {
     let shown = status(&admin);
     assert!(shown["height"].as_u64() >= expected["height"].as_u64(), "{shown}");
     terminal.type_line("ledgerctl --context Salma acquire Turtlebot4");
-    terminal.type_line("ledgerctl --context Salma publish Turtlebot4/cmd_vel {linear:{x:0.5}}");
+    terminal.type_line("ledgerctl --context Salma publish Turtlebot4/cmd_vel {\"linear\":{\"x\":0.5}}");
     ledgerd(place, &["backup", "another"]);
     ledgerd(place, &["backup", "backup"]);
     terminal.process(RUN).interrupt();

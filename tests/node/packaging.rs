@@ -1,5 +1,6 @@
 //! What is installed: hardened units, a Debian package and an image, each made by one command and read back.
 
+use crate::own_network::isolated;
 use crate::support::programs::{self, ran, repository};
 use ledger_hash::Hash;
 use serde_json::Value;
@@ -49,6 +50,31 @@ fn systemd_finds_each_unit_hardened() {
             assert!(unit.contains(line), "{line:?} is missing");
         }
     }
+}
+
+#[test]
+fn the_configuration_of_the_example_robot_is_accepted() {
+    let config = repository().join("examples/networks/robot/ledgerd.toml");
+    let told = text(&ran(Command::new(programs::ledgerd()).args(["check", "--config"]).arg(config)));
+    assert!(told.contains("is fine"), "{told}");
+}
+
+#[test]
+fn the_network_of_the_example_laptop_runs_as_it_stands() {
+    if !isolated(&|| ()) {
+        return;
+    }
+    let place = TempDir::new().unwrap();
+    let programs = programs::ledgerctl().parent().unwrap().display().to_string();
+    let mut command = Command::new(repository().join("examples/networks/laptop/up"));
+    command.arg(place.path().join("fleet")).env_remove("LEDGERCTL_CONTEXT").env_remove("RUST_LOG");
+    command.env("PATH", format!("{programs}:{}", std::env::var("PATH").unwrap()));
+    let done = command.output().unwrap();
+    let node = fs::read_to_string(place.path().join("fleet/node.pid")).unwrap();
+    Command::new("kill").arg(node.trim()).status().unwrap();
+    let told = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert!(done.status.success(), "{told}\n{}", String::from_utf8_lossy(&done.stderr));
+    assert!(told.contains("Turtlebot4/cmd_vel is yours alone"), "{told}");
 }
 
 /// Makes the package of these programs.
