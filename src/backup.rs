@@ -52,7 +52,7 @@ pub(crate) struct BackupOptions {
     pub(crate) config: PathBuf,
 }
 
-/// What a backup holds.
+/// The content of a backup.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Manifest {

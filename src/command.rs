@@ -53,7 +53,7 @@ enum Command {
     Backup(backup::BackupOptions),
     /// Makes a data directory from such a copy. It starts after `rejoin` or `recover` only.
     Restore(backup::RestoreOptions),
-    /// Goes on with one node when most voters are lost for good. What only they had is lost.
+    /// Goes on with one node when most voters are lost for good. Blocks that only they had are gone.
     Recover(recover::RecoverOptions),
     /// Says where gates and light clients begin anew after such a recovery: at this node, which they believe then.
     Checkpoint(recover::CheckpointOptions),

@@ -1,7 +1,7 @@
 //! `ledgerd recover --force-single`: the last resort when most voters are lost for good. One node goes on as the only voter.
 //!
 //! It gives up a promise: what the lost voters had acknowledged and this node never received is gone. So it is refused while
-//! a majority can be seen, names the possible loss, wants the name of the network as a confirmation, and stays on the ledger
+//! a majority can be seen, names the possible loss, and wants the name of the network as a confirmation. It stays on the ledger
 //! for ever ([`ledger::msp::Recovery`]). The lost voters must never start again as they were: `ledgerd rejoin` brings each in.
 
 mod checkpoint;
@@ -39,7 +39,7 @@ const READ_BYTES: usize = 8 * 1024 * 1024;
     after_help = "Example:\n  ledgerd recover --force-single --config ledgerd.toml --confirm fleet --reason \"fire in hall 2\""
 )]
 pub(crate) struct RecoverOptions {
-    /// This node becomes the only voter. What only the lost voters had is lost.
+    /// This node becomes the only voter. Blocks that only the lost voters had are gone.
     #[arg(long, required = true)]
     force_single: bool,
     /// The label of the network. Without it the command says what would be done and lost, and does nothing.
@@ -131,7 +131,7 @@ impl Survivor {
             )))
     }
 
-    /// Whoever holds most is the one to go on with.
+    /// The node with the newest blocks is the one to go on with.
     fn check_newest(&self, answers: &[Answer]) -> Result<(), Rejection> {
         let Some(newer) = answers.iter().filter(|answer| answer.last > self.last).max_by_key(|answer| answer.last)
         else {
@@ -160,7 +160,7 @@ impl Survivor {
             )))
     }
 
-    /// What it means, in words: as a threat, or as done.
+    /// The consequences in words: as a threat, or as done.
     fn consequences(&self, config: &Config, done: bool) -> String {
         let (is, vote) = if done { ("is", "vote") } else { ("would be", "would vote") };
         let me =

@@ -44,7 +44,7 @@ impl RestoreOptions {
 ///
 /// # Errors
 /// [`Code::BadFile`] if the directory is no whole backup, or the data directory is in use; [`Code::BadConfiguration`] if it is
-/// of another node; what is wrong with the blocks, with file and byte. Then nothing was restored.
+/// of another node; the fault of the blocks, with file and byte. Then nothing was restored.
 pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &Config) -> Result<String, Rejection> {
     let from = &options.directory;
     let manifest = Manifest::read(from)?;

@@ -1,4 +1,4 @@
-//! Who of a network still answers. Only a node that shows its certificate counts: nobody else can hold a recovery up.
+//! The nodes of a network that still answer. Only a node that shows its certificate counts: nobody else can hold a recovery up.
 
 use crate::host::Papers;
 use crate::peers::Member;

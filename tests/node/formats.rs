@@ -1,4 +1,4 @@
-//! What earlier releases wrote is opened by this one: a data directory, a backup of it, a copy of its CA.
+//! Files of earlier releases are opened by this one: a data directory, a backup of it, a copy of its CA.
 //!
 //! `tests/fixtures/formats/NAME.tar.gz` is what a node of some day left, with its `expected.json`. None is ever changed. The one of
 //! a new release is made by `STORE_FORMATS=NAME` and this test, with that release's program.

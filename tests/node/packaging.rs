@@ -1,4 +1,4 @@
-//! What is installed: hardened units, a Debian package and an image, each made by one command and read back.
+//! Packages: hardened units, a Debian package and an image, each made by one command and read back.
 
 use crate::own_network::isolated;
 use crate::support::programs::{self, ran, repository};
