@@ -9,7 +9,7 @@
 
 mod restore;
 
-pub(crate) use restore::{RESTORED_FILE, RestoreOptions, refuse_restored, restore};
+pub(crate) use restore::{CopiedBlocks, RESTORED_FILE, RestoreOptions, refuse_restored, restore};
 
 use crate::clock::wall;
 use crate::config::Config;

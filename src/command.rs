@@ -163,7 +163,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
-            block_on(async { join::rejoin(&options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { join::rejoin(builder, &options, &config).await.map(|text| print_line(&text)) })
         }
         Command::Backup(options) => {
             let config = load(&options.config)?;

@@ -127,6 +127,37 @@ fn place(from: &Path, data: &Path) -> Result<(), Rejection> {
     }
 }
 
+/// The verified blocks of a backup, for a node that comes back under a new number.
+pub(crate) struct CopiedBlocks<'a>(&'a Path);
+
+impl<'a> CopiedBlocks<'a> {
+    /// Verifies the backup of any node of the same network.
+    ///
+    /// # Errors
+    /// [`Code::WrongNetwork`] if it is of another network; the fault of its blocks, with file and byte.
+    pub(crate) fn verify(builder: &NodeBuilder, from: &'a Path, data: &Path) -> Result<Self, Rejection> {
+        let [theirs, ours] = [from, data].map(|place| read(&place.join(GENESIS_FILE), FILE_BYTES_MAX));
+        if theirs? != ours? {
+            return Err(Rejection::new(Code::WrongNetwork, format!("{} is of another network", from.display()))
+                .found("another genesis.json")
+                .wanted("a backup of a node of this network"));
+        }
+        verify_directory(from, &builder.registry()?)?;
+        Ok(Self(from))
+    }
+
+    /// Copies them into a data directory that has none.
+    ///
+    /// # Errors
+    /// A failing disk.
+    pub(crate) fn put(self, data: &Path) -> Result<(), Rejection> {
+        for directory in [BLOCKS_DIRECTORY, SNAPSHOTS_DIRECTORY] {
+            copy_directory(&self.0.join(directory), &data.join(directory))?;
+        }
+        sync_directory(data)
+    }
+}
+
 fn remove(directory: &Path) -> Result<(), Rejection> {
     match fs::remove_dir_all(directory) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_durable::failed("remove", directory, &error)),

@@ -281,6 +281,47 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
 }
 
 #[test]
+fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks_of_its_backup() {
+    let wish = |name: &str, organisation: &str| NodeWish {
+        name: name.into(),
+        organisation: organisation.into(),
+        voter: true,
+        address: free_address(),
+    };
+    let fleet = Fleet::found_with(&[wish("node1", "Org1"), wish("node2", "Org1"), wish("node3", "Org2")], now());
+    let [lost, _, survivor] = [0, 1, 2].map(|number| &fleet.nodes[number]);
+    let owner = Context { nodes: vec![survivor.address.clone()], ..fleet.owner() };
+    let boss = Context { nodes: vec![lost.address.clone()], ..fleet.issue("Org1", "Boss", Role::Admin, &[]) };
+    [&owner, &boss].into_iter().for_each(|context| context.save(&fleet.home()).unwrap());
+    let (owner, boss) = (fleet.ctl().as_("Admin"), fleet.ctl().as_("Boss"));
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
+    order(&owner, "Kept");
+    nodes.iter_mut().for_each(Process::kill);
+    said(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &survivor.config));
+    nodes[2] = survivor.start();
+    order(&owner, "New");
+    let backup = fleet.path().join("backup");
+    back_up(&owner, &survivor.config, &backup);
+
+    let rejoin = ["rejoin", "--node", &survivor.address, "--blocks", text(&backup)];
+    let other = voters(1);
+    let _running = other.nodes[0].start();
+    order(&admin(&other, 1), "Foreign");
+    let foreign = fleet.path().join("foreign");
+    said(&ledgerd(&["backup", text(&foreign)], &other.nodes[0].config));
+    let wrong = ["rejoin", "--node", &survivor.address, "--blocks", text(&foreign)];
+    refused(&ledgerd(&wrong, &lost.config), &["is of another network"]);
+    let back = said(&ledgerd(&rejoin, &lost.config));
+    assert!(back.contains("node Org1/node1 is node 4"), "{back}");
+    nodes[0] = lost.start();
+    order(&owner, "Newest");
+    eventually("it has what was ordered since", || {
+        let ran = boss.run(&["robot", "list"]);
+        (ran.code == 0 && ran.stdout.contains("Newest")).then_some(())
+    });
+}
+
+#[test]
 fn a_lost_voter_that_starts_again_as_it_was_changes_nothing_that_was_recovered() {
     let fleet = voters(3);
     let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
