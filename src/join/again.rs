@@ -48,8 +48,8 @@ pub(crate) struct RejoinOptions {
     /// Another node of the network; may be given several times. Those that let this node in are asked in any case.
     #[arg(long, value_name = "HOST:PORT")]
     node: Vec<String>,
-    /// A backup of any node of the network, whose blocks are taken: where no node of the own organisation, and no majority that
-    /// this one knows, is left to give them. Whoever made it is believed.
+    /// A backup of any node of the network, whose blocks are taken and believed. For a node whose organisation has no other node
+    /// left, where no majority gives them.
     #[arg(long, value_name = "DIR")]
     blocks: Option<PathBuf>,
 }
