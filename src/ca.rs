@@ -25,7 +25,7 @@ pub(crate) mod secret;
 mod tests;
 
 pub use issue::DAY;
-pub(crate) use place::{carried, check_secret};
+pub(crate) use place::{carried, check_secret, remove};
 pub use registry::{CERTIFICATES_MAX, IDENTITIES_MAX, IssuedCertificate, Registered};
 pub use request::REQUEST_BYTES_MAX;
 pub(crate) use request::{make as request, public_key};

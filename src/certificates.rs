@@ -17,6 +17,7 @@ mod keys;
 mod passed;
 mod recent;
 
+pub(crate) use kept::newest_proof;
 pub(crate) use keys::Keys;
 
 use crate::peers::{Directory, Peers};

@@ -4,8 +4,8 @@ use crate::ca::operator;
 use crate::config::{Config, Fault, Log};
 use crate::host::NodeBuilder;
 use crate::instance::Ended;
-use crate::{demo, dev, join, memory, setup, telemetry, verify};
-use clap::{Parser, Subcommand};
+use crate::{backup, demo, dev, join, memory, recover, setup, telemetry, verify};
+use clap::{CommandFactory, Parser, Subcommand};
 use futures::{FutureExt, Stream, StreamExt, future, stream};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
@@ -49,6 +49,14 @@ enum Command {
     Join(join::JoinOptions),
     /// Brings a node back whose blocks are damaged or lost, under a new number; needs its certificate, and no token.
     Rejoin(join::RejoinOptions),
+    /// Copies a node, which may run, into a directory, and verifies the copy.
+    Backup(backup::BackupOptions),
+    /// Makes a data directory from such a copy. It starts after `rejoin` or `recover` only.
+    Restore(backup::RestoreOptions),
+    /// Goes on with one node when most voters are lost for good. Blocks that only they had are gone.
+    Recover(recover::RecoverOptions),
+    /// Says where gates and light clients begin anew after such a recovery: at this node, which they believe then.
+    Checkpoint(recover::CheckpointOptions),
     /// Makes a one-time secret for an admin, at a node that carries the CA: the way back for who is locked out.
     AdminSecret(operator::AdminSecret),
     /// Copies, restores or gives up the CA that a node carries.
@@ -62,6 +70,12 @@ enum Command {
     /// the first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the
     /// others. Blocks that call a chaincode of your own are verified by the program that has that chaincode.
     Verify(verify::Options),
+    /// Prints what a shell needs to complete these commands.
+    Completions {
+        /// The shell.
+        #[arg(value_enum)]
+        shell: clap_complete::Shell,
+    },
 }
 
 #[derive(clap::Args)]
@@ -149,7 +163,24 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
-            block_on(async { join::rejoin(&options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { join::rejoin(builder, &options, &config).await.map(|text| print_line(&text)) })
+        }
+        Command::Backup(options) => {
+            let config = load(&options.config)?;
+            backup::backup(builder, &options, &config).map(|text| print_line(&text))
+        }
+        Command::Restore(options) => {
+            options.provide_config()?;
+            let config = load(&options.config)?;
+            backup::restore(builder, &options, &config).map(|text| print_line(&text))
+        }
+        Command::Recover(options) => {
+            let config = load(&options.config)?;
+            block_on(async { recover::recover(builder, &options, &config).await.map(|text| print_line(&text)) })
+        }
+        Command::Checkpoint(options) => {
+            let config = load(&options.config)?;
+            recover::checkpoint(builder, &options, &config).map(|text| print_line(&text))
         }
         Command::AdminSecret(command) => {
             let config = load(&command.config)?;
@@ -175,6 +206,12 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             })
         }
         Command::Verify(options) => verify::run(builder, &options),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "ledgerd", &mut script);
+            print_line(&String::from_utf8_lossy(&script));
+            Ok(())
+        }
     }
 }
 

@@ -10,7 +10,7 @@
 mod confirmed;
 mod difference;
 
-pub(crate) use confirmed::CONFIRMED_FILE;
+pub(crate) use confirmed::{CONFIRMED_FILE, confirmed_heights};
 
 use crate::catch_up::Asked;
 use crate::gateway::Links;

@@ -5,6 +5,7 @@
 //! | `issuing` | a secret, or a certificate that is still good, becomes a certificate |
 //! | `registrar` | tells the ledger which CAs this node carries, and what its disk knows |
 //! | `carrying` | the key of a CA goes to another node |
+//! | `keeping` | a copy of a CA for the safe, and back; its end at one node when it moves |
 //! | `joining` | what an invited organisation has signed is brought to the ledger |
 //! | `authorities`, `voice`, `tries` | the CAs of this node; how it calls the ledger; who tries too often |
 //!
@@ -15,6 +16,7 @@ mod authorities;
 mod carrying;
 mod issuing;
 mod joining;
+mod keeping;
 mod registrar;
 #[cfg(test)]
 mod tests;
@@ -198,6 +200,36 @@ impl Enrolment for EnrolmentService {
             Err(refused) => Err(refused),
         };
         Ok(Response::new(v1::TakeCaResponse { verdict: Some(verdict(taken)) }))
+    }
+
+    async fn copy_ca(&self, request: Request<v1::CopyCaRequest>) -> Result<Response<v1::CopyCaResponse>, Status> {
+        let copied = match self.shared.admin(&request) {
+            Ok(admin) => self.copy(admin, request.into_inner()).await,
+            Err(refused) => Err(refused),
+        };
+        Ok(Response::new(copied.unwrap_or_else(|refused| v1::CopyCaResponse {
+            verdict: Some((&refused).into()),
+            ..v1::CopyCaResponse::default()
+        })))
+    }
+
+    async fn restore_ca(
+        &self,
+        request: Request<v1::RestoreCaRequest>,
+    ) -> Result<Response<v1::RestoreCaResponse>, Status> {
+        let restored = match self.shared.admin(&request) {
+            Ok(admin) => self.restore(&admin, request.into_inner()).await,
+            Err(refused) => Err(refused),
+        };
+        Ok(Response::new(v1::RestoreCaResponse { verdict: Some(verdict(restored)) }))
+    }
+
+    async fn drop_ca(&self, request: Request<v1::DropCaRequest>) -> Result<Response<v1::DropCaResponse>, Status> {
+        let dropped = match self.shared.admin(&request) {
+            Ok(admin) => self.give_up(&admin, &request.into_inner().organisation).await,
+            Err(refused) => Err(refused),
+        };
+        Ok(Response::new(v1::DropCaResponse { verdict: Some(verdict(dropped)) }))
     }
 }
 

@@ -36,6 +36,7 @@
 //! | `identity` | which of the network's nodes this is |
 //! | `renewal` | the node's certificate, renewed before it runs out |
 //! | `setup`, `join` | founding a network; bringing a node into one |
+//! | `backup`, `recover` | a copy of a node for the safe; going on with one node when most are lost |
 //! | `verify` | checking a chain offline |
 //! | `housekeeping`, `scrub` | what is done beside the work; reading old blocks to find damage |
 //! | `space` | how full the disk is, and what is still accepted |
@@ -45,6 +46,7 @@
 mod admin;
 mod audit;
 mod awake;
+mod backup;
 mod blocks;
 mod bridge;
 pub mod ca;
@@ -72,6 +74,7 @@ mod meters;
 mod orderer;
 mod peers;
 mod random;
+mod recover;
 mod refusals;
 mod renewal;
 mod retention;

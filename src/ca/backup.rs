@@ -10,6 +10,8 @@ use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::{KEY_BYTES_MAX, SigningKey};
 use ledger_rejection::{Code, Rejection};
+use pkcs8::pkcs5::EncryptionScheme;
+use pkcs8::pkcs5::pbes2::{Kdf, ScryptParams};
 use pkcs8::{EncryptedPrivateKeyInfoRef, PrivateKeyInfoRef};
 use std::path::Path;
 
@@ -17,6 +19,10 @@ use std::path::Path;
 pub(crate) const PASSPHRASE_CHARS_MIN: usize = 12;
 /// Largest backup that is read, in bytes.
 const BACKUP_BYTES_MAX: usize = ROOT_BYTES_MAX + 4 * KEY_BYTES_MAX;
+/// Most memory that trying a passphrase may take, in bytes; our own copies take 16 MiB.
+const SCRYPT_MEMORY_MAX: u64 = 128 * 1024 * 1024;
+/// How often at most.
+const SCRYPT_PARALLEL_MAX: u16 = 4;
 const KEY_SECTION: &str = "ENCRYPTED PRIVATE KEY";
 const ROOT_SECTION: &str = "CERTIFICATE";
 /// In front of the organisation's name, in a line before the sections.
@@ -37,6 +43,15 @@ pub(crate) struct Backup {
 /// # Errors
 /// [`Code::BadArgument`] for a short passphrase, [`Code::BadFile`] if the file exists, a failing disk.
 pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &Path) -> Result<(), Rejection> {
+    ledger_durable::create(path, text(authority, passphrase)?.as_bytes(), SECRET_MODE)?;
+    ledger_durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
+}
+
+/// The content of a backup's file.
+///
+/// # Errors
+/// [`Code::BadArgument`] for a short passphrase.
+pub(crate) fn text(authority: &CertificateAuthority, passphrase: &str) -> Result<String, Rejection> {
     let found = passphrase.chars().count();
     if found < PASSPHRASE_CHARS_MIN {
         return Err(Rejection::new(Code::BadArgument, "the passphrase is too short")
@@ -49,9 +64,7 @@ pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &P
     let encrypted = key.encrypt(passphrase).map_err(failed)?;
     let section = pem::Pem::new(KEY_SECTION, encrypted.as_bytes());
     let key = pem::encode_config(&section, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF));
-    let text = format!("{ORGANISATION}{}\n{key}{}", authority.organisation(), certificates(&[authority.root()]));
-    ledger_durable::create(path, text.as_bytes(), SECRET_MODE)?;
-    ledger_durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
+    Ok(format!("{ORGANISATION}{}\n{key}{}", authority.organisation(), certificates(&[authority.root()])))
 }
 
 /// Reads a backup.
@@ -59,13 +72,23 @@ pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &P
 /// # Errors
 /// [`Code::BadFile`] if it is none, or the passphrase is another.
 pub(crate) fn read(path: &Path, passphrase: &str) -> Result<Backup, Rejection> {
+    parse(&path.display().to_string(), &ledger_durable::read(path, BACKUP_BYTES_MAX)?, passphrase)
+}
+
+/// As [`read`], of the content of a file that is called so.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn parse(name: &str, content: &[u8], passphrase: &str) -> Result<Backup, Rejection> {
     let bad = |found: String| {
-        Rejection::new(Code::BadFile, format!("{} is not usable", path.display()))
+        Rejection::new(Code::BadFile, format!("{name} is not usable"))
             .found(found)
-            .wanted("a file that ledgerd ca backup has written, and its passphrase")
+            .wanted("a file that ca backup has written, and its passphrase")
     };
-    let text = String::from_utf8(ledger_durable::read(path, BACKUP_BYTES_MAX)?)
-        .map_err(|_| bad("bytes that are no text".into()))?;
+    if content.len() > BACKUP_BYTES_MAX {
+        return Err(bad(format!("{} bytes", content.len())));
+    }
+    let text = String::from_utf8(content.to_vec()).map_err(|_| bad("bytes that are no text".into()))?;
     let organisation = text
         .lines()
         .find_map(|line| line.strip_prefix(ORGANISATION))
@@ -77,12 +100,28 @@ pub(crate) fn read(path: &Path, passphrase: &str) -> Result<Backup, Rejection> {
     };
     let (encrypted, root) = (section(KEY_SECTION)?, section(ROOT_SECTION)?.to_vec());
     let encrypted = EncryptedPrivateKeyInfoRef::try_from(encrypted).map_err(|error| bad(error.to_string()))?;
+    check_cost(&encrypted.encryption_algorithm).map_err(&bad)?;
     let key = encrypted.decrypt(passphrase).map_err(|_| bad("another passphrase, or a damaged file".into()))?;
     let key = SigningKey::from_pkcs8_der(key.as_bytes()).map_err(|error| bad(error.to_string()))?;
     if Certificate::parse(&root)?.public_key_info != key.public_key().to_spki() {
         return Err(bad("the certificate of another key".into()));
     }
     Ok(Backup { organisation: organisation.trim().to_owned(), key, root })
+}
+
+/// The file says what decrypting costs, and anybody may have written it: that is bounded before it is tried.
+fn check_cost(scheme: &EncryptionScheme) -> Result<(), String> {
+    let EncryptionScheme::Pbes2(parameters) = scheme else { return Err("a key that is not encrypted by PBES2".into()) };
+    match &parameters.kdf {
+        Kdf::Scrypt(ScryptParams { cost_parameter, block_size, parallelization, .. }) => {
+            let memory = cost_parameter.saturating_mul(128).saturating_mul(u64::from(*block_size));
+            match memory <= SCRYPT_MEMORY_MAX && *parallelization <= SCRYPT_PARALLEL_MAX {
+                true => Ok(()),
+                false => Err(format!("a key whose passphrase takes {memory} bytes, {parallelization} times, to try")),
+            }
+        }
+        _ => Err("a key whose passphrase is not stretched by scrypt".into()),
+    }
 }
 
 impl Backup {
@@ -122,6 +161,22 @@ mod tests {
                 std::fs::write(&cut, whole.get(..length).unwrap()).unwrap();
                 assert!(read(&cut, PASSPHRASE).is_err(), "cut at {length}");
             }
+        }
+    }
+
+    #[test]
+    fn a_copy_that_would_cost_much_to_try_is_refused_before_it_is_tried() {
+        let scheme = |log_n, r, p| {
+            let parameters = pkcs8::pkcs5::pbes2::Parameters::generate_scrypt_aes256cbc(
+                pkcs8::pkcs5::scrypt::Params::new(log_n, r, p).unwrap(),
+                &[7; 16],
+                [7; 16],
+            );
+            EncryptionScheme::Pbes2(parameters.unwrap())
+        };
+        assert_eq!(check_cost(&scheme(14, 8, 1)), Ok(()));
+        for costly in [scheme(18, 8, 1), scheme(30, 8, 1), scheme(14, 8, 64)] {
+            assert!(check_cost(&costly).is_err());
         }
     }
 }

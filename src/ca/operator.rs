@@ -9,6 +9,7 @@ use crate::enrolment::given_up_file;
 use crate::host::CERTIFICATE_FILE;
 use crate::identity::Joined;
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger_api::passphrase;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_rejection::{Code, Rejection};
@@ -16,12 +17,10 @@ use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 use std::fs;
-use std::io::{self, BufRead, IsTerminal, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
-/// Where a passphrase may stand.
-const VARIABLE: &str = "LEDGERD_PASSPHRASE";
-/// Largest file of a passphrase, and of the node's certificates, in bytes.
+/// Largest file of the node's certificates, in bytes.
 const FILE_BYTES_MAX: usize = 64 * 1024;
 
 /// Makes a one-time secret for an admin, at a node that carries the CA of their organisation.
@@ -125,7 +124,7 @@ impl Backing {
         if fs::symlink_metadata(&self.file).is_ok() {
             return Err(ledger_durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()));
         }
-        backup::write(&authority, &self.passphrase(true)?, &self.file)?;
+        backup::write(&authority, &passphrase(self.passphrase_file.as_deref(), true)?, &self.file)?;
         Ok(format!(
             "CA       {}, sha256 {}\ncopy     {}, good as long as the CA is: key and root never change\n\n\
              Keep file and passphrase apart, and both away from this machine.\nto restore, at any node of {0}:\n  \
@@ -140,7 +139,7 @@ impl Backing {
     fn restore(&self, config: &Config) -> Result<String, Rejection> {
         let own = Own::read(&config.data)?;
         let Backup { organisation, key, root } = {
-            let backup = backup::read(&self.file, &self.passphrase(false)?)?;
+            let backup = backup::read(&self.file, &passphrase(self.passphrase_file.as_deref(), false)?)?;
             own.check_root(&backup)?;
             backup
         };
@@ -155,48 +154,6 @@ impl Backing {
             directory.display()
         ))
     }
-
-    /// The passphrase; for a new one it is asked for twice.
-    fn passphrase(&self, new: bool) -> Result<String, Rejection> {
-        if let Some(path) = &self.passphrase_file {
-            let text = ledger_durable::read(path, FILE_BYTES_MAX)?;
-            let text = String::from_utf8_lossy(&text);
-            return Ok(text.lines().next().unwrap_or_default().to_owned());
-        }
-        if let Ok(passphrase) = std::env::var(VARIABLE) {
-            return Ok(passphrase);
-        }
-        if !io::stdin().is_terminal() {
-            return Err(Rejection::new(Code::BadArgument, "there is no passphrase")
-                .found("no terminal to ask for it")
-                .wanted(format!("--passphrase-file FILE, or {VARIABLE} in the environment")));
-        }
-        let passphrase = ask("passphrase: ")?;
-        if new && ask("once more: ")? != passphrase {
-            return Err(Rejection::new(Code::BadArgument, "the two passphrases differ").next("type the command again"));
-        }
-        Ok(passphrase)
-    }
-}
-
-/// Asks on the terminal, without showing what is typed.
-fn ask(prompt: &str) -> Result<String, Rejection> {
-    use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
-    let failed =
-        |error: io::Error| Rejection::new(Code::BadFile, "the terminal cannot be asked").found(error.to_string());
-    let input = io::stdin();
-    let shown = tcgetattr(&input).map_err(|error| failed(error.into()))?;
-    let mut hidden = shown.clone();
-    hidden.local_modes.remove(LocalModes::ECHO);
-    let _asked = write!(io::stderr(), "{prompt}").and_then(|()| io::stderr().flush());
-    tcsetattr(&input, OptionalActions::Flush, &hidden).map_err(|error| failed(error.into()))?;
-    let mut line = String::new();
-    let read = input.lock().read_line(&mut line);
-    let restored = tcsetattr(&input, OptionalActions::Now, &shown);
-    let _ended = writeln!(io::stderr());
-    read.map_err(failed)?;
-    restored.map_err(|error| failed(error.into()))?;
-    Ok(line.trim_end_matches(['\r', '\n']).to_owned())
 }
 
 /// The CA of the wanted organisation, else of the node's own, else the only one.

@@ -48,12 +48,7 @@ impl CertificateAuthority {
         }
         let parent = directory.parent().unwrap_or_else(|| Path::new("."));
         let unfinished = parent.join(format!("{UNFINISHED}{organisation}"));
-        match fs::remove_dir_all(&unfinished) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(ledger_durable::failed("remove", &unfinished, &error));
-            }
-            _ => {}
-        }
+        remove(&unfinished)?;
         let written = || {
             ledger_durable::create_directory(&unfinished)?;
             ledger_durable::create(&unfinished.join(KEY_FILE), key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
@@ -129,6 +124,19 @@ pub(crate) fn carried(data: &Path) -> Result<Vec<String>, Rejection> {
     names.retain(|name| !name.starts_with('.'));
     names.sort_unstable();
     Ok(names)
+}
+
+/// Removes the directory of a CA, if it is there.
+///
+/// # Errors
+/// The directory, and what the system says.
+pub(crate) fn remove(directory: &Path) -> Result<(), Rejection> {
+    match fs::remove_dir_all(directory) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(ledger_durable::failed("remove", directory, &error))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Which file `identities.json` is: it is never changed, only replaced.

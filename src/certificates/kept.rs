@@ -62,6 +62,14 @@ impl From<&DoubleVote> for Lied {
     }
 }
 
+/// The newest proof in a data directory, if one was kept.
+///
+/// # Errors
+/// A directory that cannot be read.
+pub(crate) fn newest_proof(data: &Path) -> Result<Option<Proof>, Rejection> {
+    Kept::open(data)?.newest()
+}
+
 /// The directory of certificates.
 pub(super) struct Kept(PathBuf);
 

@@ -4,7 +4,7 @@ use ledger_durable::{PUBLIC_MODE, read, replace};
 use ledger_raft::Receipt;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -14,6 +14,12 @@ pub(crate) const CONFIRMED_FILE: &str = "confirmed.json";
 const CONFIRMED_BYTES_MAX: usize = 64 * 1024;
 /// Time between two writes.
 const WRITE_EVERY: Duration = Duration::from_secs(10);
+
+/// The heights in the file of this data directory, for an operator; nothing if it is missing or cannot be read.
+pub(crate) fn confirmed_heights(data: &Path) -> BTreeMap<u64, u64> {
+    let read = Confirmed::of(data.to_owned()).read();
+    read.into_iter().map(|(id, receipt)| (id, receipt.index)).collect()
+}
 
 /// One voter in the file.
 #[derive(Serialize, Deserialize)]

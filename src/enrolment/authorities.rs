@@ -49,6 +49,16 @@ impl Authorities {
         self.data.join(ca::DIRECTORY).join(organisation)
     }
 
+    /// The node's data directory.
+    pub(super) fn data(&self) -> &Path {
+        &self.data
+    }
+
+    /// Carries one less.
+    pub(super) fn forget(&self, organisation: &str) {
+        self.open.write().unwrap_or_else(PoisonError::into_inner).remove(organisation);
+    }
+
     /// Opens what has come since: directories that were not there before.
     ///
     /// # Errors

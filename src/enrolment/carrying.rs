@@ -97,7 +97,7 @@ impl EnrolmentService {
 
 impl Shared {
     /// An admin decides about the CA of their own organisation only.
-    fn check_own(&self, admin: &Identity, organisation: &str) -> Result<(), Rejection> {
+    pub(super) fn check_own(&self, admin: &Identity, organisation: &str) -> Result<(), Rejection> {
         if admin.organisation == organisation {
             return Ok(());
         }

@@ -3,6 +3,7 @@
 use super::serve::Serving;
 use super::{Host, Papers};
 use crate::admin::Admin;
+use crate::backup::refuse_restored;
 use crate::bridge::NodeBridge;
 use crate::config::Config;
 use crate::instance::{Ended, Instance, Prepared};
@@ -120,6 +121,7 @@ impl Node {
     ) -> Result<Self, Rejection> {
         let started = Instant::now();
         let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
+        refuse_restored(config)?;
         let stores = Stores::open(config, &genesis, registry)?;
         let (network, papers) = (stores.ledger.network(), Papers::read(config)?);
         let identity = papers.identity.clone();

@@ -7,12 +7,13 @@
 //! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
 
 use super::{Records, enter};
+use crate::backup::{CopiedBlocks, RESTORED_FILE};
 use crate::company::{CONFIRMED_FILE, DIVERGED_FILE};
 use crate::config::Config;
-use crate::host::{CERTIFICATE_FILE, KEY_FILE};
+use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
 use crate::identity::{JOINED_FILE, Joined};
 use crate::setup::public_address;
-use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger::network::{FoundingOrganisation, GENESIS_BYTES_MAX, Genesis};
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::{Client, Credentials, Options};
 use ledger_durable::PUBLIC_MODE;
@@ -22,13 +23,21 @@ use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::disk::RealDisk;
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY};
+use ledger_storage::state::{SledStore, State};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Files that follow from the blocks, hold them, or say what others had.
-const SET_ASIDE: [&str; 6] =
-    [BLOCKS_DIRECTORY, STATE_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, DIVERGED_FILE, CONFIRMED_FILE];
+const SET_ASIDE: [&str; 7] = [
+    BLOCKS_DIRECTORY,
+    STATE_DIRECTORY,
+    RESULTS_DIRECTORY,
+    SNAPSHOTS_DIRECTORY,
+    DIVERGED_FILE,
+    CONFIRMED_FILE,
+    RESTORED_FILE,
+];
 
 /// The arguments of `ledgerd rejoin`.
 #[derive(Clone, Debug, clap::Args)]
@@ -39,6 +48,10 @@ pub(crate) struct RejoinOptions {
     /// Another node of the network; may be given several times. Those that let this node in are asked in any case.
     #[arg(long, value_name = "HOST:PORT")]
     node: Vec<String>,
+    /// A backup of any node of the network, whose blocks are taken and believed. For a node whose organisation has no other node
+    /// left, where no majority gives them.
+    #[arg(long, value_name = "DIR")]
+    blocks: Option<PathBuf>,
 }
 
 /// Rejoins; answers with what to tell the user.
@@ -46,7 +59,11 @@ pub(crate) struct RejoinOptions {
 /// # Errors
 /// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other
 /// node answers; the ledger's own refusal, for example that this is the last voter.
-pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<String, Rejection> {
+pub(crate) async fn rejoin(
+    builder: &NodeBuilder,
+    options: &RejoinOptions,
+    config: &Config,
+) -> Result<String, Rejection> {
     let data = &config.data;
     let blocks = data.join(BLOCKS_DIRECTORY);
     // Held until the end, so that no node starts meanwhile.
@@ -60,11 +77,12 @@ pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<S
         &ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
             .map_err(|refused| refused.next(super::way_back(config, &config.member.node)))?,
     )?;
+    let copied = options.blocks.as_deref().map(|from| CopiedBlocks::verify(builder, from, data)).transpose()?;
     let joined = Joined::load(data)?;
     let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
         Rejection::new(Code::BadFile, error.to_string()).next(super::way_back(config, &config.member.node))
     })?;
-    let msps = Arc::new(organisations(&genesis, &tls, joined.as_ref())?);
+    let msps = Arc::new(organisations(&genesis, &tls, joined.as_ref(), data)?);
     let me = own(&tls, &msps)?;
     let founder = genesis.node(&me.organisation, &me.name);
     let before = [
@@ -106,6 +124,8 @@ pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<S
         ca: reached.1,
     };
     ledger_durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
+    // Under the old number the blocks of another node must never lie here.
+    copied.map(|copied| copied.put(data)).transpose()?;
     Ok(format!(
         "node {0} is node {id} of network {1:?} now, a learner\n\
          set aside  {2}, for whoever looks into the damage; of no use to the node\n\n\
@@ -119,11 +139,20 @@ pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<S
     ))
 }
 
-/// The organisations of the genesis, and the own one.
-fn organisations(genesis: &Genesis, tls: &TlsIdentity, joined: Option<&Joined>) -> Result<Msps, Rejection> {
+/// The organisations of the genesis, those that the node's own state knows since, and the own one.
+fn organisations(
+    genesis: &Genesis,
+    tls: &TlsIdentity,
+    joined: Option<&Joined>,
+    data: &Path,
+) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
-    for founder in &genesis.organisations {
-        msps.insert(Msp::new(&founder.name, &founder.roots, &founder.intermediates)?)?;
+    for since in known_since(data) {
+        msps.insert(since.msp()?)?;
+    }
+    let unknown: Vec<_> = genesis.organisations.iter().filter(|founder| msps.get(&founder.name).is_none()).collect();
+    for founder in unknown {
+        msps.insert(founder.msp()?)?;
     }
     if let Some(joined) = joined.filter(|joined| msps.get(&joined.organisation).is_none()) {
         let own = tls.own();
@@ -131,6 +160,16 @@ fn organisations(genesis: &Genesis, tls: &TlsIdentity, joined: Option<&Joined>) 
         msps.insert(Msp::new(&joined.organisation, roots, &[] as &[&[u8]])?)?;
     }
     Ok(msps)
+}
+
+/// The organisations of the network as this node knew them last; none if its state cannot be read.
+fn known_since(data: &Path) -> Vec<FoundingOrganisation> {
+    let place = data.join(STATE_DIRECTORY);
+    if !place.is_dir() {
+        return Vec::new();
+    }
+    let state = SledStore::open(&place).and_then(|store| State::open(Box::new(store)));
+    state.and_then(|state| ledger::msp::organisations(&state)).unwrap_or_default()
 }
 
 /// The identity of this node by its certificate.

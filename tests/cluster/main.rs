@@ -8,7 +8,9 @@
 //! | `partitions` | a leader cut off, one-way loss, a minority with the client's gateway, flapping links |
 //! | `pauses` | a leader that was stopped and wakes up, believing that it still leads |
 //! | `full_disks` | a voter without space, and a leader |
+//! | `examples` | the example network on three machines, as it stands |
 //! | `damage` | cut and flipped bytes in segments and in the state store |
+//! | `upgrade` | an older program in every place, one after the other upgraded |
 //! | `cluster`, `load`, `audit`, `site` | the nodes; users who publish; what must be true at the end; the network |
 //!
 //! `LEDGERD_TEST_ROUNDS` multiplies the faults (default 1), `LEDGERD_TEST_SEED` repeats them.
@@ -33,12 +35,14 @@ mod support;
 mod audit;
 mod cluster;
 mod damage;
+mod examples;
 mod full_disks;
 mod kills;
 mod load;
 mod partitions;
 mod pauses;
 mod site;
+mod upgrade;
 
 /// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`.
 fn rounds() -> u64 {

@@ -68,12 +68,12 @@ impl Site {
 }
 
 /// The address of a node.
-fn address(node: usize) -> String {
+pub fn address(node: usize) -> String {
     format!("10.77.{}.1", node + 1)
 }
 
 /// A namespace with a link to the router.
-fn machine(node: usize, logs: &Path) -> Process {
+pub fn machine(node: usize, logs: &Path) -> Process {
     let name = format!("machine{}", node + 1);
     let mut command = Command::new("unshare");
     command.args(["-n", "sh", "-c", "echo ready && exec sleep 3600"]);

@@ -100,6 +100,9 @@ async fn without_a_certificate_one_can_only_enrol() {
         enrolment.offer_ca(v1::OfferCaRequest::default()).await.unwrap().into_inner().verdict,
         enrolment.seal_ca(v1::SealCaRequest::default()).await.unwrap().into_inner().verdict,
         enrolment.take_ca(v1::TakeCaRequest::default()).await.unwrap().into_inner().verdict,
+        enrolment.copy_ca(v1::CopyCaRequest::default()).await.unwrap().into_inner().verdict,
+        enrolment.restore_ca(v1::RestoreCaRequest::default()).await.unwrap().into_inner().verdict,
+        enrolment.drop_ca(v1::DropCaRequest::default()).await.unwrap().into_inner().verdict,
     ];
     for verdict in verdicts {
         assert_eq!(verdict.unwrap().code, u32::from(Code::CertificateRequired.number()));

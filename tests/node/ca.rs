@@ -79,7 +79,7 @@ fn with_the_first_carriers_disk_lost_another_one_issues_and_any_node_registers_a
     let third = admin(&fleet, 3);
     assert_eq!(carried(&third, 1), ["Org1/node1"]);
     let told = third.run(&["ca", "status"]).ok().stdout;
-    assert!(told.contains("ledgerctl ca carry NODE") && told.contains("ledgerd ca backup FILE"), "{told}");
+    assert!(told.contains("ledgerctl ca carry NODE") && told.contains("ledgerctl ca backup FILE"), "{told}");
     third.run(&["ca", "carry", "node2"]).ok();
     third.run(&["ca", "carry", "node2"]).ok();
     assert_eq!(carried(&third, 2), ["Org1/node1", "Org1/node2"]);
@@ -333,4 +333,55 @@ fn an_enrolment_on_a_full_disk_sends_no_secret_and_succeeds_when_there_is_space(
     let done = enroll();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert_eq!(state(&admin, "Salma")["certificates"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn an_admin_copies_restores_and_moves_the_ca_with_a_passphrase_and_the_ledger_knows_of_each_copy() {
+    let (fleet, mut nodes) = three();
+    let second = admin(&fleet, 2);
+    assert_eq!(carried(&second, 1), ["Org1/node1"]);
+    let (file, words) = (fleet.path().join("org1-ca.pem"), fleet.path().join("words"));
+    fs::write(&words, "five words that nobody guesses\n").unwrap();
+    let (file_text, words_text) = (file.to_str().unwrap(), words.to_str().unwrap());
+    let backup = ["ca", "backup", file_text, "--passphrase-file", words_text];
+    // No stranger to the organisation, no member, no short passphrase.
+    fleet.issue("Org1", "Member", Role::Member, &[]).save(&fleet.home()).unwrap();
+    fleet.ctl().as_("Member").run(&backup).refused(2, &["LGR-3010"]);
+    let short = fleet.path().join("short");
+    fs::write(&short, "short\n").unwrap();
+    second.run(&["ca", "backup", file_text, "--passphrase-file", short.to_str().unwrap()]).refused(3, &["too short"]);
+    assert!(!file.exists());
+
+    let told = second.run(&backup).ok().stdout;
+    assert!(told.contains("ledgerctl ca restore") && told.contains("Org1/node1"), "{told}");
+    assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o600);
+    second.run(&backup).refused(3, &["org1-ca.pem"]);
+    let record = second.run(&["query", "msp", "carriers"]).ok().stdout;
+    assert!(record.contains("copied") && record.contains("Org1/Admin"), "{record}");
+
+    // It moves: the second node has it, and the first one has no key any more.
+    second.run(&["ca", "move", "node2"]).refused(3, &["--i-mean-it", "gives up the key"]);
+    second.run(&["ca", "move", "node2", "--i-mean-it"]).ok();
+    assert_eq!(carriers(&second), ["Org1/node2"]);
+    assert!(!fleet.nodes[0].data.join("ca/Org1").exists());
+    second.run(&["ca", "move", "node2", "--i-mean-it"]).refused(4, &["no other node carries"]);
+    fleet.ctl().run(&invited(&second, "Salma")).ok();
+    // The first node starts again without it.
+    nodes[0].kill();
+    nodes[0] = fleet.nodes[0].start();
+    eventually("the first node is back", || (admin(&fleet, 1).run(&["robot", "list"]).code == 0).then_some(()));
+
+    // The disk of the only carrier is lost; the copy brings the CA to another node over the network.
+    nodes[1].kill();
+    fs::remove_dir_all(&fleet.nodes[1].data).unwrap();
+    let third = admin(&fleet, 3);
+    let wrong = fleet.path().join("wrong");
+    fs::write(&wrong, "five words that somebody guesses\n").unwrap();
+    let restore = |words: &str| third.run(&["ca", "restore", file_text, "--node", "node3", "--passphrase-file", words]);
+    eventually("a leader is elected", || (third.run(&["robot", "list"]).code == 0).then_some(()));
+    restore(wrong.to_str().unwrap()).refused(3, &["another passphrase"]);
+    restore(words_text).ok();
+    restore(words_text).refused(3, &["carries this CA already"]);
+    carried(&third, 2);
+    fleet.ctl().run(&invited(&admin(&fleet, 3), "Farhad")).ok();
 }

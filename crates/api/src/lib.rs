@@ -6,6 +6,7 @@
 //! - [`token`]: how a new node gets to know the network.
 //! - [`Renewal`]: the next certificate, before the present one runs out.
 //! - [`Client`]: signs, submits, queries and subscribes, through whichever node answers.
+//! - [`passphrase()`]: of a secret copy, from a file, the environment or the terminal.
 //! - [`report`]: a refusal as people read it.
 //!
 //! It knows no chaincode: what functions there are and what their arguments mean is the caller's business.
@@ -26,6 +27,7 @@ mod connect;
 pub mod context;
 mod enrol;
 pub mod pages;
+mod passphrase;
 mod renew;
 mod report;
 pub mod tls;
@@ -38,6 +40,7 @@ pub use client::{
 pub use connect::Credentials;
 pub use context::{Context, home};
 pub use enrol::Enrolment;
+pub use passphrase::passphrase;
 pub use renew::{Renewal, renewal_due};
 pub use report::{ERROR_DOMAIN, accepted, from_status, report, to_status};
 

@@ -3,10 +3,10 @@
 mod check;
 
 use crate::block::{Header, Payload, leaf, opaque_root};
-use crate::chaincode::{Environment, Meter, Registry};
+use crate::chaincode::{Chaincode, Context, Environment, Meter, Registry};
 use crate::facts::{self, ControlWrites};
 use crate::identities::Identities;
-use crate::msp::{self, MEMBERS_KEY, certificate_key, found, members_record};
+use crate::msp::{self, MEMBERS_KEY, Recovery, certificate_key, found, members_record};
 use crate::network::Genesis;
 use crate::rules::Rules;
 use crate::transaction::Transaction;
@@ -115,6 +115,10 @@ impl Executor<'_> {
             events.extend(emitted.into_iter().map(|event| EmittedEvent { index: Some(position), event }));
         }
 
+        if let Some(recovery) = Recovery::of(entry).filter(|_| self.rules.notes_emergencies()) {
+            self.note_recovery(&header, &mut overlay, &mut events, &recovery);
+        }
+
         // Many blocks are kept in memory for their readers.
         events.shrink_to_fit();
 
@@ -184,16 +188,42 @@ impl Executor<'_> {
 
     fn begin_block(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
         for chaincode in self.registry.iter() {
-            let mut emitted: Vec<Event> = Vec::new();
-            let meter = Meter::default();
-            let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, |ctx| {
-                chaincode.begin_block(ctx);
-            });
-            if let Err(rejection) = hook {
-                tracing::error!(height = header.height, chaincode = chaincode.name(), %rejection, "begin_block was undone");
-            }
-            events.extend(emitted.into_iter().map(|event| EmittedEvent { index: None, event }));
+            self.beside_transactions(header, chaincode, (overlay, events), |ctx| chaincode.begin_block(ctx));
         }
+    }
+
+    /// The members were changed by force: whoever reads the ledger later shall know.
+    fn note_recovery(
+        &self,
+        header: &Header,
+        overlay: &mut Overlay,
+        events: &mut Vec<EmittedEvent>,
+        recovery: &Recovery,
+    ) {
+        if let Ok(msp) = self.registry.find(msp::NAME) {
+            self.beside_transactions(header, msp, (overlay, events), |ctx| {
+                if let Err(fault) = msp::note_recovery(ctx, recovery) {
+                    tracing::error!(height = ctx.height(), %fault, "a recovery by force is not noted");
+                }
+            });
+        }
+    }
+
+    /// Work of a chaincode that no transaction asked for.
+    fn beside_transactions(
+        &self,
+        header: &Header,
+        chaincode: &dyn Chaincode,
+        (overlay, events): (&mut Overlay, &mut Vec<EmittedEvent>),
+        body: impl FnOnce(&mut Context<'_>),
+    ) {
+        let mut emitted: Vec<Event> = Vec::new();
+        let meter = Meter::default();
+        let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, body);
+        if let Err(rejection) = hook {
+            tracing::error!(height = header.height, chaincode = chaincode.name(), %rejection, "work beside the transactions was undone");
+        }
+        events.extend(emitted.into_iter().map(|event| EmittedEvent { index: None, event }));
     }
 
     /// The transactions, and their leaves.

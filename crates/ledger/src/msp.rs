@@ -57,8 +57,8 @@
 //! organisation; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
 //! number; `invitation_cancelled` with the [`Invitation`] and its name; `registrar_set` with the [`SetRegistrar`], `registered` and `registration_cancelled` with
 //! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
-//! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
-//! the [`crate::Activation`] and the number; `refused` with the [`TellRefusals`] and no subject, for admins and nodes.
+//! `ORGANISATION/NAME`; `ca_carried`, `ca_copied` and `ca_dropped` with the [`CarrierRecord`] and the node; `members_forced`
+//! with the [`Recovery`] and the node; `rules_activated` with the [`crate::Activation`] and the number; `refused` with the [`TellRefusals`] and no subject, for admins and nodes.
 
 mod action;
 mod addition;
@@ -76,6 +76,7 @@ mod proposals;
 mod quorums;
 mod quotas;
 mod read;
+mod recovery;
 mod refusals;
 mod revocation_lists;
 mod revocations;
@@ -87,7 +88,7 @@ pub use addition::AddOrganisation;
 pub use address::never_dialled;
 pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
-pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
+pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, Copied, UncarryCa, carriers};
 pub use identities::{
     AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
     IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
@@ -106,6 +107,7 @@ pub use proposals::{
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
 pub use read::{attestations, changes, invitation, members, nodes, organisations, revocation_lists, voters};
+pub use recovery::{REASON_BYTES_MAX, Recovery};
 pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};
 pub use revocation_lists::{
     ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
@@ -114,6 +116,7 @@ pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
 pub(crate) use read::{activations, members_record};
+pub(crate) use recovery::note as note_recovery;
 pub(crate) use revocation_lists::{Due, due, publishes_list};
 pub(crate) use store::{
     LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, end_of, revoked_key,
@@ -263,10 +266,11 @@ const SINCE_RULES_3: [&str; 15] = [
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 29] = [
+const EVENTS: [&str; 31] = [
     "approved",
     "attested",
     "ca_carried",
+    "ca_copied",
     "ca_dropped",
     "certified",
     "executed",
@@ -274,6 +278,7 @@ const EVENTS: [&str; 29] = [
     "invitation_cancelled",
     "invited",
     "joined",
+    "members_forced",
     "moved",
     "nodes_allowed",
     "organisation_joined",

@@ -113,6 +113,11 @@ impl Rules {
         self.0 >= 3
     }
 
+    /// Does it stay on the ledger that members were changed by force, or a CA was copied?
+    pub const fn notes_emergencies(self) -> bool {
+        self.0 >= 3
+    }
+
     /// Microseconds of block time in which at least the first block is certified; none before blocks are.
     pub(crate) const fn certifies_every(self) -> Option<u64> {
         if self.0 >= 3 { Some(200_000) } else { None }

@@ -40,6 +40,15 @@ impl Checkpoint {
         let (values, proof) = (reader.part(CHANGE_BYTES_MAX)?, reader.part(PROOF_BYTES_MAX)?);
         let (values, proof) = (values.to_vec(), Proof::from_bytes(proof)?);
         reader.end()?;
+        let values = Change::from_bytes(proof.certificate.statement.height, &values)?;
+        Self::of(network, values, proof)
+    }
+
+    /// Of all governing state after the block of this proof.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::from_bytes`].
+    pub fn of(network: &Hash, values: Change, proof: Proof) -> Result<Self, Rejection> {
         let (statement, ground) = (&proof.certificate.statement, proof.ground()?);
         if statement.network != *network {
             return Err(Rejection::new(Code::WrongNetwork, "the checkpoint is of another network")
@@ -47,7 +56,6 @@ impl Checkpoint {
                 .wanted(network.to_string())
                 .next("take a checkpoint of this network"));
         }
-        let values = Change::from_bytes(statement.height, &values)?;
         // In one form only: whoever compares two checkpoints compares their bytes.
         let ascending = values.writes.is_sorted_by(|(one, _), (next, _)| one < next);
         if !ascending || values.writes.iter().any(|(_, value)| value.is_none()) {

@@ -158,6 +158,43 @@ impl Client {
         };
         self.ask(ask, |answer| accepted(answer.verdict.as_ref())).await.map(drop)
     }
+
+    /// Asks the node that this client is connected to for a copy of the CA under a passphrase.
+    ///
+    /// # Errors
+    /// [`Code::NotAdmin`], [`Code::CaElsewhere`], [`Code::BadArgument`] for a short passphrase; else as [`Client::status`].
+    pub async fn copy_ca(&self, request: v1::CopyCaRequest) -> Result<Bytes, Rejection> {
+        let ask = |up: Up| {
+            let request = request.clone();
+            async move { up.enrolment().copy_ca(request).await }
+        };
+        self.ask(ask, |answer| accepted(answer.verdict.as_ref())).await.map(|answer| answer.file)
+    }
+
+    /// Puts a copy of the CA back at the node that this client is connected to.
+    ///
+    /// # Errors
+    /// [`Code::NotAdmin`], [`Code::WrongRole`], [`Code::BadFile`]; [`Code::AlreadyExists`] if the node carries it, also because
+    /// an earlier try of this call arrived; else as [`Client::status`].
+    pub async fn restore_ca(&self, request: v1::RestoreCaRequest) -> Result<(), Rejection> {
+        let ask = |up: Up| {
+            let request = request.clone();
+            async move { up.enrolment().restore_ca(request).await }
+        };
+        self.ask(ask, |answer| accepted(answer.verdict.as_ref())).await.map(drop)
+    }
+
+    /// Removes the CA from the node that this client is connected to.
+    ///
+    /// # Errors
+    /// [`Code::NotAdmin`], [`Code::LastOne`] if no other node carries it, [`Code::CaElsewhere`]; else as [`Client::status`].
+    pub async fn drop_ca(&self, organisation: &str) -> Result<(), Rejection> {
+        let ask = |up: Up| {
+            let request = v1::DropCaRequest { organisation: organisation.into() };
+            async move { up.enrolment().drop_ca(request).await }
+        };
+        self.ask(ask, |answer| accepted(answer.verdict.as_ref())).await.map(drop)
+    }
 }
 
 fn argument(value: &impl Serialize) -> Result<Vec<Bytes>, Rejection> {

@@ -1,4 +1,6 @@
-//! `ca carry|status|forget`: which nodes carry the CA of your organisation.
+//! `ca carry|status|forget|move`: which nodes carry the CA of your organisation; `ca backup|restore`: its copy for the safe.
+
+mod copy;
 
 use crate::answer;
 use crate::cli::Global;
@@ -27,6 +29,9 @@ pub(crate) enum Ca {
     Status(Status),
     Carry(Carry),
     Forget(Forget),
+    Backup(copy::Backup),
+    Restore(copy::Restore),
+    Move(copy::Move),
 }
 
 /// Show which nodes carry the CA of your organisation, and which of them answer.
@@ -60,6 +65,9 @@ impl Ca {
             Self::Status(_) => status(session, output).await,
             Self::Carry(command) => command.run(session, output).await,
             Self::Forget(command) => command.run(session, output).await,
+            Self::Backup(command) => command.run(session, output).await,
+            Self::Restore(command) => command.run(session, output).await,
+            Self::Move(command) => command.run(session, output).await,
         }
     }
 }
@@ -124,13 +132,13 @@ impl Facts for Carriers {
             [] => writeln!(
                 out,
                 "no node carries the CA of {organisation}: nobody can enrol or renew\n\
-                 put it back from a copy, at a node of {organisation}: ledgerd ca restore FILE --config FILE"
+                 put it back from a copy: ledgerctl ca restore FILE"
             ),
             [only] => writeln!(
                 out,
                 "without {} nobody can enrol or renew, and without its disk and a copy never again\n\
                  let another node carry the CA: ledgerctl ca carry NODE\n\
-                 make a copy, at that node's machine: ledgerd ca backup FILE --config FILE",
+                 make a copy under a passphrase: ledgerctl ca backup FILE",
                 only.node
             ),
             _ => Ok(()),
@@ -179,53 +187,64 @@ impl Facts for Carried {
 
 impl Carry {
     async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
-        let organisation = session.identity()?.organisation;
-        let nodes = nodes(session).await?.nodes;
-        let target = find(&nodes, &self.node)?;
-        if target.organisation != organisation {
-            return Err(Rejection::new(Code::WrongRole, format!("{} may not carry this CA", target.full_name()))
-                .found(format!("a node of {}", target.organisation))
-                .wanted(format!("a node of {organisation}"))
-                .into());
-        }
-        let context = current(session).await?;
-        let own: Vec<_> = carriers(session)
-            .await?
-            .into_iter()
-            .filter(|carrier| carrier.organisation == organisation && carrier.full_name() != target.full_name())
-            .collect();
-        let target_client = reach(&context, &target.address).await?;
-        let offer = target_client.offer_ca(&organisation).await?;
-        let sealed = v1::SealCaRequest {
-            organisation: organisation.clone(),
-            node: offer.node,
-            key: offer.key,
-            signature: offer.signature,
-            certificate: offer.certificate,
-        };
-        let mut refused = Rejection::new(Code::CaElsewhere, format!("no node carries the CA of {organisation}"))
-            .next("ledgerd ca restore FILE --config FILE, at a node of the organisation");
-        for carrier in &own {
-            let Some(address) = address(&nodes, carrier) else { continue };
-            let client = match reach(&context, &address).await {
-                Ok(client) => client,
-                Err(unreachable) => {
-                    refused = unreachable;
-                    continue;
-                }
-            };
-            match client.seal_ca(sealed.clone()).await {
-                Ok(v1::SealCaResponse { sealed, root, .. }) => {
-                    let taken = v1::TakeCaRequest { organisation: organisation.clone(), sealed, root };
-                    target_client.take_ca(taken).await?;
-                    let (node, from) = (target.full_name(), carrier.full_name());
-                    return output.show(&Carried { organisation, node, from });
-                }
-                Err(reason) => refused = reason,
-            }
-        }
-        Err(refused.into())
+        output.show(&carry(session, &self.node).await?)
     }
+}
+
+/// The node of the caller's organisation that is meant.
+async fn own_node(session: &Session, organisation: &str, node: &str) -> Result<NodeRecord, Failure> {
+    let nodes = nodes(session).await?.nodes;
+    let target = find(&nodes, node)?;
+    if target.organisation == organisation {
+        return Ok(target.clone());
+    }
+    Err(Rejection::new(Code::WrongRole, format!("{} may not carry this CA", target.full_name()))
+        .found(format!("a node of {}", target.organisation))
+        .wanted(format!("a node of {organisation}"))
+        .into())
+}
+
+/// Lets a node carry the CA: the key goes there from one that carries it, sealed.
+async fn carry(session: &Session, node: &str) -> Result<Carried, Failure> {
+    let organisation = session.identity()?.organisation;
+    let target = own_node(session, &organisation, node).await?;
+    let context = current(session).await?;
+    let nodes = nodes(session).await?.nodes;
+    let own: Vec<_> = carriers(session)
+        .await?
+        .into_iter()
+        .filter(|carrier| carrier.organisation == organisation && carrier.full_name() != target.full_name())
+        .collect();
+    let target_client = reach(&context, &target.address).await?;
+    let offer = target_client.offer_ca(&organisation).await?;
+    let sealed = v1::SealCaRequest {
+        organisation: organisation.clone(),
+        node: offer.node,
+        key: offer.key,
+        signature: offer.signature,
+        certificate: offer.certificate,
+    };
+    let mut refused = Rejection::new(Code::CaElsewhere, format!("no node carries the CA of {organisation}"))
+        .next("ledgerctl ca restore FILE");
+    for carrier in &own {
+        let Some(address) = address(&nodes, carrier) else { continue };
+        let client = match reach(&context, &address).await {
+            Ok(client) => client,
+            Err(unreachable) => {
+                refused = unreachable;
+                continue;
+            }
+        };
+        match client.seal_ca(sealed.clone()).await {
+            Ok(v1::SealCaResponse { sealed, root, .. }) => {
+                let taken = v1::TakeCaRequest { organisation: organisation.clone(), sealed, root };
+                target_client.take_ca(taken).await?;
+                return Ok(Carried { organisation, node: target.full_name(), from: carrier.full_name() });
+            }
+            Err(reason) => refused = reason,
+        }
+    }
+    Err(refused.into())
 }
 
 /// A node that carries the CA no more.
@@ -273,9 +292,9 @@ mod tests {
     #[test]
     fn an_organisation_whose_ca_lies_at_one_node_or_none_is_told_what_to_do() {
         let carrier = |name: &str| Carrier { node: name.into(), address: "h:1".into(), since: 0, answers: true };
-        assert!(told(vec![]).contains("ledgerd ca restore FILE"));
+        assert!(told(vec![]).contains("ledgerctl ca restore FILE"));
         let one = told(vec![carrier("Org1/node1")]);
-        assert!(one.contains("ledgerctl ca carry NODE") && one.contains("ledgerd ca backup FILE"), "{one}");
+        assert!(one.contains("ledgerctl ca carry NODE") && one.contains("ledgerctl ca backup FILE"), "{one}");
         assert!(!told(vec![carrier("Org1/node1"), carrier("Org1/node2")]).contains("ledgerctl ca carry"));
     }
 }

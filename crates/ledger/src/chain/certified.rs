@@ -27,6 +27,14 @@ impl Ledger {
         msp::changes(&*self.state, after, most)
     }
 
+    /// All governing state as it is, for a checkpoint of the block at this height: none has changed it since.
+    ///
+    /// # Errors
+    /// As [`Ledger::members`].
+    pub fn governing(&self, height: u64) -> Result<Change, Rejection> {
+        facts::begin(&*self.state, &self.registry, height).map(|(_, all)| all)
+    }
+
     /// Facts of a certified block with their paths: the ground, then what `wanted` names. None if the block is not due to be
     /// certified, or was executed too long ago to say what it wrote ([`Ledger::writes`]).
     ///

@@ -14,7 +14,7 @@ use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::{PublicKey, SigningKey};
-use ledger_identity::{Identity, Role};
+use ledger_identity::{Identity, NAME_BYTES_MAX, Role};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use serde::{Deserialize, Serialize};
@@ -23,6 +23,8 @@ use serde::{Deserialize, Serialize};
 const CARRIERS_MAX: usize = NODES_MAX * 16;
 /// Most names that one call may bring along.
 pub const ADOPTED_MAX: usize = 64;
+/// Longest name of an admin with its organisation.
+const COPIED_BY_BYTES_MAX: usize = 2 * NAME_BYTES_MAX + 1;
 /// Separates these signatures from everything else that is signed.
 const SIGNATURE_DOMAIN: &[u8] = b"ledgerd carries the CA v1\0";
 
@@ -37,6 +39,18 @@ pub struct CarrierRecord {
     pub node: String,
     /// Since when, block time in microseconds.
     pub since: u64,
+    /// The newest copy of the key that an admin has taken there; since rules 3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub copied: Option<Copied>,
+}
+
+/// A copy of a CA's key, for the safe.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Copied {
+    /// The admin who took it, `ORGANISATION/NAME`.
+    pub by: String,
+    /// When the ledger heard of it, block time in microseconds.
+    pub at: u64,
 }
 
 impl CarrierRecord {
@@ -57,13 +71,16 @@ pub struct CarryCa {
     /// Facts that the node knows from its own disk, and the ledger does not yet.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub identities: Vec<KnownIdentity>,
+    /// The admin, `ORGANISATION/NAME`, who takes a copy of the key now; since rules 3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub copied_by: Option<String>,
 }
 
 impl CarryCa {
     /// The statement of the node `ORGANISATION/NAME` that it holds this key of that organisation's CA.
     pub fn prove(network: &Hash, organisation: &str, node: &str, key: &SigningKey) -> Self {
         let proof = hex::encode(key.sign(&signed_bytes(network, organisation, node)));
-        Self { organisation: organisation.to_owned(), proof, identities: Vec::new() }
+        Self { organisation: organisation.to_owned(), proof, identities: Vec::new(), copied_by: None }
     }
 }
 
@@ -104,7 +121,7 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
     json(&all(ctx)?)
 }
 
-/// `carry_ca {organisation, proof, identities?}`: a node of the network, for itself.
+/// `carry_ca {organisation, proof, identities?, copied_by?}`: a node of the network, for itself.
 pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let carry: CarryCa = object("carry_ca", argument, "{\"organisation\", \"proof\", \"identities\"}")?;
     let caller = node(ctx, "carry a CA")?;
@@ -116,6 +133,9 @@ pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
         return Err(Rejection::new(Code::TooLarge, "too many names come at once")
             .found(carry.identities.len().to_string())
             .wanted(format!("at most {ADOPTED_MAX}")));
+    }
+    if carry.copied_by.is_some() && !ctx.rules().notes_emergencies() {
+        return Err(unknown_field());
     }
     check_proof(ctx, &carry, caller)?;
     let key = carrier_key(&carry.organisation, &caller.organisation, &caller.name);
@@ -129,14 +149,39 @@ pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
             node_organisation: caller.organisation.clone(),
             node: caller.name.clone(),
             since: ctx.block_time(),
+            copied: None,
         };
         store::write(ctx, &key, &record)?;
         ctx.emit("ca_carried", &record.full_name(), json(&record)?);
+    }
+    if let Some(by) = carry.copied_by {
+        note_copy(ctx, &key, by)?;
     }
     for known in carry.identities {
         identities::adopt(ctx, caller, &carry.organisation, known)?;
     }
     Ok(Bytes::new())
+}
+
+/// As older rules refuse a field that they do not have.
+fn unknown_field() -> Rejection {
+    Rejection::new(Code::BadArgument, "the argument of carry_ca cannot be read").found("unknown field copied_by")
+}
+
+/// An admin takes a copy of the key from this node.
+fn note_copy(ctx: &mut Context<'_>, key: &str, by: String) -> Result<(), Rejection> {
+    if by.len() > COPIED_BY_BYTES_MAX {
+        return Err(Rejection::new(Code::TooLarge, "the name of who takes a copy is too long")
+            .found(format!("{} bytes", by.len()))
+            .wanted(format!("at most {COPIED_BY_BYTES_MAX}")));
+    }
+    let at = ctx.block_time();
+    if let Some(record) = store::read::<CarrierRecord>(ctx, key)? {
+        let record = CarrierRecord { copied: Some(Copied { by, at }), ..record };
+        store::write(ctx, key, &record)?;
+        ctx.emit("ca_copied", &record.full_name(), json(&record)?);
+    }
+    Ok(())
 }
 
 /// The signature must be by the key of one of the organisation's authorities.

@@ -11,6 +11,7 @@
 //! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
 //! | `governed/<height, 20 digits>` | the control writes of a block to this chaincode ([`ledger_light::Change`]); only the execution of blocks writes it |
+//! | `recovery/<height, 20 digits>` | [`super::Recovery`]: the members were changed by force; only the execution of that block writes it; since rules 3 |
 //! | `proposal/<id>` | [`super::Proposal`] |
 //! | `quota/<organisation>` | [`super::SetQuota`] |
 //! | `invitation/<name>` | [`super::Invitation`] |
@@ -93,6 +94,10 @@ pub(super) fn former_key(name: &str) -> String {
 
 pub(super) fn node_key(id: u64) -> String {
     format!("{NODES}{id:020}")
+}
+
+pub(super) fn recovery_key(height: u64) -> String {
+    format!("recovery/{height:020}")
 }
 
 pub(super) fn proposal_key(id: &Hash) -> String {

@@ -172,3 +172,47 @@ class TakeCaResponse(_message.Message):
     VERDICT_FIELD_NUMBER: _ClassVar[int]
     verdict: _gateway_pb2.Verdict
     def __init__(self, verdict: _Optional[_Union[_gateway_pb2.Verdict, _Mapping]] = ...) -> None: ...
+
+class CopyCaRequest(_message.Message):
+    __slots__ = ("organisation", "passphrase")
+    ORGANISATION_FIELD_NUMBER: _ClassVar[int]
+    PASSPHRASE_FIELD_NUMBER: _ClassVar[int]
+    organisation: str
+    passphrase: str
+    def __init__(self, organisation: _Optional[str] = ..., passphrase: _Optional[str] = ...) -> None: ...
+
+class CopyCaResponse(_message.Message):
+    __slots__ = ("verdict", "file")
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    verdict: _gateway_pb2.Verdict
+    file: bytes
+    def __init__(self, verdict: _Optional[_Union[_gateway_pb2.Verdict, _Mapping]] = ..., file: _Optional[bytes] = ...) -> None: ...
+
+class RestoreCaRequest(_message.Message):
+    __slots__ = ("organisation", "file", "passphrase")
+    ORGANISATION_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    PASSPHRASE_FIELD_NUMBER: _ClassVar[int]
+    organisation: str
+    file: bytes
+    passphrase: str
+    def __init__(self, organisation: _Optional[str] = ..., file: _Optional[bytes] = ..., passphrase: _Optional[str] = ...) -> None: ...
+
+class RestoreCaResponse(_message.Message):
+    __slots__ = ("verdict",)
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    verdict: _gateway_pb2.Verdict
+    def __init__(self, verdict: _Optional[_Union[_gateway_pb2.Verdict, _Mapping]] = ...) -> None: ...
+
+class DropCaRequest(_message.Message):
+    __slots__ = ("organisation",)
+    ORGANISATION_FIELD_NUMBER: _ClassVar[int]
+    organisation: str
+    def __init__(self, organisation: _Optional[str] = ...) -> None: ...
+
+class DropCaResponse(_message.Message):
+    __slots__ = ("verdict",)
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    verdict: _gateway_pb2.Verdict
+    def __init__(self, verdict: _Optional[_Union[_gateway_pb2.Verdict, _Mapping]] = ...) -> None: ...

@@ -195,6 +195,7 @@ mod tests {
             node_organisation: "Org1".into(),
             node: node.into(),
             since: 0,
+            copied: None,
         };
         let (one, two, other) = (node("node1", "Org1"), node("node2", "Org1"), node("node1", "Org2"));
         let nodes = [one.clone(), two.clone(), other.clone()];

@@ -1,0 +1,366 @@
+//! Backups of nodes, and the ways back: to the others under a new number, or alone when nothing of the network is left.
+
+use crate::support::ctl::verify;
+use crate::support::network::{NodeWish, free_address, message, now, register_robots};
+use crate::support::process::Process;
+use crate::support::{Ctl, Fleet, connect, eventually, programs};
+use ledger_api::Context;
+use ledger_identity::Role;
+use serde_json::{Value, json};
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+/// Voters of Org1, and an admin with a context for each: `Admin1`, `Admin2` and so on.
+fn voters(count: usize) -> Fleet {
+    let wish = |number: usize| NodeWish {
+        name: format!("node{number}"),
+        organisation: "Org1".into(),
+        voter: true,
+        address: free_address(),
+    };
+    let fleet = Fleet::found_with(&(1..=count).map(wish).collect::<Vec<_>>(), now());
+    let admin = fleet.issue("Org1", "Boss", Role::Admin, &[]);
+    for (number, node) in (1..).zip(&fleet.nodes) {
+        let context = Context { name: format!("Admin{number}"), nodes: vec![node.address.clone()], ..admin.clone() };
+        context.save(&fleet.home()).unwrap();
+    }
+    fleet
+}
+
+fn admin(fleet: &Fleet, node: usize) -> Ctl {
+    fleet.ctl().as_(&format!("Admin{node}"))
+}
+
+fn ledgerd(arguments: &[&str], config: &Path) -> Output {
+    let mut command = Command::new(programs::ledgerd());
+    command.args(arguments).arg("--config").arg(config).stdin(Stdio::null()).output().unwrap()
+}
+
+#[track_caller]
+fn said(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+#[track_caller]
+fn refused(output: &Output, words: &[&str]) -> String {
+    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    for word in words {
+        assert!(told.contains(word), "{word:?} is missing in {told}");
+    }
+    told
+}
+
+/// A robot that only this call registers: what must be there afterwards.
+fn order(ctl: &Ctl, robot: &str) {
+    eventually("something is ordered", || {
+        let text = json!({"name": robot, "attribute_required": robot, "services": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"}]});
+        let ran = ctl.run(&["invoke", "abac", "setup", &text.to_string()]);
+        (ran.code == 0 || ran.stderr.contains("LGR-3011")).then_some(())
+    });
+}
+
+/// Does the node that this context knows have the robot?
+fn has(ctl: &Ctl, robot: &str) -> bool {
+    eventually("the node answers", || {
+        let ran = ctl.run(&["robot", "list"]);
+        (ran.code == 0).then(|| ran.stdout.contains(&format!("{robot}/cmd_vel")))
+    })
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn manifest(backup: &Path) -> Value {
+    serde_json::from_slice(&fs::read(backup.join("backup.json")).unwrap()).unwrap()
+}
+
+/// Makes backups until one has all that was committed before: the newest blocks of a running node follow within seconds.
+fn back_up(ctl: &Ctl, config: &Path, to: &Path) -> String {
+    let height = ctl.json(&["status"])["height"].as_u64().unwrap();
+    eventually("the backup has it", || {
+        let told = said(&ledgerd(&["backup", text(to)], config));
+        (manifest(to)["height"].as_u64().unwrap() >= height).then_some(told)
+    })
+}
+
+#[test]
+fn a_backup_of_a_running_node_is_whole_and_verified_and_the_next_one_adds_to_it() {
+    let fleet = voters(1);
+    let (boss, place) = (admin(&fleet, 1), &fleet.nodes[0]);
+    let _node = place.start();
+    order(&boss, "Before");
+    let backup = fleet.path().join("backup");
+    let told = back_up(&boss, &place.config, &backup);
+    for word in ["every signature verified", "holds the key", "ledgerctl ca backup", "ledgerd restore"] {
+        assert!(told.contains(word), "{word:?} is missing in {told}");
+    }
+    let first = manifest(&backup)["height"].as_u64().unwrap();
+    verify(&backup).ok();
+    assert_eq!(fs::metadata(backup.join("node.key")).unwrap().permissions().mode() & 0o777, 0o600);
+    assert!(!backup.join("ca").exists(), "the key of a CA is in no backup");
+    order(&boss, "After");
+    back_up(&boss, &place.config, &backup);
+    assert!(manifest(&backup)["height"].as_u64().unwrap() > first);
+    // A directory of something else is never written to.
+    let other = fleet.path().join("other");
+    fs::create_dir(&other).unwrap();
+    fs::write(other.join("letter"), "dear").unwrap();
+    refused(&ledgerd(&["backup", text(&other)], &place.config), &["in use for something else"]);
+    assert_eq!(fs::read_dir(&other).unwrap().count(), 1);
+}
+
+#[test]
+fn a_restored_voter_does_not_start_as_it_was_and_comes_back_under_a_new_number() {
+    let fleet = voters(3);
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
+    let (second, place) = (admin(&fleet, 2), &fleet.nodes[2]);
+    order(&second, "Before");
+    let backup = fleet.path().join("backup");
+    said(&ledgerd(&["backup", text(&backup)], &place.config));
+    order(&second, "After");
+    nodes[2].kill();
+    fs::remove_dir_all(&place.data).unwrap();
+
+    let told = said(&ledgerd(&["restore", text(&backup)], &place.config));
+    assert!(told.contains("ledgerd rejoin") && told.contains("ledgerd recover --force-single"), "{told}");
+    refused(&ledgerd(&["restore", text(&backup)], &place.config), &["in use"]);
+    refused(&ledgerd(&["run"], &place.config), &["restored from a backup", "remembers its votes", "ledgerd rejoin"]);
+    refused(&ledgerd(&["backup", text(&backup)], &place.config), &["restored from a backup"]);
+    // The others live: nothing is forced.
+    let forced = ["recover", "--force-single", "--confirm", "test"];
+    refused(
+        &ledgerd(&forced, &place.config),
+        &["a majority of the voters is not lost", "Org1/node1", "ledgerd rejoin"],
+    );
+
+    let back = said(&ledgerd(&["rejoin", "--node", &fleet.nodes[0].address], &place.config));
+    assert!(back.contains("node Org1/node3 is node 4"), "{back}");
+    nodes[2] = place.start();
+    eventually("the node has what was ordered after its backup", || {
+        let ran = admin(&fleet, 3).run(&["robot", "list"]);
+        (ran.code == 0 && ran.stdout.contains("After")).then_some(())
+    });
+}
+
+#[test]
+fn a_damaged_backup_is_refused_before_anything_is_written() {
+    let fleet = voters(1);
+    let place = &fleet.nodes[0];
+    let mut node = place.start();
+    order(&admin(&fleet, 1), "Robot");
+    let backup = fleet.path().join("backup");
+    said(&ledgerd(&["backup", text(&backup)], &place.config));
+    node.interrupt();
+    let data = fleet.path().join("moved");
+    fs::rename(&place.data, &data).unwrap();
+
+    let segment = first_segment(&backup.join("blocks"));
+    let whole = fs::read(&segment).unwrap();
+    let mut bytes = whole.clone();
+    bytes[300] ^= 0x40;
+    fs::write(&segment, &bytes).unwrap();
+    refused(&ledgerd(&["restore", text(&backup)], &place.config), &["blocks/"]);
+    assert!(!place.data.exists());
+    fs::write(&segment, &whole).unwrap();
+    // One that was never finished is none.
+    let kept = fs::read(backup.join("backup.json")).unwrap();
+    fs::remove_file(backup.join("backup.json")).unwrap();
+    refused(&ledgerd(&["restore", text(&backup)], &place.config), &["is no backup of a node"]);
+    // One whose end was cut off is not as it was made.
+    let mut changed: Value = serde_json::from_slice(&kept).unwrap();
+    changed["height"] = json!(changed["height"].as_u64().unwrap() + 1);
+    fs::write(backup.join("backup.json"), changed.to_string()).unwrap();
+    refused(&ledgerd(&["restore", text(&backup)], &place.config), &["is not as it was made"]);
+    assert!(!place.data.exists());
+    fs::write(backup.join("backup.json"), kept).unwrap();
+    said(&ledgerd(&["restore", text(&backup)], &place.config));
+}
+
+fn first_segment(blocks: &Path) -> PathBuf {
+    let names = fs::read_dir(blocks).unwrap().map(|entry| entry.unwrap().path());
+    names.filter(|path| path.extension().is_some_and(|kind| kind == "seg")).min().unwrap()
+}
+
+#[test]
+fn the_only_node_of_a_network_comes_back_from_its_backup_by_force() {
+    let fleet = voters(1);
+    let (boss, place) = (admin(&fleet, 1), &fleet.nodes[0]);
+    let mut node = place.start();
+    order(&boss, "Kept");
+    let backup = fleet.path().join("backup");
+    back_up(&boss, &place.config, &backup);
+    node.kill();
+    let ca = place.data.join("ca");
+    let away = fleet.path().join("ca");
+    fs::rename(&ca, &away).unwrap();
+    fs::remove_dir_all(&place.data).unwrap();
+    said(&ledgerd(&["restore", text(&backup)], &place.config));
+    fs::rename(&away, &ca).unwrap();
+    said(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &place.config));
+    let _node = place.start();
+    assert!(has(&boss, "Kept"));
+    order(&boss, "New");
+}
+
+#[test]
+fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says_so_for_ever() {
+    let fleet = voters(3);
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
+    let (first, survivor) = (admin(&fleet, 1), &fleet.nodes[0]);
+    order(&first, "Kept");
+    let force = ["recover", "--force-single", "--confirm", "test", "--reason", "fire in hall 2"];
+    // While it runs nobody touches its directory.
+    refused(&ledgerd(&force, &survivor.config), &["cannot open"]);
+    nodes[1].kill();
+    nodes[0].interrupt();
+    // One of three answers, and two are a majority.
+    refused(&ledgerd(&force, &survivor.config), &["a majority of the voters is not lost", "Org1/node3 answer"]);
+    nodes[2].kill();
+
+    assert_eq!(ledgerd(&["recover"], &survivor.config).status.code(), Some(64), "it is asked for by its name");
+    let told = refused(
+        &ledgerd(&["recover", "--force-single"], &survivor.config),
+        &[
+            "nothing was done",
+            "Org1/node1 would be the only voter",
+            "Org1/node2, Org1/node3 would vote no more",
+            "--confirm \"test\"",
+        ],
+    );
+    assert!(told.contains("are lost"), "{told}");
+    refused(&ledgerd(&["recover", "--force-single", "--confirm", "Test"], &survivor.config), &["\"Test\""]);
+    let told = said(&ledgerd(&force, &survivor.config));
+    for word in ["RECOVERED BY FORCE", "members_forced", "ledgerd rejoin", "ledgerctl network remove"] {
+        assert!(told.contains(word), "{word:?} is missing in {told}");
+    }
+    let height: u64 = told.split("from block ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+
+    nodes[0] = survivor.start();
+    assert!(has(&first, "Kept"));
+    order(&first, "New");
+    let block = first.run(&["block", &height.to_string(), "-o", "json"]).ok().stdout;
+    assert!(block.contains("members_forced"), "{block}");
+    let backup = fleet.path().join("backup");
+    said(&ledgerd(&["backup", text(&backup)], &survivor.config));
+
+    // Light clients follow no change that the voters before have not signed. They begin anew where they are told.
+    let light = first.run(&["light", "Kept"]);
+    assert!(light.code != 0 && light.stderr.contains("LGR-2001"), "{light:?}");
+    let checkpoint = fleet.path().join("checkpoint");
+    let make = ["checkpoint", text(&checkpoint)];
+    refused(&ledgerd(&make, &survivor.config), &["cannot open"]);
+    nodes[0].interrupt();
+    said(&ledgerd(&make, &survivor.config));
+    nodes[0] = survivor.start();
+    let shown = eventually("the light client goes on from the checkpoint", || {
+        let ran = first.run(&["light", "Kept", "--checkpoint", text(&checkpoint)]);
+        (ran.code == 0).then_some(ran.stdout)
+    });
+    assert!(shown.contains("1 of 1 voters"), "{shown}");
+
+    // One of the lost nodes is found: as it was it takes no part, and comes back under a new number.
+    let back = said(&ledgerd(&["rejoin", "--node", &survivor.address], &fleet.nodes[1].config));
+    assert!(back.contains("node Org1/node2 is node 4"), "{back}");
+    nodes[1] = fleet.nodes[1].start();
+    eventually("it has what was ordered since", || {
+        let ran = admin(&fleet, 2).run(&["robot", "list"]);
+        (ran.code == 0 && ran.stdout.contains("New")).then_some(())
+    });
+    first.run(&["network", "remove", "node3", "--i-mean-it"]).ok();
+    first.run(&["network", "promote", "node2"]).ok();
+    eventually("two vote", || {
+        let ran = first.run(&["network", "status", "-o", "json"]);
+        (ran.code == 0 && ran.json()["voters"] == 2).then_some(())
+    });
+    order(&admin(&fleet, 2), "Both");
+}
+
+#[test]
+fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks_of_its_backup() {
+    let wish = |name: &str, organisation: &str| NodeWish {
+        name: name.into(),
+        organisation: organisation.into(),
+        voter: true,
+        address: free_address(),
+    };
+    let fleet = Fleet::found_with(&[wish("node1", "Org1"), wish("node2", "Org1"), wish("node3", "Org2")], now());
+    let [lost, _, survivor] = [0, 1, 2].map(|number| &fleet.nodes[number]);
+    let owner = Context { nodes: vec![survivor.address.clone()], ..fleet.owner() };
+    let boss = Context { nodes: vec![lost.address.clone()], ..fleet.issue("Org1", "Boss", Role::Admin, &[]) };
+    [&owner, &boss].into_iter().for_each(|context| context.save(&fleet.home()).unwrap());
+    let (owner, boss) = (fleet.ctl().as_("Admin"), fleet.ctl().as_("Boss"));
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
+    order(&owner, "Kept");
+    nodes.iter_mut().for_each(Process::kill);
+    said(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &survivor.config));
+    nodes[2] = survivor.start();
+    order(&owner, "New");
+    let backup = fleet.path().join("backup");
+    back_up(&owner, &survivor.config, &backup);
+
+    let rejoin = ["rejoin", "--node", &survivor.address, "--blocks", text(&backup)];
+    let other = voters(1);
+    let _running = other.nodes[0].start();
+    order(&admin(&other, 1), "Foreign");
+    let foreign = fleet.path().join("foreign");
+    said(&ledgerd(&["backup", text(&foreign)], &other.nodes[0].config));
+    let wrong = ["rejoin", "--node", &survivor.address, "--blocks", text(&foreign)];
+    refused(&ledgerd(&wrong, &lost.config), &["is of another network"]);
+    let back = said(&ledgerd(&rejoin, &lost.config));
+    assert!(back.contains("node Org1/node1 is node 4"), "{back}");
+    nodes[0] = lost.start();
+    order(&owner, "Newest");
+    eventually("it has what was ordered since", || {
+        let ran = boss.run(&["robot", "list"]);
+        (ran.code == 0 && ran.stdout.contains("Newest")).then_some(())
+    });
+}
+
+#[test]
+fn a_lost_voter_that_starts_again_as_it_was_changes_nothing_that_was_recovered() {
+    let fleet = voters(3);
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
+    let (first, survivor) = (admin(&fleet, 1), &fleet.nodes[0]);
+    order(&first, "Kept");
+    nodes.iter_mut().for_each(Process::kill);
+    said(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &survivor.config));
+    nodes[0] = survivor.start();
+    order(&first, "New");
+    // Somebody in a hurry starts one of the others as it was.
+    nodes[2] = fleet.nodes[2].start();
+    for round in 0..5 {
+        order(&first, &format!("More{round}"));
+    }
+    assert!(has(&first, "New") && has(&first, "More4"));
+    let shown = first.json(&["network", "status"]);
+    assert_eq!(shown["voters"], 1, "{shown}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_backup_under_load_is_verified_and_holds_what_was_acknowledged_before_the_one_before_it() {
+    let fleet = Fleet::found(1);
+    let owner = fleet.owner();
+    let salma = fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]);
+    let place = &fleet.nodes[0];
+    let _node = place.start();
+    register_robots(&connect(&owner).await, "open").await;
+    let client = connect(&salma).await;
+    let (backup, mut seq, mut acknowledged) = (fleet.path().join("backup"), 0u64, 0);
+    for _ in 0..4 {
+        let before = acknowledged;
+        let (to, config) = (backup.clone(), place.config.clone());
+        let copying = tokio::task::spawn_blocking(move || said(&ledgerd(&["backup", text(&to)], &config)));
+        while !copying.is_finished() {
+            seq += 1;
+            acknowledged = client.invoke("abac", "set", message(0, seq, &seq.to_be_bytes())).await.unwrap().height;
+        }
+        copying.await.unwrap();
+        let held = manifest(&backup)["height"].as_u64().unwrap();
+        assert!(held >= before, "blocks up to {held}, and {before} was acknowledged long before");
+    }
+}
