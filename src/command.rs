@@ -5,7 +5,7 @@ use crate::config::{Config, Fault, Log};
 use crate::host::NodeBuilder;
 use crate::instance::Ended;
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use futures::{FutureExt, Stream, StreamExt, future, stream};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
@@ -62,6 +62,12 @@ enum Command {
     /// the first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the
     /// others. Blocks that call a chaincode of your own are verified by the program that has that chaincode.
     Verify(verify::Options),
+    /// Writes the manual pages of all commands into a directory, for packages.
+    #[command(hide = true)]
+    Man {
+        /// The directory, which exists.
+        directory: PathBuf,
+    },
 }
 
 #[derive(clap::Args)]
@@ -170,6 +176,11 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             })
         }
         Command::Verify(options) => verify::run(builder, &options),
+        Command::Man { directory } => clap_mangen::generate_to(Arguments::command(), &directory).map_err(|error| {
+            Rejection::new(Code::BadFile, format!("cannot write manual pages into {}", directory.display()))
+                .found(error.to_string())
+                .next("name a directory that exists and that you may write to")
+        }),
     }
 }
 

@@ -167,7 +167,7 @@ fn completions_exist_for_the_usual_shells() {
     for shell in ["bash", "zsh", "fish"] {
         let said = machine.run(&["completions", shell]);
         assert_eq!((said.code, said.stderr.as_str()), (0, ""));
-        assert!(said.stdout.contains("acquire") && said.stdout.contains("ca-fingerprint"), "{shell}");
+        assert!(said.stdout.contains("LEDGERCTL_COMPLETE") && said.stdout.contains("ledgerctl"), "{shell}");
     }
 }
 

@@ -12,7 +12,7 @@ use crate::time;
 use bytes::Bytes;
 use ledger_api::v1::{AuditRequest, AuditResponse};
 use ledger_rejection::{Code, Rejection};
-use row::{CSV_HEAD, Row, Rows};
+use row::{Row, Rows};
 use std::time::Duration;
 
 /// Rows of one question.
@@ -57,7 +57,7 @@ pub(crate) struct Audit {
     /// Go on with what happens, until Ctrl-C
     #[arg(long)]
     follow: bool,
-    /// Write comma-separated values
+    /// The same as -o csv
     #[arg(long)]
     csv: bool,
 }
@@ -76,7 +76,7 @@ impl Audit {
         let mut left = self.limit.unwrap_or(u64::MAX);
         let (mut told_behind, mut shown) = (false, Vec::new());
         if self.csv {
-            output.raw(CSV_HEAD.as_bytes())?;
+            output.set_format(Format::Csv);
         }
         loop {
             request.limit = u32::try_from(left).unwrap_or(u32::MAX).min(ROWS_AT_ONCE);
@@ -88,9 +88,8 @@ impl Audit {
             }
             left -= rows.len() as u64;
             let rows = rows.into_iter().map(Row::from);
-            match global.format() {
-                _ if self.csv => rows.into_iter().try_for_each(|row| output.raw(row.csv().as_bytes()))?,
-                Format::Json => rows.into_iter().try_for_each(|row| output.show(&row))?,
+            match output.format() {
+                Format::Json | Format::Csv => rows.into_iter().try_for_each(|row| output.show(&row))?,
                 Format::Table if self.follow => output.show(&Rows::of(rows, false))?,
                 Format::Table => shown.extend(rows),
             }
@@ -105,7 +104,7 @@ impl Audit {
                 }
             }
         }
-        if !self.csv && global.format() == Format::Table && !self.follow {
+        if output.format() == Format::Table && !self.follow {
             output.show(&Rows::of(shown, true))?;
         }
         Ok(())

@@ -6,13 +6,10 @@ use ledger_api::v1::AuditRow;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// The names of the columns, as those of the fields in JSON.
-pub(super) const CSV_HEAD: &str = "time,height,decision,who,by,robot,subject,code,count,first,last,last_height,epoch,policy_version,detail,found,transaction,told_by\n";
-
-/// A decision about control. Times are those of RFC 3339.
-#[derive(Debug, Serialize)]
+/// A decision about control.
+#[derive(Clone, Debug, Serialize)]
 pub(super) struct Row {
-    time: String,
+    time: u64,
     height: u64,
     decision: String,
     who: String,
@@ -22,8 +19,8 @@ pub(super) struct Row {
     /// Empty if nothing was refused.
     code: String,
     count: u64,
-    first: String,
-    last: String,
+    first: u64,
+    last: u64,
     last_height: u64,
     epoch: u64,
     policy_version: u64,
@@ -31,14 +28,12 @@ pub(super) struct Row {
     found: String,
     transaction: String,
     told_by: String,
-    #[serde(skip)]
-    began: u64,
 }
 
 impl From<AuditRow> for Row {
     fn from(row: AuditRow) -> Self {
         Self {
-            time: time::rfc3339(row.time),
+            time: row.time,
             height: row.height,
             decision: row.decision,
             who: row.who,
@@ -47,8 +42,8 @@ impl From<AuditRow> for Row {
             subject: row.subject,
             code: if row.code == 0 { String::new() } else { format!("LGR-{:04}", row.code) },
             count: row.count,
-            first: time::rfc3339(row.first),
-            last: time::rfc3339(row.last),
+            first: row.first,
+            last: row.last,
             last_height: row.last_height,
             epoch: row.epoch,
             policy_version: row.policy_version,
@@ -56,55 +51,13 @@ impl From<AuditRow> for Row {
             found: row.found,
             transaction: hex::encode(&row.transaction),
             told_by: row.told_by,
-            began: row.first,
         }
-    }
-}
-
-impl Row {
-    /// One line of comma-separated values (RFC 4180).
-    pub(super) fn csv(&self) -> String {
-        let numbers =
-            [self.height, self.count, self.last_height, self.epoch, self.policy_version].map(|n| n.to_string());
-        let [height, count, last_height, epoch, policies] = &numbers;
-        let cells = [
-            &self.time,
-            height,
-            &self.decision,
-            &self.who,
-            &self.by,
-            &self.robot,
-            &self.subject,
-            &self.code,
-            count,
-            &self.first,
-            &self.last,
-            last_height,
-            epoch,
-            policies,
-            &self.detail,
-            &self.found,
-            &self.transaction,
-            &self.told_by,
-        ];
-        cells.map(|cell| quoted(cell)).join(",") + "\n"
-    }
-}
-
-/// A cell that no program takes for a formula or for more than one cell, and no terminal obeys.
-fn quoted(cell: &str) -> String {
-    let cell = crate::output::printable(cell);
-    let formula = cell.starts_with(['=', '+', '-', '@']);
-    if formula || cell.contains([',', '"', '\n']) {
-        format!("\"{}{}\"", if formula { "'" } else { "" }, cell.replace('"', "\"\""))
-    } else {
-        cell.into_owned()
     }
 }
 
 impl Facts for Row {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        out.write_all(self.csv().as_bytes())
+        Rows::of([self.clone()], false).text(out)
     }
 }
 
@@ -132,7 +85,7 @@ impl Facts for Rows {
         };
         for row in &self.rows {
             table.row([
-                time::moment(row.began),
+                time::moment(row.first),
                 row.height.to_string(),
                 row.who.clone(),
                 [&row.decision, &row.code].map(String::as_str).join(" ").trim().to_owned(),
@@ -153,24 +106,5 @@ impl Row {
         let told = if self.told_by.is_empty() { String::new() } else { format!("told by {}", self.told_by) };
         let parts = [by, epoch, self.detail.clone(), told];
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_cell_is_one_cell_and_no_formula() {
-        for (cell, wanted) in [
-            ("Org1/Salma", "Org1/Salma"),
-            ("a, \"b\"", "\"a, \"\"b\"\"\""),
-            ("=HYPERLINK(1)", "\"'=HYPERLINK(1)\""),
-            ("a\nb\u{1b}", "a\\nb\\u{1b}"),
-        ] {
-            assert_eq!(quoted(cell), wanted);
-        }
-        let columns = CSV_HEAD.trim_end().split(',').count();
-        assert_eq!(Row::from(AuditRow::default()).csv().trim_end().split(',').count(), columns);
     }
 }

@@ -24,7 +24,7 @@ enum Place {
 impl Progress {
     pub(super) fn new(format: Format) -> Self {
         let place = match format {
-            Format::Json => Place::Nowhere,
+            Format::Json | Format::Csv => Place::Nowhere,
             Format::Table if io::stderr().is_terminal() => Place::Terminal,
             Format::Table => Place::File,
         };
