@@ -2,8 +2,9 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    audit, bridge, ca, can, chaincode, completions, context, denials, doctor, emergency, enroll, explain, grant, identity,
-    ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, whoami,
+    audit, bridge, ca, can, chaincode, completions, context, denials, doctor, emergency, enroll, explain, grant,
+    identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, top, watch,
+    whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -97,6 +98,8 @@ enum Command {
     Query(chaincode::Query),
     Light(light::Light),
     Status(ledger::Status),
+    Top(top::Top),
+    Watch(watch::Watch),
     Doctor(doctor::Doctor),
     Block(ledger::Block),
     Tx(ledger::Tx),
@@ -159,6 +162,8 @@ impl Cli {
             Command::Query(command) => command.run(global, output).await,
             Command::Light(command) => command.run(global, output).await,
             Command::Status(command) => command.run(global, output).await,
+            Command::Top(command) => command.run(global).await,
+            Command::Watch(command) => command.run(global, output).await,
             Command::Doctor(command) => command.run(global, output).await,
             Command::Block(command) => command.run(global, output).await,
             Command::Tx(command) => command.run(global, output).await,

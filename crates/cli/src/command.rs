@@ -26,4 +26,6 @@ pub(crate) mod record;
 pub(crate) mod replay;
 pub(crate) mod robot;
 pub(crate) mod task;
+pub(crate) mod top;
+pub(crate) mod watch;
 pub(crate) mod whoami;

@@ -120,10 +120,16 @@ struct Misuse {
 
 fn misused(error: &clap::Error) -> Misuse {
     let told = |kinds: &[ContextKind]| {
-        kinds.iter().filter_map(|kind| error.get(*kind)).map(context_text).find(|text| !text.is_empty()).unwrap_or_default()
+        kinds
+            .iter()
+            .filter_map(|kind| error.get(*kind))
+            .map(context_text)
+            .find(|text| !text.is_empty())
+            .unwrap_or_default()
     };
     let text = error.to_string();
-    let message = text.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned();
+    let message =
+        text.lines().next().unwrap_or_default().trim_start_matches("error: ").trim_end_matches(':').to_owned();
     let usage = told(&[ContextKind::Usage]);
     let usage = usage.trim_start_matches("Usage: ").trim();
     let near = told(&[ContextKind::SuggestedSubcommand, ContextKind::SuggestedArg, ContextKind::SuggestedValue]);
@@ -136,7 +142,11 @@ fn misused(error: &clap::Error) -> Misuse {
             none if none.is_empty() => usage.to_owned(),
             values => format!("one of {values}"),
         },
-        r#try: if near.is_empty() { "the same command with --help".to_owned() } else { format!("did you mean {near}?") },
+        r#try: if near.is_empty() {
+            "the same command with --help".to_owned()
+        } else {
+            format!("did you mean {near}?")
+        },
     }
 }
 

@@ -146,8 +146,11 @@ impl Table {
             self.rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
         };
         let widths: Vec<usize> = (0..columns).map(width).collect();
+        let cells = |column: usize| self.rows.iter().filter_map(move |row| row.get(column));
+        let word = |column: usize| cells(column).map(|cell| screen::longest_word(cell)).max().unwrap_or_default();
+        let least: Vec<usize> = (0..columns).map(word).collect();
         let widths = match screen::width() {
-            Some(room) => screen::fitted(widths, room.saturating_sub(indent)),
+            Some(room) => screen::fitted(widths, &least, room.saturating_sub(indent)),
             None => widths,
         };
         for row in &self.rows {
@@ -281,7 +284,8 @@ mod tests {
                     Ok(())
                 }
             }
-            let mut output = Output { format, sheet: Sheet::default(), out: Box::new(Into(std::rc::Rc::clone(&written))) };
+            let mut output =
+                Output { format, sheet: Sheet::default(), out: Box::new(Into(std::rc::Rc::clone(&written))) };
             assert!(output.show(&evil).is_ok());
             let text = String::from_utf8(written.borrow().clone()).unwrap();
             assert!(!text.chars().any(|c| deceives(c) && !matches!(c, '\n' | '\t')), "{text:?}");

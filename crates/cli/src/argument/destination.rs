@@ -48,12 +48,11 @@ pub(crate) fn asked(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> 
         let value = word.strip_prefix("--output=").or_else(|| word.strip_prefix("-o"))?;
         Some(value.strip_prefix('=').unwrap_or(value).to_owned())
     };
-    let values = words.iter().zip(words.iter().skip(1).map(Some).chain([None])).filter_map(|(word, next)| {
-        match word.as_str() {
+    let values =
+        words.iter().zip(words.iter().skip(1).map(Some).chain([None])).filter_map(|(word, next)| match word.as_str() {
             "-o" | "--output" => next.cloned(),
             _ => behind(word),
-        }
-    });
+        });
     let is_json = values.last().is_some_and(|value| value == "json" || value.starts_with(JSON_OF_VERSION));
     if is_json { Format::Json } else { Format::Table }
 }
@@ -100,7 +99,15 @@ mod tests {
     #[test]
     fn a_line_that_cannot_be_understood_still_tells_its_format() {
         let asked = |line: &str| asked(line.split(' ').map(Into::into)) == Format::Json;
-        for line in ["x -o json y", "x -ojson", "x --output json", "x --output=json", "x -o=json", "x -o json@1", "x -o table -o json"] {
+        for line in [
+            "x -o json y",
+            "x -ojson",
+            "x --output json",
+            "x --output=json",
+            "x -o=json",
+            "x -o json@1",
+            "x -o table -o json",
+        ] {
             assert!(asked(line), "{line}");
         }
         for line in ["x", "x -o", "x -o table", "x json", "x -o json -o csv", "x --output"] {

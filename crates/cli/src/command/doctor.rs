@@ -85,7 +85,11 @@ async fn network(context: &Context, findings: &mut Vec<Finding>) {
         Err(refused) => {
             findings.push(Finding::refused("node", &refused));
             for check in ["clock", "peers", "disk", "side doors", "policy"] {
-                findings.push(Finding::unknown(check, "no node answers", "repair what is wrong above, then look again"));
+                findings.push(Finding::unknown(
+                    check,
+                    "no node answers",
+                    "repair what is wrong above, then look again",
+                ));
             }
         }
     }

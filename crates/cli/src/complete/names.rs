@@ -96,7 +96,8 @@ async fn within(names: impl Future<Output = Result<Vec<(String, String)>, Reject
 /// The context that stands in the line, else in the environment.
 fn typed(words: impl Iterator<Item = OsString>) -> Option<String> {
     let words: Vec<String> = words.map(|word| word.to_string_lossy().into_owned()).collect();
-    let behind = words.iter().zip(words.iter().skip(1)).find(|(word, _)| *word == "--context").map(|(_, name)| name.clone());
+    let behind =
+        words.iter().zip(words.iter().skip(1)).find(|(word, _)| *word == "--context").map(|(_, name)| name.clone());
     let within = words.iter().find_map(|word| word.strip_prefix("--context=").map(str::to_owned));
     let variable = || std::env::var(context::VARIABLE).ok();
     behind.or(within).or_else(variable).filter(|name| !name.is_empty())

@@ -4,6 +4,8 @@ use rustix::termios::tcgetwinsize;
 
 /// No column is made narrower.
 const COLUMN_MIN: usize = 8;
+/// Signs behind which a cell is broken before it is broken anywhere else.
+const BREAKS: [char; 4] = [' ', ',', '/', ';'];
 
 /// The width of the terminal that results go to, in characters; none if it is no terminal.
 pub(super) fn width() -> Option<usize> {
@@ -11,22 +13,31 @@ pub(super) fn width() -> Option<usize> {
     (size.ws_col > 0).then_some(size.ws_col.into())
 }
 
-/// The widths with which columns fit into `room` characters: the widest are made narrower, down to a least width.
-pub(super) fn fitted(mut widths: Vec<usize>, room: usize) -> Vec<usize> {
+/// The widths with which columns fit into `room` characters. The widest are made narrower: first down to their longest words (`least`),
+/// then further, if that is not enough.
+pub(super) fn fitted(widths: Vec<usize>, least: &[usize], room: usize) -> Vec<usize> {
+    narrowed(narrowed(widths, least, room), &vec![COLUMN_MIN; least.len()], room)
+}
+
+fn narrowed(mut widths: Vec<usize>, least: &[usize], room: usize) -> Vec<usize> {
     loop {
         let whole: usize = widths.iter().map(|width| width + 2).sum();
         let excess = whole.saturating_sub(2).saturating_sub(room);
-        let Some(widest) = widths.iter_mut().max().filter(|widest| excess > 0 && **widest > COLUMN_MIN) else {
-            return widths;
-        };
+        let wide = widths.iter_mut().zip(least).filter(|(width, least)| **width > **least).map(|(width, _)| width);
+        let Some(widest) = wide.max().filter(|_| excess > 0) else { return widths };
         *widest -= 1;
     }
+}
+
+/// The longest part of a cell that is not broken if that can be helped.
+pub(super) fn longest_word(cell: &str) -> usize {
+    cell.split_inclusive(BREAKS).map(|word| word.trim_end().chars().count()).max().unwrap_or_default()
 }
 
 /// The lines of a cell within a width: broken behind words where that goes, else within them.
 pub(super) fn broken(cell: &str, width: usize) -> Vec<String> {
     let mut lines = vec![String::new()];
-    for word in cell.split_inclusive([' ', ',', '/', ';']) {
+    for word in cell.split_inclusive(BREAKS) {
         for c in std::iter::once(None).chain(word.chars().map(Some)) {
             let used = lines.last().map_or(0, |line| line.chars().count());
             // A word that fits into a line of its own begins there.
@@ -46,15 +57,19 @@ pub(super) fn broken(cell: &str, width: usize) -> Vec<String> {
 }
 
 #[cfg(test)]
+#[expect(clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
 
     #[test]
     fn columns_that_fit_stay_and_the_widest_give_way() {
-        assert_eq!(fitted(vec![10, 20], 32), [10, 20]);
-        assert_eq!(fitted(vec![10, 20], 26), [10, 14]);
-        assert_eq!(fitted(vec![30, 30, 4], 40), [16, 16, 4]);
-        assert_eq!(fitted(vec![30, 30], 5), [8, 8], "a screen can be too narrow");
+        let fit = |widths: &[usize], room| fitted(widths.to_vec(), &[9, 9, 9][..widths.len()], room);
+        assert_eq!(fit(&[10, 20], 32), [10, 20]);
+        assert_eq!(fit(&[10, 20], 26), [10, 14]);
+        assert_eq!(fit(&[30, 30, 4], 40), [16, 16, 4]);
+        assert_eq!(fit(&[30, 30], 5), [8, 8], "a screen can be too narrow");
+        assert_eq!(fitted(vec![9, 30], &[9, 10], 24), [9, 13]);
+        assert_eq!(fitted(vec![20, 30], &[20, 10], 40), [20, 18], "words stay whole while that goes");
     }
 
     #[test]

@@ -162,7 +162,9 @@ mod tests {
 
     #[test]
     fn what_others_wrote_and_what_is_no_number_stays_as_it_is() {
-        for json in [r#"{"payload":{"time":7}}"#, r#"{"message":{"since":7}}"#, r#"{"time":"10:00"}"#, r#""time""#, "[]"] {
+        for json in
+            [r#"{"payload":{"time":7}}"#, r#"{"message":{"since":7}}"#, r#"{"time":"10:00"}"#, r#""time""#, "[]"]
+        {
             assert_eq!(told(json), json);
         }
     }

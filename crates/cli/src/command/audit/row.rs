@@ -1,13 +1,13 @@
 //! One row of the audit, for people and programs.
 
-use crate::output::{Facts, Table};
+use crate::output::{Facts, Table, printable};
 use crate::time;
 use ledger_api::v1::AuditRow;
 use serde::Serialize;
 use std::io::{self, Write};
 
 /// A decision about control.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Debug, Serialize)]
 pub(super) struct Row {
     time: u64,
     height: u64,
@@ -56,39 +56,33 @@ impl From<AuditRow> for Row {
 }
 
 impl Facts for Row {
+    /// One line of a stream: its columns keep their places.
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        Rows::of([self.clone()], false).text(out)
+        let [who, decision, subject, words] = [self.who.clone(), self.decided(), self.subject.clone(), self.words()]
+            .map(|cell| printable(&cell).into_owned());
+        let times = if self.count > 1 { format!("{} times  ", self.count) } else { String::new() };
+        let line =
+            format!("{}  {decision:<18}  {subject:<24}  {who:<16}  {times}{words}", time::time_of_day(self.first));
+        writeln!(out, "{}", line.trim_end())
     }
 }
 
 /// Rows for people.
 #[derive(Serialize)]
-pub(super) struct Rows {
-    rows: Vec<Row>,
-    headings: bool,
-}
-
-impl Rows {
-    pub(super) fn of(rows: impl IntoIterator<Item = Row>, headings: bool) -> Self {
-        Self { rows: rows.into_iter().collect(), headings }
-    }
-}
+pub(super) struct Rows(pub(super) Vec<Row>);
 
 impl Facts for Rows {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        if self.rows.is_empty() {
-            return if self.headings { writeln!(out, "nothing is known of it") } else { Ok(()) };
+        if self.0.is_empty() {
+            return writeln!(out, "nothing is known of it");
         }
-        let mut table = match self.headings {
-            true => Table::new(["TIME", "BLOCK", "WHO", "DECISION", "ABOUT", "TIMES", "POLICIES", "DETAIL"]),
-            false => Table::pairs(),
-        };
-        for row in &self.rows {
+        let mut table = Table::new(["TIME", "BLOCK", "WHO", "DECISION", "ABOUT", "TIMES", "POLICIES", "DETAIL"]);
+        for row in &self.0 {
             table.row([
                 time::moment(row.first),
                 row.height.to_string(),
                 row.who.clone(),
-                [&row.decision, &row.code].map(String::as_str).join(" ").trim().to_owned(),
+                row.decided(),
                 row.subject.clone(),
                 row.count.to_string(),
                 if row.policy_version == 0 { String::new() } else { format!("version {}", row.policy_version) },
@@ -100,11 +94,39 @@ impl Facts for Rows {
 }
 
 impl Row {
+    fn decided(&self) -> String {
+        [&self.decision, &self.code].map(String::as_str).join(" ").trim().to_owned()
+    }
+
     fn words(&self) -> String {
         let by = if self.by.is_empty() { String::new() } else { format!("by {}", self.by) };
         let epoch = if self.epoch == 0 { String::new() } else { format!("epoch {}", self.epoch) };
         let told = if self.told_by.is_empty() { String::new() } else { format!("told by {}", self.told_by) };
         let parts = [by, epoch, self.detail.clone(), told];
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lines_of_a_stream_stand_below_each_other() {
+        let line = |decision: &str, subject: &str| {
+            let row = AuditRow {
+                decision: decision.into(),
+                subject: subject.into(),
+                who: "Org1/Salma".into(),
+                ..AuditRow::default()
+            };
+            let mut out = Vec::new();
+            Row::from(row).text(&mut out).unwrap();
+            String::from_utf8(out).unwrap()
+        };
+        let (short, long) = (line("granted", "T/c"), line("released", "Turtlebot4/cmd_vel"));
+        assert_eq!(short.find("Org1/Salma"), long.find("Org1/Salma"));
+        assert_eq!(short.lines().count(), 1);
     }
 }

@@ -29,7 +29,8 @@ fn side_doors(robots: &[RobotAsset], now: u64) -> Vec<Finding> {
     let open: Vec<Finding> = doors
         .filter(|door| door.publishers > 0)
         .map(|door| {
-            let others = if door.publishers == 1 { "1 publishes".to_owned() } else { format!("{} publish", door.publishers) };
+            let others =
+                if door.publishers == 1 { "1 publishes".to_owned() } else { format!("{} publish", door.publishers) };
             let message = format!(
                 "{others} on {} of {} beside the bridge, told by {} {}: around the ledger",
                 door.topic,
@@ -37,7 +38,8 @@ fn side_doors(robots: &[RobotAsset], now: u64) -> Vec<Finding> {
                 door.by,
                 time::relative(door.at, now)
             );
-            let repair = format!("on the robot: ros2 topic info -v {}; docs/bridge.md, \"Closing the door\"", door.topic);
+            let repair =
+                format!("on the robot: ros2 topic info -v {}; docs/bridge.md, \"Closing the door\"", door.topic);
             Finding::wrong("side doors", message, repair)
         })
         .collect();

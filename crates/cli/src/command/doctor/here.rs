@@ -20,6 +20,7 @@ pub(super) fn context(global: &Global, findings: &mut Vec<Finding>) -> Option<Co
             return None;
         }
     };
+    findings.push(room(&home));
     let found = match context::selected(global) {
         Ok(found) => found,
         Err(refused) => {
@@ -39,13 +40,14 @@ pub(super) fn context(global: &Global, findings: &mut Vec<Finding>) -> Option<Co
         }
         Err(refused) => findings.push(Finding::refused("context", &refused)),
     }
-    findings.push(room(&home));
     Some(found)
 }
 
 /// The room for contexts, which change when certificates are renewed.
 fn room(home: &Path) -> Finding {
-    match rustix::fs::statvfs(home) {
+    // Before anybody has enrolled it is not there yet.
+    let there = home.ancestors().find(|path| path.exists()).unwrap_or(home);
+    match rustix::fs::statvfs(there) {
         Ok(disk) => judged(home, disk.f_bavail.saturating_mul(disk.f_frsize), disk.f_files > 0 && disk.f_favail == 0),
         Err(error) => {
             Finding::unknown("own disk", format!("{}: {error}", home.display()), "check the path and the rights on it")
@@ -73,9 +75,7 @@ pub(super) fn certificate(context: &Context, now: u64, findings: &mut Vec<Findin
         ),
         None => Finding::ok("certificate", own.text(now)),
         Some(_) if now > identity.not_after => Finding::wrong("certificate", own.text(now), context.way_back()),
-        Some(_) => {
-            Finding::wrong("certificate", own.text(now), format!("ledgerctl identity renew{}", acting(context)))
-        }
+        Some(_) => Finding::wrong("certificate", own.text(now), format!("ledgerctl identity renew{}", acting(context))),
     });
 }
 
@@ -87,10 +87,9 @@ mod tests {
     #[test]
     fn a_disk_without_room_for_a_certificate_is_wrong() {
         let state = |free, no_names| judged(Path::new("/home"), free, no_names).state;
-        assert_eq!([state(FREE_MIN, false), state(FREE_MIN - 1, false), state(u64::MAX, true)], [
-            State::Ok,
-            State::Wrong,
-            State::Wrong
-        ]);
+        assert_eq!(
+            [state(FREE_MIN, false), state(FREE_MIN - 1, false), state(u64::MAX, true)],
+            [State::Ok, State::Wrong, State::Wrong]
+        );
     }
 }

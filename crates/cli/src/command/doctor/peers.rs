@@ -95,9 +95,11 @@ fn voters(overview: &Overview) -> Finding {
     let answer = overview.nodes.iter().filter(|node| node.role == "voter");
     let alone = uncertified(answer.map(|node| (&*node.organisation, node.reachable)));
     match (overview.quorum.attention(), alone) {
-        (Some(_), _) if !overview.quorum.quorum => {
-            Finding::wrong("quorum", format!("voters: {text}"), "start the nodes that are silent: systemctl start ledgerd")
-        }
+        (Some(_), _) if !overview.quorum.quorum => Finding::wrong(
+            "quorum",
+            format!("voters: {text}"),
+            "start the nodes that are silent: systemctl start ledgerd",
+        ),
         (_, Some(alone)) => Finding::wrong("quorum", alone, "start a voter of the other organisation"),
         (Some(_), None) => Finding::wrong(
             "quorum",
@@ -140,7 +142,11 @@ fn peer(node: &Node) -> Vec<Finding> {
     let own = env!("CARGO_PKG_VERSION");
     if let Some(version) = node.version.as_deref().filter(|version| *version != own) {
         let message = format!("{name} is version {version}, ledgerctl {own}");
-        found.push(Finding::advice("version", message, "upgrade node by node: docs/operations.md, \"Upgrading a network\""));
+        found.push(Finding::advice(
+            "version",
+            message,
+            "upgrade node by node: docs/operations.md, \"Upgrading a network\"",
+        ));
     }
     found
 }
@@ -149,7 +155,9 @@ fn certificate(found: &Certificate, now: u64) -> Finding {
     let repair = match found.kind.as_str() {
         "node" => "a node renews by itself: see its log for the reason that it could not (journalctl -u ledgerd)",
         "list" => "ledgerctl identity crl import FILE, with a new list of that CA",
-        _ => "let the organisation make a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\"",
+        _ => {
+            "let the organisation make a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\""
+        }
     };
     match found.attention(now) {
         None => Finding::ok("certificate", found.text(now)),
@@ -173,7 +181,9 @@ fn clocks(nodes: &[Node]) -> Vec<Finding> {
     let mut found = vec![off("this machine's clock", -common, doubt, "timedatectl set-ntp true")];
     let apart = told.iter().filter(|(_, offset, doubt)| apart(offset - common) > CLOCK_DRIFTS_US + doubt);
     let repair = "on that machine: timedatectl set-ntp true";
-    found.extend(apart.map(|(name, offset, doubt)| off(&format!("the clock of {name}"), offset - common, *doubt, repair)));
+    found.extend(
+        apart.map(|(name, offset, doubt)| off(&format!("the clock of {name}"), offset - common, *doubt, repair)),
+    );
     found
 }
 

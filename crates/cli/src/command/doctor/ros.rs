@@ -79,7 +79,8 @@ fn ports(domain: &Domain, ephemeral: &str) -> Finding {
 
 /// A middleware that does not speak DDS.
 fn middleware(name: &str) -> Option<Finding> {
-    let speaks_dds = name.is_empty() || ["fastrtps", "cyclonedds", "connext", "gurum"].iter().any(|dds| name.contains(dds));
+    let speaks_dds =
+        name.is_empty() || ["fastrtps", "cyclonedds", "connext", "gurum"].iter().any(|dds| name.contains(dds));
     (!speaks_dds).then(|| {
         Finding::wrong(
             "DDS domain",
@@ -97,7 +98,8 @@ fn reached(reach: &Reach, interfaces: &[Interface]) -> Finding {
         .filter(|interface| interface.is_up())
         .flat_map(|interface| interface.ipv4.iter().map(move |net| (net.addr(), interface)))
         .collect();
-    let missing = reach.interfaces.iter().flatten().find(|wanted| !addresses.iter().any(|(address, _)| address == *wanted));
+    let missing =
+        reach.interfaces.iter().flatten().find(|wanted| !addresses.iter().any(|(address, _)| address == *wanted));
     if let Some(missing) = missing {
         let repair = "correct `interfaces` in the configuration of the bridge: ip -4 address";
         return Finding::wrong("DDS interfaces", format!("no interface has {missing}"), repair);
@@ -162,7 +164,9 @@ fn echoes(address: Ipv4Addr) -> io::Result<()> {
         match hears.recv_from(&mut heard) {
             Ok((_, sender)) if sender == from => return Ok(()),
             Ok(_) => {}
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Err(io::Error::other("nothing comes back")),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                return Err(io::Error::other("nothing comes back"));
+            }
             Err(error) => return Err(error),
         }
     }

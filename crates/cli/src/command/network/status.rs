@@ -46,14 +46,14 @@ pub(crate) struct Overview {
     leader_id: u64,
     term: u64,
     /// Greatest height that a node has executed.
-    height: u64,
+    pub(crate) height: u64,
     #[serde(flatten)]
     pub(crate) quorum: Voters,
     pub(crate) nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
     pub(crate) certificates: Vec<Certificate>,
     /// Points that need attention.
-    attention: Vec<String>,
+    pub(crate) attention: Vec<String>,
     /// When it was asked.
     #[serde(skip)]
     now: u64,
@@ -280,7 +280,7 @@ impl Node {
     }
 
     /// One word or two for people.
-    fn state(&self) -> String {
+    pub(crate) fn state(&self) -> String {
         match self {
             Self { reachable: false, .. } => "unreachable".into(),
             Self { divergence, .. } if !divergence.is_empty() => "differs".into(),
