@@ -31,6 +31,7 @@ mod crash;
 mod disk_full;
 mod doctor;
 mod early;
+mod examples;
 mod fabric;
 mod footprint;
 mod histories;

@@ -14,6 +14,7 @@ mod failure;
 mod health;
 mod json;
 mod output;
+mod progress;
 mod recording;
 mod session;
 mod time;

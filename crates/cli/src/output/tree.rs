@@ -7,7 +7,7 @@ use serde_json::value::RawValue;
 use std::fmt::{self, Write};
 
 /// The fields that hold a time, microseconds since the UNIX epoch, 0 for none, wherever they stand.
-const TIMES: [&str; 19] = [
+const TIMES: [&str; 20] = [
     "acquired_at",
     "at",
     "block_time",
@@ -23,6 +23,7 @@ const TIMES: [&str; 19] = [
     "not_after",
     "not_before",
     "renewed_from",
+    "secret_expires",
     "since",
     "time",
     "until",
