@@ -1,4 +1,4 @@
-//! What `ledgerctl doctor` finds in a network. crates/cli/tests/doctor.rs provokes what it finds on one machine.
+//! The findings of `ledgerctl doctor` in a network. crates/cli/tests/doctor.rs provokes those on one machine.
 
 use crate::support::network::{NodeWish, free_address, now};
 use crate::support::{Ctl, Dev, Fleet, eventually};

@@ -1,4 +1,4 @@
-//! What of `ledgerctl` lives: `watch`, `top` on a terminal, and the completions of a shell.
+//! The live parts of `ledgerctl`: `watch`, `top` on a terminal, and the completions of a shell.
 
 use crate::support::{Ctl, Dev, Process, eventually};
 use serde_json::Value;
@@ -122,7 +122,7 @@ fn a_shell_completes_the_names_of_now() {
     // bash itself, with the script that people install.
     let program = crate::support::programs::ledgerctl();
     let line = "PATH=$(dirname \"$0\"):$PATH; source <(ledgerctl completions bash); \
-                COMP_WORDS=(ledgerctl acquire Tur); COMP_CWORD=2; COMP_TYPE=9; _clap_complete_ledgerctl; echo \"${COMPREPLY[@]}\"";
+                COMP_WORDS=(ledgerctl acquire Tur); COMP_CWORD=2; COMP_TYPE=9; _clap_complete_ledgerctl ledgerctl Tur acquire; echo \"${COMPREPLY[@]}\"";
     let mut bash = Command::new("bash");
     bash.args(["-c", line]).arg(&program).env("LEDGERD_HOME", dev.home.path()).env_remove("LEDGERCTL_CONTEXT");
     let done = bash.output().unwrap();

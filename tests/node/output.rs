@@ -1,4 +1,4 @@
-//! docs/output.md against the JSON that `ledgerctl` prints: every command that prints JSON is run, each printed field is documented,
+//! docs/output.md against the JSON that `ledgerctl` prints. Every command of that page is run. Each printed field is documented,
 //! and each documented field was printed, unless it stands there with a `?`.
 //!
 //! After a change: `LEDGERD_TRANSCRIPTS=write cargo test --test node output` writes the lists of fields anew, then read the

@@ -1,4 +1,4 @@
-//! What a shell offers to complete: commands and options from the table of commands, and names from this machine and the network.
+//! The words that a shell completes: commands and options from the table of commands, and names from this machine and the network.
 //!
 //! The script of `ledgerctl completions SHELL` runs this program again with [`VARIABLE`] set. Nothing that fails is told: a line
 //! that is being typed must stay readable, so without an answer in time there are no names.

@@ -75,7 +75,7 @@ pub(super) fn code(text: &str) -> Result<Code, String> {
 }
 
 impl Audit {
-    /// What changes from now on.
+    /// The changes from now on.
     pub(super) fn from_now(
         robot: Option<String>,
         user: Option<String>,

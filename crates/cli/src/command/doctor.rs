@@ -23,8 +23,8 @@ const EXIT_WRONG: u8 = 1;
 
 /// Look for whatever keeps commands from robots, and say how each is repaired.
 ///
-/// Looks at the context, the clocks, the certificates, the ports of nodes, the nodes themselves and their disks, at the ROS domain
-/// of this machine with its interfaces, multicast and receive buffers, and at side doors, stops and policies. A line is `ok`,
+/// It looks at the context, the clocks, the certificates, the ports of nodes, the nodes themselves and their disks. It looks at the ROS
+/// domain of this machine, with its interfaces, multicast and receive buffers, and at side doors, stops and policies. A line is `ok`,
 /// `advice` (works, but may not always), `wrong` or `unknown` (it could not be looked at). Ends with 1 if something is wrong.
 /// Nothing is changed.
 #[derive(Debug, clap::Args)]
@@ -74,7 +74,7 @@ impl Doctor {
     }
 }
 
-/// What others tell: the ports of the nodes, the nodes, the robots.
+/// The word of others: the ports of the nodes, the nodes, the robots.
 async fn network(context: &Context, findings: &mut Vec<Finding>) {
     peers::ports(&context.addresses(), findings).await;
     match Session::connect(context.clone()).await {

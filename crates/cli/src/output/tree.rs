@@ -1,7 +1,7 @@
 //! JSON as a tree that keeps the order of fields and the digits of numbers, with times in the form of RFC 3339 beside those in
 //! microseconds.
 
-use crate::time;
+use crate::{json, time};
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt::{self, Write};
@@ -34,6 +34,9 @@ const UTC: &str = "_utc";
 /// The fields below which stands what others wrote: messages of ROS 2, payloads and answers of a chaincode.
 const FOREIGN: [&str; 4] = ["message", "payload", "response", "feedback"];
 
+/// Deeper values are taken as they are: nodes may answer with what they like.
+const DEPTH_MAX: usize = 32;
+
 /// A value of JSON.
 #[derive(Debug)]
 pub(super) enum Tree {
@@ -44,17 +47,29 @@ pub(super) enum Tree {
 }
 
 impl Tree {
-    /// Reads JSON that a serializer wrote.
+    /// Reads JSON.
     pub(super) fn read(json: &str) -> serde_json::Result<Self> {
+        Self::read_at(json, 0)
+    }
+
+    fn read_at(json: &str, depth: usize) -> serde_json::Result<Self> {
         Ok(match json.trim_start().as_bytes().first() {
+            Some(b'{' | b'[') if depth == DEPTH_MAX => {
+                Self::Leaf(json::compact(json).map_or_else(|| json.to_owned(), |value| value.get().to_owned()))
+            }
             Some(b'{') => {
                 let fields: Fields = serde_json::from_str(json)?;
-                let read = fields.0.into_iter().map(|(name, value)| Ok((name, Self::read(value.get())?)));
+                let read = fields.0.into_iter().map(|(name, value)| Ok((name, Self::read_at(value.get(), depth + 1)?)));
                 Self::Object(read.collect::<serde_json::Result<_>>()?)
             }
             Some(b'[') => {
                 let values: Vec<Box<RawValue>> = serde_json::from_str(json)?;
-                Self::List(values.iter().map(|value| Self::read(value.get())).collect::<serde_json::Result<_>>()?)
+                Self::List(
+                    values
+                        .iter()
+                        .map(|value| Self::read_at(value.get(), depth + 1))
+                        .collect::<serde_json::Result<_>>()?,
+                )
             }
             _ => Self::Leaf(json.trim().to_owned()),
         })
@@ -168,6 +183,12 @@ mod tests {
         {
             assert_eq!(told(json), json);
         }
+    }
+
+    #[test]
+    fn json_that_is_nested_without_end_stays_on_one_line_and_costs_no_stack() {
+        let deep = format!("{}\n1{}", "[".repeat(200_000), "]".repeat(200_000));
+        assert_eq!(told(&deep), deep.replace('\n', ""));
     }
 
     #[test]

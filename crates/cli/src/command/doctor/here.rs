@@ -1,4 +1,4 @@
-//! What is on this machine: the context, its disk, its certificate.
+//! This machine: the context, its disk, its certificate.
 
 use super::acting;
 use super::finding::Finding;

@@ -110,7 +110,7 @@ fn voters(overview: &Overview) -> Finding {
     }
 }
 
-/// What is wrong with a node; one that answers and agrees is ok.
+/// The faults of a node; one that answers and agrees is ok.
 fn peer(node: &Node) -> Vec<Finding> {
     let name = node.full_name();
     let mut found = Vec::new();
@@ -207,7 +207,9 @@ mod tests {
     use super::*;
 
     fn node(name: &str, offset: i64) -> Node {
-        Node { clock_offset_us: Some(offset), clock_error_us: Some(1_000), ..Node::silent(name) }
+        let mut node = Node::silent(name);
+        (node.clock_offset_us, node.clock_error_us) = (Some(offset), Some(1_000));
+        node
     }
 
     fn states(offsets: &[i64]) -> Vec<(State, bool)> {

@@ -1,4 +1,4 @@
-//! What stands on the screen.
+//! The text on the screen.
 
 use super::rates::Rate;
 use crate::command::network::status::Overview;
@@ -14,7 +14,7 @@ const CHOSEN: (&str, &str) = ("\x1b[7m", "\x1b[0m");
 /// The keys.
 const KEYS: &str = "up, down choose   s stop the robot   r release your grant   q end";
 
-/// What is known, and what is chosen.
+/// The network as it is known, and the chosen service.
 pub(super) struct View {
     network: String,
     robots: Vec<RobotAsset>,
