@@ -106,7 +106,7 @@ fn a_shell_completes_the_names_of_now() {
     let dev = Dev::start();
     dev.user("Salma", &["Turtlebot4"], "ed25519");
     let asked = |shell: &str, words: &[&str]| {
-        let mut command = dev.ctl().command(&[&["--", "ledgerctl"], words].concat());
+        let mut command = dev.ctl().command(&[&["--", "ledgerctl"][..], words].concat());
         command.env("LEDGERCTL_COMPLETE", shell).env("_CLAP_COMPLETE_INDEX", words.len().to_string());
         let done = command.output().unwrap();
         assert!(done.status.success() && done.stderr.is_empty(), "{done:?}");

@@ -13,7 +13,7 @@ use std::process::{Command, Stdio};
 
 /// The findings of a run with these variables.
 fn findings(machine: &Machine, arguments: &[&str], variables: &[(&str, &str)]) -> Vec<Value> {
-    let mut command = machine.command(&[&["doctor", "--json"], arguments].concat());
+    let mut command = machine.command(&[&["doctor", "--json"][..], arguments].concat());
     command.envs(variables.iter().copied());
     told(&mut command)
 }

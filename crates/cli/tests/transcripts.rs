@@ -300,7 +300,7 @@ fn names_of_this_machine_are_completed_and_silence_of_the_network_is_no_error() 
     let (machine, address) = (Machine::new(), closed_address());
     machine.enrolled("Salma", &address);
     let completed = |words: &[&str]| {
-        let words = [&["--", "ledgerctl"], words].concat();
+        let words = [&["--", "ledgerctl"][..], words].concat();
         let said = transcript(&machine.command(&words).env("LEDGERCTL_COMPLETE", "fish").output().unwrap());
         assert_eq!((said.code, said.stderr.as_str()), (0, ""), "{words:?}");
         said.stdout

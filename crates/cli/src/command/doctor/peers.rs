@@ -50,18 +50,25 @@ fn port(address: &str, outcome: io::Result<()>) -> Finding {
     Finding::wrong("port", format!("{address}: {why}"), repair)
 }
 
-/// Asks every node how it is.
-pub(super) async fn look(session: &Session, findings: &mut Vec<Finding>) {
+/// Asks every node how it is. Is there a quorum?
+pub(super) async fn look(session: &Session, findings: &mut Vec<Finding>) -> bool {
     findings.push(standing(session).await);
     match status::asked(session).await {
-        Ok(overview) => judge(&overview, time::now(), findings),
-        Err(refused) => findings.push(Finding::refused("peers", &refused)),
+        Ok(overview) => {
+            judge(&overview, time::now(), findings);
+            overview.quorum.quorum
+        }
+        Err(refused) => {
+            findings.push(Finding::refused("peers", &refused));
+            false
+        }
     }
 }
 
 /// Does the ledger take us for who we are?
 async fn standing(session: &Session) -> Finding {
-    match session.ask(ABAC, "GetSubmittingClientIdentity", vec![]).await {
+    // By the state of the node, however old: without a leader no node could confirm that it is the newest.
+    match session.client.query_at(0, ABAC, "GetSubmittingClientIdentity", vec![]).await {
         Ok(_) => Finding::ok("identity", format!("accepted by the ledger, through {}", session.client.node())),
         Err(refused) => Finding::refused("identity", &refused),
     }

@@ -143,7 +143,10 @@ fn multicast(interfaces: &[Interface], echoes: impl Fn(Ipv4Addr) -> io::Result<(
         ),
         (true, _) => Finding::wrong(
             "multicast",
-            format!("does not come back over any interface: {}", fails.join(", ")),
+            format!(
+                "does not come back: {}",
+                if fails.is_empty() { "no interface is up".to_owned() } else { fails.join(", ") }
+            ),
             "ip link set lo multicast on && ip route add 239.0.0.0/8 dev lo; or name the hosts: ROS_STATIC_PEERS",
         ),
     }
