@@ -79,20 +79,22 @@ async fn network(context: &Context, findings: &mut Vec<Finding>) {
     peers::ports(&context.addresses(), findings).await;
     match Session::connect(context.clone()).await {
         Ok(session) => {
-            peers::look(&session, findings).await;
-            fleet::look(&session, findings).await;
+            if peers::look(&session, findings).await {
+                fleet::look(&session, findings).await;
+            } else {
+                unknown(&["side doors", "policy"], "nothing can be asked without a quorum", findings);
+            }
         }
         Err(refused) => {
             findings.push(Finding::refused("node", &refused));
-            for check in ["clock", "peers", "disk", "side doors", "policy"] {
-                findings.push(Finding::unknown(
-                    check,
-                    "no node answers",
-                    "repair what is wrong above, then look again",
-                ));
-            }
+            unknown(&["clock", "peers", "disk", "side doors", "policy"], "no node answers", findings);
         }
     }
+}
+
+fn unknown(checks: &[&'static str], why: &str, findings: &mut Vec<Finding>) {
+    let repair = "repair the lines above that are wrong, then look again";
+    findings.extend(checks.iter().map(|check| Finding::unknown(check, why, repair)));
 }
 
 impl Report {
