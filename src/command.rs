@@ -76,6 +76,12 @@ enum Command {
         #[arg(value_enum)]
         shell: clap_complete::Shell,
     },
+    /// Writes the manual pages of all commands into a directory, for packages.
+    #[command(hide = true)]
+    Man {
+        /// The directory, which exists.
+        directory: PathBuf,
+    },
 }
 
 #[derive(clap::Args)]
@@ -212,6 +218,11 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             print_line(&String::from_utf8_lossy(&script));
             Ok(())
         }
+        Command::Man { directory } => clap_mangen::generate_to(Arguments::command(), &directory).map_err(|error| {
+            Rejection::new(Code::BadFile, format!("cannot write manual pages into {}", directory.display()))
+                .found(error.to_string())
+                .next("name a directory that exists and that you may write to")
+        }),
     }
 }
 

@@ -2,8 +2,9 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    audit, bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity,
-    ledger, light, message, network, policy, prove, readers, record, replay, robot, task, whoami,
+    audit, bridge, ca, can, chaincode, completions, context, denials, doctor, emergency, enroll, explain, grant,
+    identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, top, watch,
+    whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -39,8 +40,9 @@ pub(crate) struct Global {
     /// Act as this context; otherwise LEDGERCTL_CONTEXT, otherwise the one of `context use`
     #[arg(long, global = true, value_name = "NAME", help_heading = "For every command")]
     pub(crate) context: Option<String>,
-    /// table for people; json for programs: one object or array on one line, errors and warnings as one object each on standard error
-    #[arg(short, long, global = true, value_parser = destination::Reader, default_value = "table", value_name = "table|json")]
+    /// table for people; json for programs: one object or array on one line, errors and warnings as one object each on standard
+    /// error; csv for tables of numbers
+    #[arg(short, long, global = true, value_parser = destination::Reader, default_value = "table", value_name = "table|json|csv")]
     #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
     pub(crate) output: Destination,
     /// Upkeep of the context beside the command
@@ -96,6 +98,9 @@ enum Command {
     Query(chaincode::Query),
     Light(light::Light),
     Status(ledger::Status),
+    Top(top::Top),
+    Watch(watch::Watch),
+    Doctor(doctor::Doctor),
     Block(ledger::Block),
     Tx(ledger::Tx),
     Denials(denials::Denials),
@@ -106,6 +111,7 @@ enum Command {
     Ledger(ledger::Ledger),
     Explain(explain::Explain),
     Completions(completions::Completions),
+    Man(man::Man),
 }
 
 impl Cli {
@@ -156,6 +162,9 @@ impl Cli {
             Command::Query(command) => command.run(global, output).await,
             Command::Light(command) => command.run(global, output).await,
             Command::Status(command) => command.run(global, output).await,
+            Command::Top(command) => command.run(global).await,
+            Command::Watch(command) => command.run(global, output).await,
+            Command::Doctor(command) => command.run(global, output).await,
             Command::Block(command) => command.run(global, output).await,
             Command::Tx(command) => command.run(global, output).await,
             Command::Denials(command) => command.run(global, output).await,
@@ -164,6 +173,7 @@ impl Cli {
             Command::Prove(command) => command.run(global, output).await,
             Command::Ledger(command) => command.run(output),
             Command::Explain(command) => command.run(output),
+            Command::Man(command) => return command.run(),
             // For a shell, which shows whatever it is told.
             Command::Completions(command) => return command.run(output),
         };

@@ -9,7 +9,7 @@ use ledger_rejection::Rejection;
 use std::path::{Path, PathBuf};
 
 /// Names the context to act as, where `--context` does not.
-const VARIABLE: &str = "LEDGERCTL_CONTEXT";
+pub(crate) const VARIABLE: &str = "LEDGERCTL_CONTEXT";
 
 /// The context to act as.
 pub(crate) fn selected(global: &Global) -> Result<Context, Rejection> {

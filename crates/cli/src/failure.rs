@@ -1,6 +1,7 @@
 //! Why a command ended early, how that is told, and with which exit code.
 
 use crate::output::Format;
+use clap::error::{ContextKind, ContextValue};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -85,16 +86,78 @@ fn render(rejection: &Rejection, format: Format) -> String {
         r#try: &rejection.next,
     };
     match format {
-        Format::Table => crate::output::printable_lines(&ledger_api::report(rejection)),
+        Format::Table | Format::Csv => crate::output::printable_lines(&ledger_api::report(rejection)),
         Format::Json => serde_json::to_string(&report).unwrap_or_else(|_| rejection.to_string()),
     }
 }
 
 /// Prints what clap has to say: help and version on standard output with 0, a wrong command line on standard error
-/// with 64.
-pub(crate) fn usage(error: &clap::Error) -> ExitCode {
-    let _ = error.print();
-    if error.use_stderr() { ExitCode::from(EXIT_USAGE) } else { ExitCode::SUCCESS }
+/// with 64. To whoever asked for JSON it is told as one object.
+pub(crate) fn usage(error: &clap::Error, format: Format) -> ExitCode {
+    if !error.use_stderr() {
+        let _printed = error.print();
+        return ExitCode::SUCCESS;
+    }
+    if format == Format::Json {
+        let told = serde_json::to_string(&misused(error)).unwrap_or_else(|_| error.to_string());
+        let _told = writeln!(io::stderr(), "{told}");
+    } else {
+        let _printed = error.print();
+    }
+    ExitCode::from(EXIT_USAGE)
+}
+
+/// A wrong command line, with the fields of every other error.
+#[derive(Serialize)]
+struct Misuse {
+    code: &'static str,
+    name: &'static str,
+    message: String,
+    found: String,
+    wanted: String,
+    r#try: String,
+}
+
+fn misused(error: &clap::Error) -> Misuse {
+    let told = |kinds: &[ContextKind]| {
+        kinds
+            .iter()
+            .filter_map(|kind| error.get(*kind))
+            .map(context_text)
+            .find(|text| !text.is_empty())
+            .unwrap_or_default()
+    };
+    let text = error.to_string();
+    let message =
+        text.lines().next().unwrap_or_default().trim_start_matches("error: ").trim_end_matches(':').to_owned();
+    let usage = told(&[ContextKind::Usage]);
+    let usage = usage.trim_start_matches("Usage: ").trim();
+    let near = told(&[ContextKind::SuggestedSubcommand, ContextKind::SuggestedArg, ContextKind::SuggestedValue]);
+    Misuse {
+        code: "LGR-USAGE",
+        name: "USAGE",
+        message,
+        found: told(&[ContextKind::InvalidValue, ContextKind::InvalidSubcommand, ContextKind::InvalidArg]),
+        wanted: match told(&[ContextKind::ValidValue, ContextKind::ValidSubcommand]) {
+            none if none.is_empty() => usage.to_owned(),
+            values => format!("one of {values}"),
+        },
+        r#try: if near.is_empty() {
+            "the same command with --help".to_owned()
+        } else {
+            format!("did you mean {near}?")
+        },
+    }
+}
+
+fn context_text(value: &ContextValue) -> String {
+    match value {
+        ContextValue::String(text) => text.clone(),
+        ContextValue::Strings(texts) => texts.join(", "),
+        ContextValue::StyledStr(text) => text.to_string(),
+        ContextValue::StyledStrs(texts) => texts.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
+        _ => String::new(),
+    }
 }
 
 #[cfg(test)]

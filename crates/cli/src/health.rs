@@ -218,7 +218,7 @@ pub(crate) fn attention(attention: &[String], out: &mut dyn Write) -> io::Result
 }
 
 /// A size as people read it.
-fn size(bytes: u64) -> String {
+pub(crate) fn size(bytes: u64) -> String {
     const UNITS: [(u64, &str); 3] = [(30, "GiB"), (20, "MiB"), (10, "KiB")];
     for (shift, unit) in UNITS {
         if bytes >> shift >= 10 {

@@ -7,12 +7,14 @@ mod answer;
 mod argument;
 mod cli;
 mod command;
+mod complete;
 mod confirm;
 mod context;
 mod failure;
 mod health;
 mod json;
 mod output;
+mod progress;
 mod recording;
 mod session;
 mod time;
@@ -23,6 +25,7 @@ use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    complete::answer();
     match cli::Cli::try_parse() {
         Ok(cli) => {
             let format = cli.global.format();
@@ -31,6 +34,6 @@ fn main() -> ExitCode {
                 Err(failure) => failure.report(format),
             }
         }
-        Err(error) => failure::usage(&error),
+        Err(error) => failure::usage(&error, argument::destination::asked(std::env::args_os())),
     }
 }

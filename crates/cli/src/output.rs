@@ -1,12 +1,21 @@
 //! The result of a command, for people or for programs.
 //!
 //! A command fills a struct of facts and shows it: `-o table` (the default) calls [`Facts::text`], `-o json` writes
-//! the struct as one line of JSON. So both always tell the same.
+//! the struct as one line of JSON, `-o csv` that JSON as rows. So all always tell the same. docs/output.md has the fields.
+
+mod csv;
+mod screen;
+mod tree;
 
 use crate::failure::Failure;
+use csv::Sheet;
 use serde::Serialize;
 use std::borrow::Cow;
 use std::io::{self, Write};
+use tree::Tree;
+
+/// The version of the JSON. A new field does not change it; a field that goes or means something else does.
+pub(crate) const JSON_VERSION: u32 = 1;
 
 /// How results are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -15,37 +24,59 @@ pub(crate) enum Format {
     Table,
     /// One JSON object or array on one line for programs; errors as one JSON object on standard error.
     Json,
+    /// Comma-separated values with a line of headings; errors as for people.
+    Csv,
 }
 
 /// Facts that can be told to people.
 pub(crate) trait Facts: Serialize {
     /// Writes them for people.
     fn text(&self, out: &mut dyn Write) -> io::Result<()>;
+
+    /// The JSON whose elements are the rows of comma-separated values: all of it, unless the facts have one list that matters.
+    fn rows(&self) -> serde_json::Result<String> {
+        serde_json::to_string(self)
+    }
 }
 
 /// Where the results of a command go.
 pub(crate) struct Output {
     format: Format,
+    sheet: Sheet,
     out: Box<dyn Write>,
 }
 
 impl Output {
     /// Results go to standard output.
     pub(crate) fn stdout(format: Format) -> Self {
-        Self { format, out: Box::new(io::stdout()) }
+        Self { format, sheet: Sheet::default(), out: Box::new(io::stdout()) }
+    }
+
+    /// How results are written.
+    pub(crate) fn format(&self) -> Format {
+        self.format
+    }
+
+    /// Writes them so from now on, for a command that has an option of its own for it.
+    pub(crate) fn set_format(&mut self, format: Format) {
+        self.format = format;
     }
 
     /// Writes the facts and flushes, so that whoever reads a stream of them gets each at once.
     pub(crate) fn show<F: Facts>(&mut self, facts: &F) -> Result<(), Failure> {
-        let mut text = Vec::new();
         let shown = match self.format {
             Format::Table => {
+                let mut text = Vec::new();
                 facts.text(&mut text)?;
                 harmless(&String::from_utf8_lossy(&text))
             }
             Format::Json => {
-                serde_json::to_writer(&mut text, facts).map_err(io::Error::from)?;
-                harmless_json(&String::from_utf8_lossy(&text)) + "\n"
+                let json = serde_json::to_string(facts).and_then(|json| Tree::read(&json)).map_err(io::Error::from)?;
+                harmless_json(&json.with_utc().to_json()) + "\n"
+            }
+            Format::Csv => {
+                let rows = facts.rows().and_then(|json| Tree::read(&json)).map_err(io::Error::from)?;
+                self.sheet.lines(rows.with_utc())
             }
         };
         self.raw(shown.as_bytes())
@@ -73,7 +104,7 @@ pub(crate) fn warn(format: Format, message: &str, next: &str) {
         r#try: &'a str,
     }
     let text = match format {
-        Format::Table => format!("warning: {}\n  try     {}", printable(message), printable(next)),
+        Format::Table | Format::Csv => format!("warning: {}\n  try     {}", printable(message), printable(next)),
         Format::Json => serde_json::to_string(&Warning { warning: message, r#try: next }).unwrap_or_default(),
     };
     // Where standard error is closed, nobody wants to know.
@@ -115,15 +146,31 @@ impl Table {
             self.rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
         };
         let widths: Vec<usize> = (0..columns).map(width).collect();
+        let cells = |column: usize| self.rows.iter().filter_map(move |row| row.get(column));
+        let word = |column: usize| cells(column).map(|cell| screen::longest_word(cell)).max().unwrap_or_default();
+        let least: Vec<usize> = (0..columns).map(word).collect();
+        let widths = match screen::width() {
+            Some(room) => screen::fitted(widths, &least, room.saturating_sub(indent)),
+            None => widths,
+        };
         for row in &self.rows {
-            let mut line = " ".repeat(indent);
-            for (cell, width) in row.iter().zip(&widths) {
-                line.push_str(&format!("{cell:<width$}  "));
-            }
-            writeln!(out, "{}", line.trim_end())?;
+            self::row(out, row, &widths, indent)?;
         }
         Ok(())
     }
+}
+
+/// Writes a row, on several lines where a cell is wider than its column.
+fn row(out: &mut dyn Write, cells: &[String], widths: &[usize], indent: usize) -> io::Result<()> {
+    let cells: Vec<Vec<String>> = cells.iter().zip(widths).map(|(cell, width)| screen::broken(cell, *width)).collect();
+    for at in 0..cells.iter().map(Vec::len).max().unwrap_or_default() {
+        let mut line = " ".repeat(indent);
+        for (cell, width) in cells.iter().zip(widths) {
+            line.push_str(&format!("{:<width$}  ", cell.get(at).map(String::as_str).unwrap_or_default()));
+        }
+        writeln!(out, "{}", line.trim_end())?;
+    }
+    Ok(())
 }
 
 /// The text without anything that a terminal would obey, or that shows nothing and turns or hides what stands beside it.
@@ -225,7 +272,7 @@ mod tests {
     #[test]
     fn no_result_has_a_character_that_a_terminal_obeys_and_json_says_the_same_without_them() {
         let evil = Evil { name: "a\u{1b}[2J\r\u{9b}\u{202e}b\u{200b}\u{e0041}c" };
-        for format in [Format::Table, Format::Json] {
+        for format in [Format::Table, Format::Json, Format::Csv] {
             let written = std::rc::Rc::new(std::cell::RefCell::new(Vec::new()));
             struct Into(std::rc::Rc<std::cell::RefCell<Vec<u8>>>);
             impl Write for Into {
@@ -237,7 +284,8 @@ mod tests {
                     Ok(())
                 }
             }
-            let mut output = Output { format, out: Box::new(Into(std::rc::Rc::clone(&written))) };
+            let mut output =
+                Output { format, sheet: Sheet::default(), out: Box::new(Into(std::rc::Rc::clone(&written))) };
             assert!(output.show(&evil).is_ok());
             let text = String::from_utf8(written.borrow().clone()).unwrap();
             assert!(!text.chars().any(|c| deceives(c) && !matches!(c, '\n' | '\t')), "{text:?}");
@@ -245,6 +293,7 @@ mod tests {
                 Format::Table => {
                     assert!(text.starts_with("held by a\\u{1b}[2J") && text.ends_with("c\tnow\n"), "{text:?}")
                 }
+                Format::Csv => assert!(text.starts_with("name\na\\u{1b}[2J"), "{text:?}"),
                 Format::Json => {
                     let read: serde_json::Value = serde_json::from_str(&text).unwrap();
                     assert_eq!(read.get("name"), Some(&evil.name.into()));

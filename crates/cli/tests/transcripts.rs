@@ -2,110 +2,12 @@
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-use ledger_api::Context;
-use ledger_hash::Hash;
-use ledger_identity::key::SigningKey;
-use ledger_identity::msp::{Msp, Msps};
-use rcgen::{BasicConstraints, CertificateParams, CustomExtension, DnType, IsCa, Issuer, KeyPair, KeyUsagePurpose};
-use std::process::{Command, Output, Stdio};
-use std::sync::Arc;
-use tempfile::TempDir;
+mod machine;
+
+use machine::{Machine, closed_address, transcript};
+use std::process::Stdio;
 
 const FINGERPRINT: &str = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08";
-
-/// A machine on which nobody has enrolled yet.
-struct Machine {
-    home: TempDir,
-}
-
-/// The output of one run.
-#[derive(Debug)]
-struct Transcript {
-    stdout: String,
-    stderr: String,
-    code: i32,
-}
-
-impl Machine {
-    fn new() -> Self {
-        Self { home: tempfile::tempdir().unwrap() }
-    }
-
-    /// Stores a context as `enroll` would have: Org1 certified this name with the attribute Husky, and its node is
-    /// said to be at that address.
-    fn enrolled(&self, name: &str, node: &str) {
-        let mut params = CertificateParams::default();
-        params.distinguished_name.push(DnType::CommonName, "Org1 CA");
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
-        let ca_key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
-        let ca = params.self_signed(&ca_key).unwrap();
-
-        let mut leaf = CertificateParams::default();
-        leaf.distinguished_name.push(DnType::CommonName, name);
-        leaf.distinguished_name.push(DnType::OrganizationalUnitName, "member");
-        leaf.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-        let attributes = br#"{"attrs":{"Husky":"true"}}"#.to_vec();
-        leaf.custom_extensions = vec![CustomExtension::from_oid_content(&[1, 2, 3, 4, 5, 6, 7, 8, 1], attributes)];
-        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
-        let certificate = leaf.signed_by(&key, &Issuer::from_params(&params, &ca_key)).unwrap();
-
-        let mut msps = Msps::new();
-        msps.insert(Msp::new("Org1", &[ca.der()], &[] as &[&[u8]]).unwrap()).unwrap();
-        let context = Context {
-            name: name.to_owned(),
-            organisation: "Org1".to_owned(),
-            network: Hash::of(&[b"network"]),
-            label: "fleet".to_owned(),
-            nodes: vec![node.to_owned()],
-            chain: vec![certificate.der().clone()],
-            key: Arc::new(SigningKey::from_pkcs8_der(&key.serialize_der()).unwrap()),
-            msps: Arc::new(msps),
-            renew: ledger_api::context::RenewalRule::default(),
-            memory: ledger_api::context::Memory::default(),
-        };
-        context.save(self.home.path()).unwrap();
-    }
-
-    fn command(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerctl"));
-        command.args(args).env("LEDGERD_HOME", self.home.path()).env("TZ", "UTC").env_remove("LEDGERCTL_CONTEXT");
-        command.stdin(Stdio::null());
-        command
-    }
-
-    fn run(&self, args: &[&str]) -> Transcript {
-        transcript(&self.command(args).output().unwrap())
-    }
-}
-
-fn transcript(output: &Output) -> Transcript {
-    Transcript {
-        stdout: String::from_utf8(output.stdout.clone()).unwrap(),
-        stderr: String::from_utf8(output.stderr.clone()).unwrap(),
-        code: output.status.code().unwrap(),
-    }
-}
-
-impl Transcript {
-    /// The four lines, each of which must be there and in this order.
-    #[track_caller]
-    fn refused(&self, code: i32, lgr: &str, parts: &[&str]) {
-        assert_eq!(self.code, code, "{self:?}");
-        assert_eq!(self.stdout, "", "an error leaves standard output alone");
-        let first = self.stderr.lines().next().unwrap_or_default();
-        assert!(first.starts_with("error: ") && first.ends_with(&format!("[{lgr}]")), "{}", self.stderr);
-        for part in parts {
-            assert!(self.stderr.contains(part), "{part:?} in {}", self.stderr);
-        }
-    }
-}
-
-/// An address of this machine where nobody listens.
-fn closed_address() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().to_string()
-}
 
 #[test]
 fn version_and_help_go_to_standard_output_with_0() {
@@ -167,7 +69,7 @@ fn completions_exist_for_the_usual_shells() {
     for shell in ["bash", "zsh", "fish"] {
         let said = machine.run(&["completions", shell]);
         assert_eq!((said.code, said.stderr.as_str()), (0, ""));
-        assert!(said.stdout.contains("acquire") && said.stdout.contains("ca-fingerprint"), "{shell}");
+        assert!(said.stdout.contains("LEDGERCTL_COMPLETE") && said.stdout.contains("ledgerctl"), "{shell}");
     }
 }
 
@@ -338,4 +240,81 @@ fn a_damaged_context_is_listed_with_its_fault_and_not_used() {
     assert_eq!(list.code, 0);
     assert!(list.stdout.contains("damaged: "), "{}", list.stdout);
     machine.run(&["whoami"]).refused(3, "LGR-7002", &["context.toml"]);
+}
+
+#[test]
+fn a_wrong_command_line_is_json_for_who_asked_for_json() {
+    let machine = Machine::new();
+    for (args, message, part) in [
+        (&["-o", "json", "aquire", "T"][..], "unrecognized subcommand 'aquire'", "did you mean"),
+        (&["acquire", "-o", "json"], "the following required arguments were not provided", "--help"),
+        (&["status", "-o", "yaml", "-o=json@1"], "the argument", "--help"),
+        (&["acquire", "T", "--for", "30", "--output=json"], "invalid value '30'", "--help"),
+        (&["status", "-o", "json@2"], "invalid value 'json@2'", "--help"),
+    ] {
+        let said = machine.run(args);
+        assert_eq!((said.code, said.stdout.as_str(), said.stderr.lines().count()), (64, "", 1), "{said:?}");
+        let told: serde_json::Value = serde_json::from_str(&said.stderr).unwrap();
+        assert_eq!((&told["code"], &told["name"]), (&"LGR-USAGE".into(), &"USAGE".into()));
+        assert!(told["message"].as_str().unwrap().starts_with(message), "{told}");
+        assert!(told["try"].as_str().unwrap().contains(part), "{told}");
+        assert!(told["found"].is_string() && told["wanted"].is_string(), "{told}");
+    }
+}
+
+#[test]
+fn json_of_the_version_that_a_program_knows_is_the_json_of_now() {
+    let machine = Machine::new();
+    let [now, first] = ["json", "json@1"].map(|format| machine.run(&["explain", "HELD", "-o", format]));
+    assert_eq!((now.code, first.code, &now.stdout), (0, 0, &first.stdout));
+}
+
+#[test]
+fn comma_separated_values_have_the_fields_of_the_json_as_columns() {
+    let machine = Machine::new();
+    machine.enrolled("Salma", "127.0.0.1:1");
+    let said = machine.run(&["context", "list", "-o", "csv"]);
+    assert_eq!((said.code, said.stderr.as_str()), (0, ""));
+    assert_eq!(said.stdout, "name,in_use,id,label,nodes,fault\nSalma,true,Org1/Salma,fleet,127.0.0.1:1,\n");
+    let shown = machine.run(&["context", "show", "-o", "csv"]).stdout;
+    let head = shown.lines().next().unwrap();
+    assert!(head.starts_with("name,id,not_after,not_after_utc,"), "{head}");
+}
+
+#[test]
+fn manual_pages_are_written_for_every_command() {
+    let machine = Machine::new();
+    let to = machine.home.path().join("man1");
+    std::fs::create_dir(&to).unwrap();
+    let said = machine.run(&["man", &to.to_string_lossy()]);
+    assert_eq!((said.code, said.stdout.as_str()), (0, ""));
+    for page in ["ledgerctl.1", "ledgerctl-acquire.1", "ledgerctl-robot-list.1", "ledgerctl-doctor.1"] {
+        let text = std::fs::read_to_string(to.join(page)).unwrap();
+        assert!(text.contains(".SH NAME") && text.contains("Example:"), "{page}");
+    }
+    machine.run(&["man", "/nowhere/man1"]).refused(3, "LGR-7002", &["/nowhere/man1"]);
+}
+
+#[test]
+fn names_of_this_machine_are_completed_and_silence_of_the_network_is_no_error() {
+    let (machine, address) = (Machine::new(), closed_address());
+    machine.enrolled("Salma", &address);
+    let completed = |words: &[&str]| {
+        let words = [&["--", "ledgerctl"][..], words].concat();
+        let said = transcript(&machine.command(&words).env("LEDGERCTL_COMPLETE", "fish").output().unwrap());
+        assert_eq!((said.code, said.stderr.as_str()), (0, ""), "{words:?}");
+        said.stdout
+    };
+    assert!(completed(&["context", "use", ""]).starts_with("Salma\n"));
+    assert!(completed(&["explain", "LGR-300"]).contains("LGR-3005\tHELD"));
+    assert!(completed(&["identity", "register", "x", "--role", ""]).contains("robot"));
+    assert!(completed(&["ident"]).contains("identity"));
+    assert!(!completed(&["acquire", "Tur"]).contains("Tur"), "nobody answers");
+}
+
+#[test]
+fn top_needs_a_terminal_and_says_what_programs_use() {
+    let (machine, address) = (Machine::new(), closed_address());
+    machine.enrolled("Salma", &address);
+    machine.run(&["top"]).refused(4, "LGR-4001", &[&address]);
 }

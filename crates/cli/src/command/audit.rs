@@ -12,13 +12,15 @@ use crate::time;
 use bytes::Bytes;
 use ledger_api::v1::{AuditRequest, AuditResponse};
 use ledger_rejection::{Code, Rejection};
-use row::{CSV_HEAD, Row, Rows};
+use row::{Row, Rows};
 use std::time::Duration;
 
 /// Rows of one question.
 const ROWS_AT_ONCE: u32 = 1000;
 /// Pause between two questions while new rows are waited for.
-const FOLLOW_PAUSE: Duration = Duration::from_secs(1);
+const FOLLOW_PAUSE: Duration = Duration::from_millis(500);
+/// The decision of rows about commands.
+const COMMANDS: &str = "used";
 
 /// Show who did what, who was refused, and under which policies.
 ///
@@ -44,7 +46,7 @@ pub(crate) struct Audit {
     organisation: Option<String>,
     /// Only refusals with this code
     #[arg(long, value_name = "LGR-NNNN", value_parser = code)]
-    code: Option<u32>,
+    code: Option<Code>,
     /// From this moment on: a span ago such as 10m, a time of today, a time, or a height; one day ago by default
     #[arg(long, value_name = "MOMENT", default_value = "1d")]
     since: Moment,
@@ -57,26 +59,41 @@ pub(crate) struct Audit {
     /// Go on with what happens, until Ctrl-C
     #[arg(long)]
     follow: bool,
-    /// Write comma-separated values
+    /// The same as -o csv
     #[arg(long)]
     csv: bool,
+    /// From now on, and without commands: what `ledgerctl watch` shows
+    #[arg(skip)]
+    from_now: bool,
 }
 
 /// A code as `LGR-3001` or `3001`.
-fn code(text: &str) -> Result<u32, String> {
+pub(super) fn code(text: &str) -> Result<Code, String> {
     let number = text.strip_prefix("LGR-").unwrap_or(text).parse::<u16>().ok();
     let known = number.and_then(Code::from_number).filter(|code| *code != Code::Ok);
-    known.map(|code| code.number().into()).ok_or_else(|| "wanted the code of a refusal, such as LGR-3001".to_owned())
+    known.ok_or_else(|| "wanted the code of a refusal, such as LGR-3001".to_owned())
 }
 
 impl Audit {
+    /// The changes from now on.
+    pub(super) fn from_now(
+        robot: Option<String>,
+        user: Option<String>,
+        organisation: Option<String>,
+        code: Option<Code>,
+    ) -> Self {
+        let since = Moment::At(0);
+        let (until, limit, csv) = (None, None, false);
+        Self { robot, user, organisation, code, since, until, limit, follow: true, csv, from_now: true }
+    }
+
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
         let mut request = self.request(&session).await?;
         let mut left = self.limit.unwrap_or(u64::MAX);
         let (mut told_behind, mut shown) = (false, Vec::new());
         if self.csv {
-            output.raw(CSV_HEAD.as_bytes())?;
+            output.set_format(Format::Csv);
         }
         loop {
             request.limit = u32::try_from(left).unwrap_or(u32::MAX).min(ROWS_AT_ONCE);
@@ -87,11 +104,10 @@ impl Audit {
                 extent(output, (from_height, height, executed));
             }
             left -= rows.len() as u64;
-            let rows = rows.into_iter().map(Row::from);
-            match global.format() {
-                _ if self.csv => rows.into_iter().try_for_each(|row| output.raw(row.csv().as_bytes()))?,
-                Format::Json => rows.into_iter().try_for_each(|row| output.show(&row))?,
-                Format::Table if self.follow => output.show(&Rows::of(rows, false))?,
+            let rows = rows.into_iter().filter(|row| !(self.from_now && row.decision == COMMANDS)).map(Row::from);
+            match output.format() {
+                Format::Json | Format::Csv => rows.into_iter().try_for_each(|row| output.show(&row))?,
+                Format::Table if self.follow => rows.into_iter().try_for_each(|row| output.show(&row))?,
                 Format::Table => shown.extend(rows),
             }
             if left == 0 || !(more || self.follow) {
@@ -105,8 +121,8 @@ impl Audit {
                 }
             }
         }
-        if !self.csv && global.format() == Format::Table && !self.follow {
-            output.show(&Rows::of(shown, true))?;
+        if output.format() == Format::Table && !self.follow {
+            output.show(&Rows(shown))?;
         }
         Ok(())
     }
@@ -125,8 +141,8 @@ impl Audit {
             robot: self.robot.clone().unwrap_or_default(),
             user: user.unwrap_or_default(),
             organisation: self.organisation.clone().unwrap_or_default(),
-            code: self.code.unwrap_or_default(),
-            since: moment(session, self.since).await?,
+            code: self.code.map(|code| code.number().into()).unwrap_or_default(),
+            since: if self.from_now { session.client.now() } else { moment(session, self.since).await? },
             until,
             after: Bytes::new(),
             limit: 0,

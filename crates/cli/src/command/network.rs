@@ -9,7 +9,7 @@ mod organisations;
 mod proposals;
 mod quorums;
 mod rules;
-mod status;
+pub(crate) mod status;
 
 use crate::answer;
 use crate::cli::Global;

@@ -1,6 +1,5 @@
 //! `record`: write the messages of services into a file, from the past, as they come, or both.
 
-mod progress;
 mod selection;
 mod summary;
 mod taking;
@@ -13,17 +12,17 @@ use crate::cli::Global;
 use crate::command::message::{Opening, Place};
 use crate::failure::Failure;
 use crate::output::{Format, Output};
+use crate::progress::{Progress, Step};
 use crate::recording::{self, Recording};
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_api::{EventStream, Subscription};
 use ledger_contract::Grant;
 use ledger_rejection::{Code, Rejection};
-use progress::Progress;
 use selection::Selection;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use summary::Ending;
+use summary::{Counts, Ending, size};
 use taking::Taking;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::time::{interval, sleep};
@@ -204,7 +203,9 @@ async fn follow(
             }
             _ = flush.tick() => {
                 taking.flush()?;
-                progress.tell(taking.counts(), window.last);
+                let counts = taking.counts();
+                let step = Step { count: counts.messages, at: counts.height, of: window.last };
+                progress.tell(step, |rate| line(counts, window.last, rate));
             }
             () = sleep(deadline), if window.ends_at.is_some() => window.end_now(session).await?,
             _ = interrupt.recv() => return Ok(Ending::Interrupted),
@@ -213,6 +214,13 @@ async fn follow(
         }
     }
     Ok(Ending::Reached)
+}
+
+/// How far a recording is.
+fn line(counts: &Counts, last: Option<u64>, rate: f64) -> String {
+    let Counts { messages, events, bytes, height, .. } = counts;
+    let of = last.map(|last| format!(" of {last}")).unwrap_or_default();
+    format!("{messages} messages ({rate:.1}/s), {events} events, {}, block {height}{of}", size(*bytes))
 }
 
 /// The first of these that ends; never, if there are none.
@@ -226,4 +234,16 @@ async fn first<F: Future<Output = Rejection> + Unpin>(waiting: &mut [F]) -> Reje
         std::task::Poll::Pending
     })
     .await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_tells_rate_size_and_block() {
+        let counts = Counts { messages: 150, events: 3, bytes: 1_250, height: 40, ..Counts::default() };
+        assert_eq!(line(&counts, Some(80), 50.0), "150 messages (50.0/s), 3 events, 1.2 kB, block 40 of 80");
+        assert!(line(&counts, None, 0.0).ends_with("(0.0/s), 3 events, 1.2 kB, block 40"));
+    }
 }

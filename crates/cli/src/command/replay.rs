@@ -8,6 +8,7 @@ use crate::argument::domain;
 use crate::argument::remap::Remap;
 use crate::failure::Failure;
 use crate::output::Output;
+use crate::progress::{Progress, Step};
 use crate::recording::Reading;
 use cast::Cast;
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
@@ -91,6 +92,8 @@ impl Replay {
             output.note(&format!("nobody subscribes to {}", cast.unheard().join(", ")));
         }
         let mut reading = Reading::open(&self.file)?;
+        let of = cast.recorded();
+        let (mut progress, mut count) = (Progress::new(output.format()), 0);
         let begun = Instant::now();
         let mut first = None;
         while let Some(found) = reading.next()? {
@@ -98,6 +101,10 @@ impl Replay {
             let Some(part) = cast.part(found.channel) else { continue };
             let since = Duration::from_nanos(found.log_time.saturating_sub(first)).div_f64(self.rate);
             sleep_until(begun + since).await;
+            count += 1;
+            progress.tell(Step { count, at: count, of: Some(of) }, |rate| {
+                format!("{count} of {of} messages ({rate:.1}/s)")
+            });
             let Ok(sample) = Sample::copy_from_wire(&found.data, SAMPLE_BYTES_MAX) else {
                 replayed.unusable += 1;
                 continue;
@@ -109,6 +116,7 @@ impl Replay {
                 Err(error) => return Err(error.into()),
             }
         }
+        progress.clear();
         replayed.is_cut = reading.is_cut();
         Ok(())
     }

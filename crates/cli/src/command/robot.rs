@@ -167,6 +167,11 @@ impl Serialize for Robots {
 }
 
 impl Facts for Robots {
+    /// One row for each service.
+    fn rows(&self) -> serde_json::Result<String> {
+        serde_json::to_string(&self.0.iter().flat_map(|robot| &robot.services).collect::<Vec<_>>())
+    }
+
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table =
             Table::new(["SERVICE", "TYPE", "RULE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES", "WAITING"]);

@@ -1,18 +1,15 @@
 //! One row of the audit, for people and programs.
 
-use crate::output::{Facts, Table};
+use crate::output::{Facts, Table, printable};
 use crate::time;
 use ledger_api::v1::AuditRow;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// The names of the columns, as those of the fields in JSON.
-pub(super) const CSV_HEAD: &str = "time,height,decision,who,by,robot,subject,code,count,first,last,last_height,epoch,policy_version,policies,detail,found,transaction,told_by\n";
-
-/// A decision about control. Times are those of RFC 3339.
+/// A decision about control.
 #[derive(Debug, Serialize)]
 pub(super) struct Row {
-    time: String,
+    time: u64,
     height: u64,
     decision: String,
     who: String,
@@ -22,8 +19,8 @@ pub(super) struct Row {
     /// Empty if nothing was refused.
     code: String,
     count: u64,
-    first: String,
-    last: String,
+    first: u64,
+    last: u64,
     last_height: u64,
     epoch: u64,
     policy_version: u64,
@@ -33,14 +30,12 @@ pub(super) struct Row {
     found: String,
     transaction: String,
     told_by: String,
-    #[serde(skip)]
-    began: u64,
 }
 
 impl From<AuditRow> for Row {
     fn from(row: AuditRow) -> Self {
         Self {
-            time: time::rfc3339(row.time),
+            time: row.time,
             height: row.height,
             decision: row.decision,
             who: row.who,
@@ -49,8 +44,8 @@ impl From<AuditRow> for Row {
             subject: row.subject,
             code: if row.code == 0 { String::new() } else { format!("LGR-{:04}", row.code) },
             count: row.count,
-            first: time::rfc3339(row.first),
-            last: time::rfc3339(row.last),
+            first: row.first,
+            last: row.last,
             last_height: row.last_height,
             epoch: row.epoch,
             policy_version: row.policy_version,
@@ -59,87 +54,38 @@ impl From<AuditRow> for Row {
             found: row.found,
             transaction: hex::encode(&row.transaction),
             told_by: row.told_by,
-            began: row.first,
         }
     }
 }
 
-impl Row {
-    /// One line of comma-separated values (RFC 4180).
-    pub(super) fn csv(&self) -> String {
-        let numbers =
-            [self.height, self.count, self.last_height, self.epoch, self.policy_version].map(|n| n.to_string());
-        let [height, count, last_height, epoch, version] = &numbers;
-        let cells = [
-            &self.time,
-            height,
-            &self.decision,
-            &self.who,
-            &self.by,
-            &self.robot,
-            &self.subject,
-            &self.code,
-            count,
-            &self.first,
-            &self.last,
-            last_height,
-            epoch,
-            version,
-            &self.policies.join(" "),
-            &self.detail,
-            &self.found,
-            &self.transaction,
-            &self.told_by,
-        ];
-        cells.map(|cell| quoted(cell)).join(",") + "\n"
-    }
-}
-
-/// A cell that no program takes for a formula or for more than one cell, and no terminal obeys.
-fn quoted(cell: &str) -> String {
-    let cell = crate::output::printable(cell);
-    let formula = cell.starts_with(['=', '+', '-', '@']);
-    if formula || cell.contains([',', '"', '\n']) {
-        format!("\"{}{}\"", if formula { "'" } else { "" }, cell.replace('"', "\"\""))
-    } else {
-        cell.into_owned()
-    }
-}
-
 impl Facts for Row {
+    /// One line of a stream: its columns keep their places.
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        out.write_all(self.csv().as_bytes())
+        let [who, decision, subject, words] = [self.who.clone(), self.decided(), self.subject.clone(), self.words()]
+            .map(|cell| printable(&cell).into_owned());
+        let times = if self.count > 1 { format!("{} times  ", self.count) } else { String::new() };
+        let line =
+            format!("{}  {decision:<18}  {subject:<24}  {who:<16}  {times}{words}", time::time_of_day(self.first));
+        writeln!(out, "{}", line.trim_end())
     }
 }
 
 /// Rows for people.
 #[derive(Serialize)]
-pub(super) struct Rows {
-    rows: Vec<Row>,
-    headings: bool,
-}
-
-impl Rows {
-    pub(super) fn of(rows: impl IntoIterator<Item = Row>, headings: bool) -> Self {
-        Self { rows: rows.into_iter().collect(), headings }
-    }
-}
+pub(super) struct Rows(pub(super) Vec<Row>);
 
 impl Facts for Rows {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        if self.rows.is_empty() {
-            return if self.headings { writeln!(out, "nothing is known of it") } else { Ok(()) };
+        if self.0.is_empty() {
+            return writeln!(out, "nothing is known of it");
         }
-        let mut table = match self.headings {
-            true => Table::new(["TIME", "BLOCK", "WHO", "DECISION", "ABOUT", "TIMES", "POLICIES", "DETAIL"]),
-            false => Table::pairs(),
-        };
-        for row in &self.rows {
+        let mut table = Table::new(["TIME", "BLOCK", "WHO", "DECISION", "ABOUT", "TIMES", "POLICIES", "DETAIL"]);
+        for row in &self.0 {
             table.row([
-                time::moment(row.began),
+                time::moment(row.first),
                 row.height.to_string(),
                 row.who.clone(),
-                [&row.decision, &row.code].map(String::as_str).join(" ").trim().to_owned(),
+                row.decided(),
                 row.subject.clone(),
                 row.count.to_string(),
                 row.decided_by(),
@@ -158,6 +104,10 @@ impl Row {
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(": ")
     }
 
+    fn decided(&self) -> String {
+        [&self.decision, &self.code].map(String::as_str).join(" ").trim().to_owned()
+    }
+
     fn words(&self) -> String {
         let by = if self.by.is_empty() { String::new() } else { format!("by {}", self.by) };
         let epoch = if self.epoch == 0 { String::new() } else { format!("epoch {}", self.epoch) };
@@ -168,20 +118,25 @@ impl Row {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_cell_is_one_cell_and_no_formula() {
-        for (cell, wanted) in [
-            ("Org1/Salma", "Org1/Salma"),
-            ("a, \"b\"", "\"a, \"\"b\"\"\""),
-            ("=HYPERLINK(1)", "\"'=HYPERLINK(1)\""),
-            ("a\nb\u{1b}", "a\\nb\\u{1b}"),
-        ] {
-            assert_eq!(quoted(cell), wanted);
-        }
-        let columns = CSV_HEAD.trim_end().split(',').count();
-        assert_eq!(Row::from(AuditRow::default()).csv().trim_end().split(',').count(), columns);
+    fn the_lines_of_a_stream_stand_below_each_other() {
+        let line = |decision: &str, subject: &str| {
+            let row = AuditRow {
+                decision: decision.into(),
+                subject: subject.into(),
+                who: "Org1/Salma".into(),
+                ..AuditRow::default()
+            };
+            let mut out = Vec::new();
+            Row::from(row).text(&mut out).unwrap();
+            String::from_utf8(out).unwrap()
+        };
+        let (short, long) = (line("granted", "T/c"), line("released", "Turtlebot4/cmd_vel"));
+        assert_eq!(short.find("Org1/Salma"), long.find("Org1/Salma"));
+        assert_eq!(short.lines().count(), 1);
     }
 }

@@ -17,6 +17,10 @@ pub(crate) struct List {}
 pub(super) struct Known(pub(super) Nodes);
 
 impl Facts for Known {
+    fn rows(&self) -> serde_json::Result<String> {
+        serde_json::to_string(&self.0.nodes)
+    }
+
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table = Table::new(["NODE", "ID", "ADDRESS", "SHALL BE", "IS"]);
         for node in &self.0.nodes {

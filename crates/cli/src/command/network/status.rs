@@ -39,21 +39,21 @@ pub(crate) struct Status {
 
 /// The network as its nodes see it.
 #[derive(Serialize)]
-struct Overview {
+pub(crate) struct Overview {
     network: Hash,
     label: String,
     /// 0 = nobody knows one.
     leader_id: u64,
     term: u64,
     /// Greatest height that a node has executed.
-    height: u64,
+    pub(crate) height: u64,
     #[serde(flatten)]
-    quorum: Voters,
-    nodes: Vec<Node>,
+    pub(crate) quorum: Voters,
+    pub(crate) nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
-    certificates: Vec<Certificate>,
+    pub(crate) certificates: Vec<Certificate>,
     /// Points that need attention.
-    attention: Vec<String>,
+    pub(crate) attention: Vec<String>,
     /// When it was asked.
     #[serde(skip)]
     now: u64,
@@ -61,54 +61,63 @@ struct Overview {
 
 /// A node.
 #[derive(Serialize)]
-struct Node {
+pub(crate) struct Node {
     id: u64,
     name: String,
-    organisation: String,
-    address: String,
+    pub(crate) organisation: String,
+    pub(crate) address: String,
     /// Its wanted role.
     wanted: NodeRole,
     /// Its present role: voter, learner, joining or removed.
-    role: String,
+    pub(crate) role: String,
     leader: bool,
-    reachable: bool,
+    pub(crate) reachable: bool,
     /// Why it is not reachable.
     #[serde(skip_serializing_if = "String::is_empty")]
-    reason: String,
+    pub(crate) reason: String,
     /// Its own report; none if it is not reachable.
-    height: Option<u64>,
+    pub(crate) height: Option<u64>,
     committed: Option<u64>,
     first_height: Option<u64>,
     snapshot_height: Option<u64>,
-    catching_up_to: Option<u64>,
-    version: Option<String>,
+    pub(crate) catching_up_to: Option<u64>,
+    pub(crate) version: Option<String>,
     #[serde(skip_serializing_if = "String::is_empty")]
-    divergence: String,
+    pub(crate) divergence: String,
     /// Newest height for which it has a certificate.
     certified: Option<u64>,
     /// Nodes that it has caught at a lie.
     #[serde(skip_serializing_if = "String::is_empty")]
-    lies: String,
+    pub(crate) lies: String,
     /// How much of the log is on its disk, as the leader knows.
     matched: Option<u64>,
     /// Last height that it has attested.
     attested: Option<u64>,
-    disk: Option<Disk>,
-    certificate: Option<Certificate>,
+    pub(crate) disk: Option<Disk>,
+    pub(crate) certificate: Option<Certificate>,
+    /// Its clock as seen from this machine's, microseconds, and how far off that may be.
+    pub(crate) clock_offset_us: Option<i64>,
+    pub(crate) clock_error_us: Option<u64>,
 }
 
 impl Status {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
-        let known: Nodes = glance(session, "nodes", "the nodes").await?;
-        let attestations: Vec<AttestationRecord> = glance(session, "attestations", "the attestations").await?;
-        let credentials = current(session).await?.credentials()?;
-        let answers = everybody(&known, &credentials).await;
-        let mut overview = overview(session.context(), &known, &attestations, answers);
-        overview.certificates.push(Certificate::own(&session.identity()?));
-        overview.look(time::now());
+        let overview = asked(session).await?;
         output.show(&overview)?;
         self.check.judge(overview.quorum.quorum, &overview.attention)
     }
+}
+
+/// Asks every node how it is, and collects what needs attention.
+pub(crate) async fn asked(session: &Session) -> Result<Overview, Rejection> {
+    let known: Nodes = glance(session, "nodes", "the nodes").await?;
+    let attestations: Vec<AttestationRecord> = glance(session, "attestations", "the attestations").await?;
+    let credentials = current(session).await?.credentials()?;
+    let answers = everybody(&known, &credentials).await;
+    let mut overview = overview(session.context(), &known, &attestations, answers);
+    overview.certificates.push(Certificate::own(&session.identity()?));
+    overview.look(time::now());
+    Ok(overview)
 }
 
 /// The state of the node, however old: without a leader no node could confirm that it is the newest.
@@ -116,7 +125,23 @@ async fn glance<T: DeserializeOwned>(session: &Session, function: &str, what: &s
     answer::parse(&session.client.query_at(0, MSP, function, vec![]).await?.response, what)
 }
 
-type Answers = BTreeMap<u64, Result<v1::StatusResponse, Rejection>>;
+/// The report of a node, and this machine's time when it was asked for and when it came.
+struct Answer {
+    status: v1::StatusResponse,
+    asked: u64,
+    came: u64,
+}
+
+impl Answer {
+    /// The node's clock as seen from this machine's, and how far off that may be: half of the way there and back.
+    fn clock(&self) -> (i64, u64) {
+        let doubt = self.came.saturating_sub(self.asked) / 2;
+        let here = self.asked.saturating_add(doubt);
+        (i64::try_from(i128::from(self.status.clock) - i128::from(here)).unwrap_or_default(), doubt)
+    }
+}
+
+type Answers = BTreeMap<u64, Result<Answer, Rejection>>;
 
 /// Asks all nodes at once.
 async fn everybody(known: &Nodes, credentials: &Credentials) -> Answers {
@@ -125,7 +150,11 @@ async fn everybody(known: &Nodes, credentials: &Credentials) -> Answers {
         let (id, address, credentials) = (node.id, node.address.clone(), credentials.clone());
         let options = Options { deadline: PATIENCE, connect: PATIENCE, ..Options::default() };
         asked.spawn(async move {
-            let ask = async { Client::connect_with(vec![address], credentials, options).await?.status().await };
+            let ask = async {
+                let client = Client::connect_with(vec![address], credentials, options).await?;
+                let asked = time::now();
+                Ok(Answer { status: client.status().await?, asked, came: time::now() })
+            };
             (id, ask.await)
         });
     }
@@ -141,27 +170,31 @@ fn shown(known: &Nodes, node: &NodeRecord) -> bool {
 }
 
 fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord], mut answers: Answers) -> Overview {
-    let newest = answers.values().flatten().max_by_key(|status| (status.term, status.leader_id != 0));
+    let reports = || answers.values().flatten().map(|answer| &answer.status);
+    let newest = reports().max_by_key(|status| (status.term, status.leader_id != 0));
     let (leader_id, term) = newest.map_or((0, 0), |status| (status.leader_id, status.term));
-    let leader = answers.get(&leader_id).and_then(|answer| answer.as_ref().ok());
+    let leader = answers.get(&leader_id).and_then(|answer| answer.as_ref().ok()).map(|answer| &answer.status);
     let matched: BTreeMap<u64, u64> =
         leader.map(|leader| leader.peers.iter().map(|peer| (peer.node_id, peer.matched)).collect()).unwrap_or_default();
-    let height = answers.values().flatten().map(|status| status.height).max().unwrap_or_default();
+    let height = reports().map(|status| status.height).max().unwrap_or_default();
     let mut certificates: Vec<Certificate> =
-        answers.values().flatten().flat_map(Certificate::of).filter(|found| found.kind == "ca").collect();
+        reports().flat_map(Certificate::of).filter(|found| found.kind == "ca").collect();
     certificates.sort();
     certificates.dedup();
     let nodes = known.nodes.iter().filter(|node| shown(known, node)).map(|node| {
         let answer = answers.remove(&node.id);
         // Another node may have taken its address.
         let (said, reason) = match answer {
-            Some(Ok(said)) if said.node_id == node.id => (Some(said), String::new()),
-            Some(Ok(other)) => (None, format!("node {} answers there", other.node_id)),
+            Some(Ok(said)) if said.status.node_id == node.id => (Some(said), String::new()),
+            Some(Ok(other)) => (None, format!("node {} answers there", other.status.node_id)),
             Some(Err(refused)) => (None, refused.message),
             None => (None, "it was not asked".to_owned()),
         };
-        let said = said.as_ref();
+        let clock = said.as_ref().map(Answer::clock);
+        let said = said.as_ref().map(|answer| &answer.status);
         Node {
+            clock_offset_us: clock.map(|(offset, _)| offset),
+            clock_error_us: clock.map(|(_, doubt)| doubt),
             id: node.id,
             name: node.name.clone(),
             organisation: node.organisation.clone(),
@@ -207,13 +240,47 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
     }
 }
 
+#[cfg(test)]
 impl Node {
-    fn full_name(&self) -> String {
+    /// A node that told nothing.
+    pub(crate) fn silent(name: &str) -> Self {
+        Self {
+            id: 1,
+            name: name.to_owned(),
+            organisation: "Org1".to_owned(),
+            address: String::new(),
+            wanted: NodeRole::Voter,
+            role: "voter".to_owned(),
+            leader: false,
+            reachable: false,
+            reason: String::new(),
+            height: None,
+            committed: None,
+            first_height: None,
+            snapshot_height: None,
+            catching_up_to: None,
+            version: None,
+            divergence: String::new(),
+            certified: None,
+            lies: String::new(),
+            matched: None,
+            attested: None,
+            disk: None,
+            certificate: None,
+            clock_offset_us: None,
+            clock_error_us: None,
+        }
+    }
+}
+
+impl Node {
+    /// `ORGANISATION/NAME`.
+    pub(crate) fn full_name(&self) -> String {
         format!("{}/{}", self.organisation, self.name)
     }
 
     /// One word or two for people.
-    fn state(&self) -> String {
+    pub(crate) fn state(&self) -> String {
         match self {
             Self { reachable: false, .. } => "unreachable".into(),
             Self { divergence, .. } if !divergence.is_empty() => "differs".into(),
@@ -250,6 +317,10 @@ impl Overview {
 }
 
 impl Facts for Overview {
+    fn rows(&self) -> serde_json::Result<String> {
+        serde_json::to_string(&self.nodes)
+    }
+
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let leader = self.nodes.iter().find(|node| node.leader);
         let leader =

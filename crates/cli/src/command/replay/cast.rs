@@ -93,6 +93,11 @@ impl Cast {
         Ok(())
     }
 
+    /// How many messages there are to publish.
+    pub(super) fn recorded(&self) -> u64 {
+        self.parts.values().map(|part| part.recorded).sum()
+    }
+
     /// The topics with their types, for people.
     pub(super) fn told(&self) -> String {
         let told: Vec<_> = self.parts.values().map(|part| format!("{} [{}]", part.topic, part.message)).collect();

@@ -1,0 +1,21 @@
+//! `man`: the manual pages, for packages.
+
+use crate::cli::Cli;
+use crate::failure::{Failure, unreadable};
+use clap::CommandFactory;
+use std::path::PathBuf;
+
+/// Write the manual pages of all commands into a directory.
+#[derive(Debug, clap::Args)]
+#[command(hide = true, after_help = "Example:\n  ledgerctl man man1")]
+pub(crate) struct Man {
+    /// The directory, which exists
+    directory: PathBuf,
+}
+
+impl Man {
+    pub(crate) fn run(&self) -> Result<(), Failure> {
+        clap_mangen::generate_to(Cli::command(), &self.directory)
+            .map_err(|error| unreadable(&self.directory, &error).into())
+    }
+}

@@ -1,0 +1,111 @@
+//! `top`: robots, holders, rates, latencies and nodes on the whole screen, as they are now.
+
+mod rates;
+mod screen;
+mod view;
+
+use crate::cli::Global;
+use crate::command::network::status::{self, Overview};
+use crate::failure::Failure;
+use crate::session::{ABAC, Session};
+use bytes::Bytes;
+use ledger_api::{EventStream, Subscription};
+use ledger_contract::RobotAsset;
+use ledger_rejection::Rejection;
+use rates::Rates;
+use screen::{Key, Screen};
+use std::time::Duration;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::time::{Instant, interval, sleep};
+use view::View;
+
+/// Between two looks at the robots and the nodes.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Pause before messages are subscribed to again, where that was refused.
+const AGAIN_AFTER: Duration = Duration::from_secs(5);
+/// How often the node says that it is alive while there are no messages, in milliseconds.
+const HEARTBEAT_MS: u32 = 1_000;
+
+/// Show robots, holders, rates, latencies and nodes on the whole screen, as they are now.
+///
+/// Rates and latencies are those of the services that you may subscribe to, over the last ten seconds. A latency is the time from the
+/// signature of a message to its arrival here. The arrow keys choose a service, `s` stops its robot, `r` releases your grant of it,
+/// `q` ends.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl top")]
+pub(crate) struct Top {}
+
+impl Top {
+    pub(crate) async fn run(self, global: &Global) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let mut screen = Screen::open()?;
+        Ok(run(&session, &mut screen).await?)
+    }
+}
+
+async fn run(session: &Session, screen: &mut Screen) -> Result<(), Rejection> {
+    let mut terminate = signal(SignalKind::terminate()).map_err(screen::unusable)?;
+    let (mut view, mut rates) = (View::of(session.context()), Rates::default());
+    let mut messages = session.client.subscribe(Subscription {
+        chaincode: ABAC.to_owned(),
+        names: vec!["message".to_owned()],
+        heartbeat: HEARTBEAT_MS,
+        ..Subscription::default()
+    });
+    let mut ticks = interval(LOOK_EVERY);
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // A look waits for nodes that may be silent, and keys wait for nothing.
+    let mut looking = Box::pin(look(session));
+    let mut is_looking = true;
+    loop {
+        tokio::select! {
+            key = screen.key() => match key {
+                Key::End => return Ok(()),
+                Key::Up => view.choose(-1),
+                Key::Down => view.choose(1),
+                Key::Stop => view.told = act(session, "stop", view.robot()).await,
+                Key::Release => view.told = act(session, "release", view.service()).await,
+                Key::Other => continue,
+            },
+            seen = &mut looking, if is_looking => {
+                is_looking = false;
+                view.saw(seen, session.client.now());
+            }
+            _ = ticks.tick() => if !is_looking {
+                looking = Box::pin(look(session));
+                is_looking = true;
+            },
+            delivered = next(&mut messages) => {
+                rates.count(&delivered, session.client.now());
+                continue;
+            }
+            _ = terminate.recv() => return Ok(()),
+        }
+        screen.draw(&view.lines(&rates.now(Instant::now()), screen.size()))?;
+    }
+}
+
+/// The next delivery; after a refusal of the subscription another try.
+async fn next(messages: &mut EventStream) -> ledger_api::v1::Delivery {
+    loop {
+        match messages.next().await {
+            Ok(delivery) => return delivery,
+            Err(_) => sleep(AGAIN_AFTER).await,
+        }
+    }
+}
+
+/// The robots and the nodes of this moment.
+async fn look(session: &Session) -> Result<(Vec<RobotAsset>, Overview), Rejection> {
+    let robots = session.list(ABAC, "robots").await?;
+    Ok((robots, status::asked(session).await?))
+}
+
+/// Does something about what is chosen, and tells how that went.
+async fn act(session: &Session, function: &str, about: Option<String>) -> String {
+    let Some(about) = about else { return "nothing is chosen".to_owned() };
+    match session.call(ABAC, function, vec![Bytes::from(about.clone())]).await {
+        Ok(done) => format!("{function} {about}: done in block {}", done.height),
+        Err(refused) => format!("{function} {about}: {} [{}]", refused.message, refused.code),
+    }
+}

@@ -1,0 +1,198 @@
+//! JSON as a tree that keeps the order of fields and the digits of numbers, with times in the form of RFC 3339 beside those in
+//! microseconds.
+
+use crate::{json, time};
+use serde::de::{Deserializer, MapAccess, Visitor};
+use serde_json::value::RawValue;
+use std::fmt::{self, Write};
+
+/// The fields that hold a time, microseconds since the UNIX epoch, 0 for none, wherever they stand.
+const TIMES: [&str; 20] = [
+    "acquired_at",
+    "at",
+    "block_time",
+    "certified_time",
+    "clock",
+    "deadline",
+    "ends",
+    "expires",
+    "first",
+    "first_time",
+    "last",
+    "last_time",
+    "not_after",
+    "not_before",
+    "renewed_from",
+    "secret_expires",
+    "since",
+    "time",
+    "until",
+    "waits_until",
+];
+/// The end of the name of the same time in the form of RFC 3339.
+const UTC: &str = "_utc";
+/// The fields below which stands what others wrote: messages of ROS 2, payloads and answers of a chaincode.
+const FOREIGN: [&str; 4] = ["message", "payload", "response", "feedback"];
+
+/// Deeper values are taken as they are: nodes may answer with what they like.
+const DEPTH_MAX: usize = 32;
+
+/// A value of JSON.
+#[derive(Debug)]
+pub(super) enum Tree {
+    /// A number, a text, a truth value or `null`, as it is written.
+    Leaf(String),
+    List(Vec<Tree>),
+    Object(Vec<(String, Tree)>),
+}
+
+impl Tree {
+    /// Reads JSON.
+    pub(super) fn read(json: &str) -> serde_json::Result<Self> {
+        Self::read_at(json, 0)
+    }
+
+    fn read_at(json: &str, depth: usize) -> serde_json::Result<Self> {
+        Ok(match json.trim_start().as_bytes().first() {
+            Some(b'{' | b'[') if depth == DEPTH_MAX => {
+                Self::Leaf(json::compact(json).map_or_else(|| json.to_owned(), |value| value.get().to_owned()))
+            }
+            Some(b'{') => {
+                let fields: Fields = serde_json::from_str(json)?;
+                let read = fields.0.into_iter().map(|(name, value)| Ok((name, Self::read_at(value.get(), depth + 1)?)));
+                Self::Object(read.collect::<serde_json::Result<_>>()?)
+            }
+            Some(b'[') => {
+                let values: Vec<Box<RawValue>> = serde_json::from_str(json)?;
+                Self::List(
+                    values
+                        .iter()
+                        .map(|value| Self::read_at(value.get(), depth + 1))
+                        .collect::<serde_json::Result<_>>()?,
+                )
+            }
+            _ => Self::Leaf(json.trim().to_owned()),
+        })
+    }
+
+    /// The same with each time a second time, in the form of RFC 3339.
+    pub(super) fn with_utc(self) -> Self {
+        match self {
+            Self::Leaf(text) => Self::Leaf(text),
+            Self::List(values) => Self::List(values.into_iter().map(Self::with_utc).collect()),
+            Self::Object(fields) => {
+                let mut told = Vec::with_capacity(fields.len());
+                for (name, value) in fields {
+                    let utc = utc(&name, &value).map(|utc| (format!("{name}{UTC}"), Self::Leaf(utc)));
+                    let value = if FOREIGN.contains(&name.as_str()) { value } else { value.with_utc() };
+                    told.push((name, value));
+                    told.extend(utc);
+                }
+                Self::Object(told)
+            }
+        }
+    }
+
+    /// As JSON on one line.
+    pub(super) fn to_json(&self) -> String {
+        let mut out = String::new();
+        // Into a text nothing fails.
+        let _done = self.write(&mut out);
+        out
+    }
+
+    fn write(&self, out: &mut String) -> fmt::Result {
+        match self {
+            Self::Leaf(text) => out.write_str(text),
+            Self::List(values) => {
+                out.push('[');
+                for (at, value) in values.iter().enumerate() {
+                    out.push_str(if at == 0 { "" } else { "," });
+                    value.write(out)?;
+                }
+                out.write_char(']')
+            }
+            Self::Object(fields) => {
+                out.push('{');
+                for (at, (name, value)) in fields.iter().enumerate() {
+                    out.push_str(if at == 0 { "" } else { "," });
+                    write!(out, "{}:", serde_json::Value::from(name.as_str()))?;
+                    value.write(out)?;
+                }
+                out.write_char('}')
+            }
+        }
+    }
+}
+
+/// The time of a field in the form of RFC 3339, if it is one; `null` for none.
+fn utc(name: &str, value: &Tree) -> Option<String> {
+    let Tree::Leaf(text) = value else { return None };
+    let is_time = TIMES.contains(&name) && (text == "null" || text.parse::<u64>().is_ok());
+    is_time.then(|| match text.parse() {
+        Ok(micros) if micros > 0 => serde_json::Value::from(time::rfc3339(micros)).to_string(),
+        _ => "null".to_owned(),
+    })
+}
+
+/// The fields of an object in their order.
+struct Fields(Vec<(String, Box<RawValue>)>);
+
+impl<'de> serde::Deserialize<'de> for Fields {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Read;
+        impl<'de> Visitor<'de> for Read {
+            type Value = Fields;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Fields, A::Error> {
+                let mut fields = Vec::new();
+                while let Some(field) = map.next_entry()? {
+                    fields.push(field);
+                }
+                Ok(Fields(fields))
+            }
+        }
+        deserializer.deserialize_map(Read)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn told(json: &str) -> String {
+        Tree::read(json).unwrap().with_utc().to_json()
+    }
+
+    #[test]
+    fn a_time_stands_there_twice_and_nothing_else_changes() {
+        let json = r#"{"Name":"a\"b","time":1700000000000001,"expires":0,"renewed_from":null,"height":18446744073709551615,"x":[1e400,{"since":5}]}"#;
+        let wanted = r#"{"Name":"a\"b","time":1700000000000001,"time_utc":"2023-11-14T22:13:20.000001Z","expires":0,"expires_utc":null,"renewed_from":null,"renewed_from_utc":null,"height":18446744073709551615,"x":[1e400,{"since":5,"since_utc":"1970-01-01T00:00:00.000005Z"}]}"#;
+        assert_eq!(told(json), wanted);
+    }
+
+    #[test]
+    fn what_others_wrote_and_what_is_no_number_stays_as_it_is() {
+        for json in
+            [r#"{"payload":{"time":7}}"#, r#"{"message":{"since":7}}"#, r#"{"time":"10:00"}"#, r#""time""#, "[]"]
+        {
+            assert_eq!(told(json), json);
+        }
+    }
+
+    #[test]
+    fn json_that_is_nested_without_end_stays_on_one_line_and_costs_no_stack() {
+        let deep = format!("{}\n1{}", "[".repeat(200_000), "]".repeat(200_000));
+        assert_eq!(told(&deep), deep.replace('\n', ""));
+    }
+
+    #[test]
+    fn the_names_of_times_are_in_order() {
+        assert!(TIMES.is_sorted());
+    }
+}
