@@ -105,7 +105,7 @@ fn is_of(service: &str, robots: &[Bytes]) -> bool {
         name: String,
     }
     let name = |robot: &Bytes| serde_json::from_slice::<Robot>(robot).unwrap().name;
-    robots.iter().any(|robot| service.split('/').next() == Some(&name(robot)))
+    robots.iter().any(|robot| service.split('/').next() == Some(name(robot).as_str()))
 }
 
 /// All invariants.

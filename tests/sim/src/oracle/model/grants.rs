@@ -155,7 +155,7 @@ impl Model {
     ) -> Verdict {
         let used = self.may_publish(who, id, epoch, time)?;
         let (_, service) = self.find(id)?;
-        self.check_key(who, id, payload.map_or(&[], |payload| payload), time)?;
+        self.check_key(who, id, payload.map_or(&[][..], |payload| &payload[..]), time)?;
         // Publishers that stand side by side number their messages apart.
         let apart = service.mode != "exclusive";
         let place = (id.to_owned(), if apart { who.id() } else { String::new() });

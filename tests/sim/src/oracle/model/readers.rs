@@ -8,7 +8,7 @@ use bytes::Bytes;
 use ledger_contract::{Envelope, Share};
 use ledger_identity::Role;
 use ledger_rejection::Code;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A content key is good for so long after a reader came, or went of its own accord.
 const GRACE: u64 = 2_000_000;
@@ -18,8 +18,8 @@ const GRACE: u64 = 2_000_000;
 pub(super) struct Circle {
     /// By name: index among the people, and the public half of the pair.
     entered: BTreeMap<String, (usize, String)>,
-    /// Those who went of their own accord, or came back with another pair; and when.
-    gone: BTreeMap<(String, String), u64>,
+    /// Those who went of their own accord, or came back with another pair.
+    gone: BTreeSet<(String, String)>,
     /// How many were taken out.
     losses: u64,
     /// How many came and went, and when the last one did.
@@ -61,7 +61,7 @@ impl Model {
     /// went of its own accord.
     pub(in crate::oracle) fn may_linger(&self, service: &str, reader: &str, key: &str, time: u64) -> bool {
         self.circles.get(service).is_some_and(|circle| {
-            let left = circle.gone.contains_key(&(reader.to_owned(), key.to_owned()));
+            let left = circle.gone.contains(&(reader.to_owned(), key.to_owned()));
             left && time < circle.moves.1 + GRACE
         })
     }
@@ -176,7 +176,7 @@ impl Model {
 impl Circle {
     /// A reader goes of its own accord, or comes back with another pair.
     fn goes(&mut self, reader: String, key: String, time: u64) {
-        self.gone.insert((reader, key), time);
+        self.gone.insert((reader, key));
         self.moves = (self.moves.0 + 1, time);
     }
 }
