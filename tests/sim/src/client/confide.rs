@@ -76,7 +76,7 @@ impl Client {
     /// Its reading of who reads.
     pub(super) fn read_of_the_circle(&mut self, response: &[u8]) {
         self.circle.known = serde_json::from_slice(response).ok();
-        let listed = self.circle.known.iter().flat_map(|known: &Readers| &known.readers);
+        let listed = self.circle.known.iter().flat_map(|known| &known.readers);
         self.circle.entered = listed.into_iter().any(|listed| listed.reader == self.person);
     }
 }
