@@ -1,6 +1,6 @@
-//! README.md as it stands: its blocks of commands are run, in order, by somebody with an empty home directory.
+//! README.md and docs/start.md as they stand: their blocks of commands are run, in order, by somebody with an empty home directory.
 //!
-//! The output in README is compared line by line. Times, ids, fingerprints and secrets differ from run to run: a word
+//! The output in them is compared line by line. Times, ids, fingerprints and secrets differ from run to run: a word
 //! of that kind may be another one of the same form. Where a later command of README names it, the real one is put
 //! there. So README shows whole values, as a reader sees them.
 
@@ -34,7 +34,7 @@ const BLOCKS: [(&str, &str, Run); 6] = [
 
 #[test]
 fn every_console_block_of_the_readme_is_run_by_a_test() {
-    let page = Page::read();
+    let page = Page::read("README.md");
     for block in &page.blocks {
         let known = BLOCKS.iter().any(|(heading, first, _)| is_block(block, heading, first));
         assert!(known, "no test runs the block under {:?} that begins with {:?}", block.heading, block.first_command());
@@ -50,7 +50,7 @@ fn the_console_blocks_of_the_readme_print_what_it_says() {
     if !network::isolated(&|| ()) {
         return;
     }
-    let page = Page::read();
+    let page = Page::read("README.md");
     let mut terminal = Terminal::open(&page.files);
     for block in &page.blocks {
         match BLOCKS.iter().find(|(heading, first, _)| is_block(block, heading, first)) {
@@ -59,6 +59,17 @@ fn the_console_blocks_of_the_readme_print_what_it_says() {
             None => panic!("no test runs the block under {:?}", block.heading),
         }
     }
+}
+
+#[test]
+fn the_console_blocks_of_the_first_chapter_print_what_it_says() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let page = Page::read("docs/start.md");
+    assert!(page.files.is_empty() && page.blocks.len() > 5, "{} blocks", page.blocks.len());
+    let mut terminal = Terminal::open(&[]);
+    page.blocks.iter().for_each(|block| run(&mut terminal, block));
 }
 
 fn is_block(block: &Block, heading: &str, first: &str) -> bool {

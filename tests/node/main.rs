@@ -55,6 +55,7 @@ mod policies;
 mod power;
 mod readers;
 mod rebuild;
+mod reference;
 mod renewal;
 mod rules;
 mod sharing;

@@ -211,6 +211,8 @@ const LAYERS: [(&str, &[&str]); 30] = [
         &[
             "ledger",
             "ledger-abac",
+            "ledger-confidential",
+            "ledger-contract",
             "ledger-gate",
             "ledger-hash",
             "ledger-identity",

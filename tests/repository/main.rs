@@ -4,6 +4,7 @@
 
 mod access;
 mod architecture;
+mod book;
 mod clients;
 mod codes;
 mod documents;

@@ -83,7 +83,7 @@ impl ContentKey {
         self.seal_with(random()?, place, key, message)
     }
 
-    fn seal_with(
+    pub(crate) fn seal_with(
         &self,
         nonce: [u8; NONCE_BYTES],
         place: &Place<'_>,

@@ -30,9 +30,11 @@
 mod content;
 mod keyring;
 mod reading;
+mod repeatable;
 mod sealer;
 
 pub use content::{ContentKey, Place};
+pub use hpke::rand_core;
 pub use keyring::{Keyring, Unreadable};
 pub use reading::{ReadingKey, Wrap};
 pub use sealer::{Fresh, Sealer};

@@ -4,13 +4,20 @@ use super::content::{CONTENT_KEY_BYTES, ContentKey};
 use hpke::aead::ChaCha20Poly1305;
 use hpke::kdf::HkdfSha256;
 use hpke::kem::X25519HkdfSha256;
-use hpke::{Deserializable, Kem, OpModeR, OpModeS, Serializable, single_shot_open, single_shot_seal};
+use hpke::rand_core::CryptoRng;
+use hpke::{
+    Deserializable, HpkeError, Kem, OpModeR, OpModeS, Serializable, single_shot_open, single_shot_seal,
+    single_shot_seal_with_rng,
+};
 use ledger_contract::{READING_KEY_BYTES, WRAPPED_BYTES};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use std::fmt;
 
 type Pair = X25519HkdfSha256;
+type Public = <Pair as Kem>::PublicKey;
+/// The public half of a pair that was made for this, and the ciphertext.
+type Sealed = (<Pair as Kem>::EncappedKey, Vec<u8>);
 
 /// Separates this use of HPKE from all others.
 const DOMAIN: &[u8] = b"ledgerd content key v1\0";
@@ -19,7 +26,7 @@ const DOMAIN: &[u8] = b"ledgerd content key v1\0";
 #[derive(Clone)]
 pub struct ReadingKey {
     secret: <Pair as Kem>::PrivateKey,
-    public: <Pair as Kem>::PublicKey,
+    public: Public,
 }
 
 impl fmt::Debug for ReadingKey {
@@ -88,16 +95,20 @@ impl Wrap<'_> {
     /// Wraps a content key for the pair with this public half. A key that hides nothing gets zeros: its reader must not keep the
     /// publisher from all others, and reads nothing itself.
     pub fn wrap(&self, public: &[u8], content: &ContentKey) -> Vec<u8> {
-        self.wrap_for(public, content).unwrap_or_else(|| vec![0; WRAPPED_BYTES])
+        let seal = single_shot_seal::<ChaCha20Poly1305, HkdfSha256, Pair>;
+        self.wrap_by(public, |public, info| seal(&OpModeS::Base, public, info, content.bytes(), &[]))
     }
 
-    fn wrap_for(&self, public: &[u8], content: &ContentKey) -> Option<Vec<u8>> {
-        let public = <Pair as Kem>::PublicKey::from_bytes(public).ok()?;
-        let (mode, info) = (OpModeS::Base, self.info());
-        let sealed =
-            single_shot_seal::<ChaCha20Poly1305, HkdfSha256, Pair>(&mode, &public, &info, content.bytes(), &[]);
-        let (front, content) = sealed.ok()?;
-        Some([front.to_bytes().as_slice(), &content].concat())
+    /// The same with random bytes from there.
+    pub(crate) fn wrap_with(&self, random: &mut impl CryptoRng, public: &[u8], content: &ContentKey) -> Vec<u8> {
+        let seal = single_shot_seal_with_rng::<ChaCha20Poly1305, HkdfSha256, Pair>;
+        self.wrap_by(public, |public, info| seal(&OpModeS::Base, public, info, content.bytes(), &[], random))
+    }
+
+    fn wrap_by(&self, public: &[u8], seal: impl FnOnce(&Public, &[u8]) -> Result<Sealed, HpkeError>) -> Vec<u8> {
+        let public = Public::from_bytes(public).ok();
+        let sealed = public.and_then(|public| seal(&public, &self.info()).ok());
+        sealed.map_or_else(|| vec![0; WRAPPED_BYTES], |(front, content)| [&front.to_bytes()[..], &content].concat())
     }
 
     fn info(&self) -> Vec<u8> {

@@ -3,7 +3,7 @@
 use super::content::{ContentKey, Place};
 use super::reading::Wrap;
 use bytes::Bytes;
-use ledger_contract::{Readers, Share, Wrapped};
+use ledger_contract::{NONCE_BYTES, Readers, Share, Wrapped};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
@@ -29,16 +29,27 @@ impl Sealer {
     /// # Errors
     /// [`ledger_rejection::Code::Internal`] if the operating system gives no random bytes.
     pub fn share(network: &Hash, publisher: &str, readers: &Readers) -> Result<(Share, Fresh), Rejection> {
-        let (content, service) = (ContentKey::generate()?, &readers.service);
-        let mut share = Share::default();
+        let content = ContentKey::generate()?;
+        Ok(Self::share_by(content, network, publisher, readers, |wrap, public, content| wrap.wrap(public, content)))
+    }
+
+    /// Shares a content key that `wrap` wraps.
+    pub(crate) fn share_by(
+        content: ContentKey,
+        network: &Hash,
+        publisher: &str,
+        readers: &Readers,
+        mut wrap: impl FnMut(&Wrap<'_>, &[u8], &ContentKey) -> Vec<u8>,
+    ) -> (Share, Fresh) {
+        let (mut share, service) = (Share::default(), &readers.service);
         for reader in readers.readers.iter().filter(|reader| reader.may_read) {
-            let wrap = Wrap { network, service, publisher, reader: &reader.reader };
-            let wrapped = wrap.wrap(&hex::decode(&reader.key).unwrap_or_default(), &content);
+            let purpose = Wrap { network, service, publisher, reader: &reader.reader };
+            let wrapped = wrap(&purpose, &hex::decode(&reader.key).unwrap_or_default(), &content);
             let (reader, key, wrapped) = (reader.reader.clone(), reader.key.clone(), hex::encode(wrapped));
             share.readers.push(Wrapped { reader, key, wrapped });
         }
         let fresh = Fresh { network: *network, service: service.clone(), publisher: publisher.to_owned(), content };
-        Ok((share, fresh))
+        (share, fresh)
     }
 
     /// The height at which the content key was shared: its name in envelopes.
@@ -51,8 +62,23 @@ impl Sealer {
     /// # Errors
     /// [`ledger_rejection::Code::Internal`] if the operating system gives no random bytes.
     pub fn seal(&self, epoch: u64, sequence: u64, message: &[u8]) -> Result<Bytes, Rejection> {
-        let Fresh { network, service, publisher, content } = &self.fresh;
-        content.seal(&Place { network, service, publisher, epoch, sequence }, self.key, message)
+        self.fresh.content.seal(&self.place(epoch, sequence), self.key, message)
+    }
+
+    /// The same with a nonce that the caller has made.
+    pub(crate) fn seal_by(
+        &self,
+        nonce: [u8; NONCE_BYTES],
+        epoch: u64,
+        sequence: u64,
+        message: &[u8],
+    ) -> Result<Bytes, Rejection> {
+        self.fresh.content.seal_with(nonce, &self.place(epoch, sequence), self.key, message)
+    }
+
+    fn place(&self, epoch: u64, sequence: u64) -> Place<'_> {
+        let Fresh { network, service, publisher, .. } = &self.fresh;
+        Place { network, service, publisher, epoch, sequence }
     }
 }
 

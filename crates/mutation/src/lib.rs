@@ -100,6 +100,10 @@ pub enum Mutation {
     CountTheProposerTwice,
     /// A revocation list is taken that was made before the one that the ledger has.
     TakeAnOlderList,
+    /// A message is taken under a content key from before a reader was taken out.
+    KeepAnOldContentKey,
+    /// A content key is taken that was wrapped for others than those who may read.
+    ShareWithAnybody,
 }
 
 /// Is this bug turned on?

@@ -1,13 +1,13 @@
-//! README.md, taken apart.
+//! A page with blocks of commands, such as README.md, taken apart.
 
 use std::path::Path;
 
-/// The parts of README that a test needs.
+/// The parts of a page that a test needs.
 pub(super) struct Page {
     pub(super) text: String,
     /// Blocks of commands in their order.
     pub(super) blocks: Vec<Block>,
-    /// Files that README shows: name, from the comment on their first line, and content.
+    /// Files that it shows: name, from the comment on their first line, and content.
     pub(super) files: Vec<(String, String)>,
 }
 
@@ -26,8 +26,8 @@ pub(super) struct Step {
 
 impl Page {
     /// Reads it.
-    pub(super) fn read() -> Self {
-        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    pub(super) fn read(name: &str) -> Self {
+        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();
         let (mut blocks, mut files) = (Vec::new(), Vec::new());
         let mut heading = String::new();
         let mut lines = text.lines();

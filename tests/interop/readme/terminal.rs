@@ -1,4 +1,4 @@
-//! Runs the commands of README and compares what they print.
+//! Runs the commands of a page and compares what they print.
 
 use crate::python::CYCLONE;
 use crate::support::wait::eventually;
@@ -16,10 +16,10 @@ const BUILD: &str = "cargo build --release && export PATH=";
 /// Words that stand for a span together with the number before them.
 const UNITS: [&str; 8] = ["µs", "ms", "s", "s)", "min", "min)", "h", "days"];
 
-/// A person's machine: a home directory, the programs, and what README calls its values.
+/// A person's machine: a home directory, the programs, and what the page calls its values.
 pub(super) struct Terminal {
     directory: TempDir,
-    /// Words of README that are others on this machine.
+    /// Words of the page that are others on this machine.
     values: BTreeMap<String, String>,
     running: Vec<Running>,
 }
@@ -35,7 +35,7 @@ impl Drop for Running {
 }
 
 impl Terminal {
-    /// An empty home with the files that README shows, and a stand-in for `ros2`.
+    /// An empty home with the files that the page shows, and a stand-in for `ros2`.
     pub(super) fn open(files: &[(String, String)]) -> Self {
         let directory = tempfile::tempdir().unwrap();
         for (name, text) in files {
@@ -69,11 +69,11 @@ impl Terminal {
             }
         };
         if let Err(fault) = self.compare(printed, &out) {
-            panic!("$ {real}\n{fault}\n--- it printed:\n{out}\n--- README says:\n{}", printed.join("\n"));
+            panic!("$ {real}\n{fault}\n--- it printed:\n{out}\n--- the page says:\n{}", printed.join("\n"));
         }
     }
 
-    /// Starts a command and waits until it has printed as much as README shows.
+    /// Starts a command and waits until it has printed as much as the page shows.
     fn serve(&mut self, real: &str, printed: &[String]) -> String {
         let log = self.directory.path().join(format!("terminal{}.log", self.running.len()));
         // The program in the place of the shell: ending the one ends the other.
@@ -118,18 +118,18 @@ impl Terminal {
                 continue;
             }
             let found = loop {
-                let Some(line) = lines.next() else { return Err(format!("README has this line more: {wanted}")) };
+                let Some(line) = lines.next() else { return Err(format!("the page has this line more: {wanted}")) };
                 match alike(wanted, line) {
                     Some(values) => break values,
                     None if skips => {}
-                    None => return Err(format!("README: {wanted}\nfound:  {line}")),
+                    None => return Err(format!("the page: {wanted}\nfound:    {line}")),
                 }
             };
             skips = false;
             self.values.extend(found);
         }
         match lines.next() {
-            Some(line) if !skips && !printed.is_empty() => Err(format!("README lacks this line: {line}")),
+            Some(line) if !skips && !printed.is_empty() => Err(format!("the page lacks this line: {line}")),
             _ => Ok(()),
         }
     }

@@ -1,7 +1,9 @@
 //! The clients: what they want, how they retry, and what they remember.
 
+mod confide;
 mod contest;
 mod enrol;
+mod fleet;
 mod govern;
 mod intent;
 mod pass_on;
@@ -9,21 +11,24 @@ mod publish;
 mod subscribe;
 mod tasks;
 
+pub(crate) use confide::{BRIDGE, Circle};
 pub use contest::Terms;
+pub use fleet::{SERVICES, robots};
 pub(crate) use govern::Book;
 pub use govern::Draft;
-pub use intent::{Call, SERVICES, robots};
+pub use intent::Call;
 pub(crate) use subscribe::READERS;
 pub use tasks::Heard;
 
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
-use crate::history::{Kind, Outcome, Verdict};
+use crate::history::{Asks, Kind, Outcome, Verdict};
 use crate::invariant::Check;
 use crate::node::{Answer, Reply, Request, What};
 use crate::people::{CERTIFICATES, Person};
 use crate::world::{Event, World};
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
+use ledger_contract::Envelope;
 use ledger_gate::gate::COMMAND_TTL;
 use ledger_hash::Hash;
 use ledger_rejection::{Class, Code};
@@ -70,6 +75,8 @@ pub struct Client {
     pub obliging: bool,
     /// Verdicts of its orders.
     pub obeyed: Vec<Code>,
+    /// What it knows of the confidential service.
+    pub(crate) circle: Circle,
 }
 
 /// The fields that are read of a grant.
@@ -99,6 +106,7 @@ impl Client {
             obedient: false,
             obliging: false,
             obeyed: Vec::new(),
+            circle: Circle::default(),
         }
     }
 
@@ -118,6 +126,7 @@ impl Client {
         self.session += 1;
         self.seen = 0;
         self.grants.clear();
+        self.circle.crash();
         self.doing = None;
         self.call = None;
     }
@@ -143,6 +152,7 @@ impl World {
         self.enrol();
         self.employ_a_robot();
         self.employ_a_chief();
+        self.employ_a_circle();
     }
 
     /// Adds a client that does only what it is told, and tells it.
@@ -294,6 +304,9 @@ impl World {
             }
             Answer::Value { height, judged_at, code, response } => {
                 client.seen = client.seen.max(height);
+                if let (Some(Call::Read { asks: Asks::Readers, .. }), Code::Ok) = (&client.call, code) {
+                    client.read_of_the_circle(&response);
+                }
                 Outcome::Read { height, judged_at, code, response }
             }
         };
@@ -316,7 +329,11 @@ impl World {
     fn rest(&mut self, number: usize) {
         let think = self.random.clients.around(self.plan.think);
         let client = &mut self.clients[number];
-        let think = if client.person == READER { think / 8 + 1 } else { think };
+        let think = match &*client.person {
+            _ if client.circle.belongs => think / 4 + 1,
+            READER => think / 8 + 1,
+            _ => think,
+        };
         client.doing = None;
         client.call = None;
         client.attempt += 1;
@@ -336,11 +353,12 @@ impl World {
             self.coverage.contest("place full");
         }
         self.coverage.governs(&call, code);
+        self.coverage.answers_in_secret(&call, code);
         let client = &mut self.clients[number];
         if let Some(order) = client.orders.first() {
             // What is not settled is tried again.
             let passing = matches!(code, Code::Expired | Code::NotAfterTooFar | Code::UnknownCreator);
-            let lost = matches!(code, Code::Held | Code::NotHolder | Code::StaleEpoch);
+            let lost = matches!(code, Code::Held | Code::NotHolder | Code::StaleEpoch | Code::ReadersChanged);
             let settled = !passing && (client.obliging || !lost);
             if settled && std::mem::discriminant(order) == std::mem::discriminant(&call) {
                 client.orders.remove(0);
@@ -348,6 +366,7 @@ impl World {
             }
         }
         client.introduced = code != Code::UnknownCreator;
+        client.hear_of_the_circle(code, &call, response);
         match (code, call) {
             (
                 Code::Ok,
@@ -400,8 +419,9 @@ pub fn sign(
     (chaincode, function, mut args): (&str, &str, Vec<Bytes>),
     introduce: bool,
 ) -> Transaction {
-    // No two commands are alike: what reaches a robot names its transaction.
-    if let Some(payload) = args.get_mut(3).filter(|_| function == "set") {
+    // No two commands are alike: what reaches a robot names its transaction. Envelopes are not alike anyway.
+    let in_the_clear = |payload: &&mut Bytes| function == "set" && Envelope::parse(payload).is_none();
+    if let Some(payload) = args.get_mut(3).filter(in_the_clear) {
         *payload = [&payload[..], &nonce.to_be_bytes()].concat().into();
     }
     let body = Body {

@@ -1,10 +1,12 @@
 //! The damage that was really done to the cluster, counted where it is done: a fault that was only planned tests
 //! nothing.
 
+mod confidential;
 mod governance;
 
 use crate::client::READERS;
 use crate::world::Untruth;
+use confidential::CONFIDENTIAL;
 use governance::GOVERNANCE;
 use ledger::Outcome;
 use ledger_rejection::Code;
@@ -182,6 +184,8 @@ pub struct Coverage {
     pub contests: BTreeMap<&'static str, u64>,
     /// The answers to admins about sets of policies and revocation lists.
     pub governance: BTreeMap<&'static str, u64>,
+    /// The answers to those around the confidential service, and who read what.
+    pub confidential: BTreeMap<&'static str, u64>,
     /// Questions of robots, answers that were believed, and why others were not.
     pub questions: u64,
     /// See `questions`.
@@ -262,6 +266,9 @@ impl Coverage {
         for (what, count) in &other.governance {
             *self.governance.entry(what).or_default() += count;
         }
+        for (what, count) in &other.confidential {
+            *self.confidential.entry(what).or_default() += count;
+        }
         for (code, count) in &other.unbelieved {
             *self.unbelieved.entry(*code).or_default() += count;
         }
@@ -298,7 +305,8 @@ impl Coverage {
         let refusals = refusals.map(|code| format!("refused with {}", code.name()));
         let never = never.map(|fault| fault.name().to_owned()).chain(untold.map(Untruth::to_string));
         let ungoverned = GOVERNANCE.into_iter().filter(|what| !self.governance.contains_key(what)).map(str::to_owned);
-        never.chain(idle).chain(contests).chain(ungoverned).chain(refusals).collect()
+        let open = CONFIDENTIAL.into_iter().filter(|what| !self.confidential.contains_key(what)).map(str::to_owned);
+        never.chain(idle).chain(contests).chain(ungoverned).chain(open).chain(refusals).collect()
     }
 
     /// Was so much done that every kind of fault should have happened?
@@ -392,6 +400,10 @@ impl fmt::Display for Coverage {
         }
         writeln!(f, "policies and revocation lists")?;
         for (what, count) in &self.governance {
+            writeln!(f, "  {what:<40} {count:>9}")?;
+        }
+        writeln!(f, "the confidential service")?;
+        for (what, count) in &self.confidential {
             writeln!(f, "  {what:<40} {count:>9}")?;
         }
         writeln!(f, "answers that a robot did not believe")?;

@@ -62,6 +62,8 @@ pub enum Asks {
     Holders,
     /// May the caller read its messages?
     MayRead,
+    /// Who reads it, of those for whom its messages are encrypted?
+    Readers,
 }
 
 /// The outcome of an operation, as far as its client knows.

@@ -56,8 +56,10 @@ pub use state_agreement::StateAgreement;
 pub use stops_last::StopsLast;
 
 use crate::people::People;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Outcome, Rules};
+use serde::Deserialize;
 use std::fmt;
 use std::sync::Arc;
 
@@ -94,6 +96,16 @@ pub struct Executed<'a> {
     pub outcome: &'a Outcome,
     /// Its transactions; none where the bytes are not one.
     pub transactions: &'a [Option<Transaction>],
+}
+
+/// Is it a service of one of these robots, given as JSON?
+fn is_of(service: &str, robots: &[Bytes]) -> bool {
+    #[derive(Deserialize)]
+    struct Robot {
+        name: String,
+    }
+    let name = |robot: &Bytes| serde_json::from_slice::<Robot>(robot).unwrap().name;
+    robots.iter().any(|robot| service.split('/').next() == Some(name(robot).as_str()))
 }
 
 /// All invariants.

@@ -24,6 +24,7 @@
 //! | [`world`] | the event queue, and what happens: starts, threads, gateways, chaos, the operator |
 //! | [`node`], [`links`], [`clock`] | machines, network, time |
 //! | [`client`], [`people`], [`policy`], [`lists`] | who wants what, who they are, and whom their CAs revoke |
+//! | [`confidential`] | the service whose messages only its readers read |
 //! | [`robot`] | a robot with the real gate, whose node may lie |
 //! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
 //! | [`run`], [`trace`] | one seed from beginning to end |
@@ -37,6 +38,7 @@
 
 pub mod client;
 pub mod clock;
+pub mod confidential;
 pub mod coverage;
 pub mod history;
 pub mod invariant;

@@ -16,7 +16,9 @@ use crate::world::World;
 /// # Errors
 /// The contradiction.
 pub fn judge(world: &mut World) -> Check {
-    world.coverage.checks += replay::replay(world)?;
+    let (checks, coverage) = replay::replay(world)?;
+    world.coverage.checks += checks;
+    world.coverage.add(&coverage);
     world.coverage.checks += views::check(world)?;
     Ok(())
 }

@@ -48,6 +48,8 @@ pub struct Plan {
     pub contests: bool,
     /// Users also submit tasks, and the readers of services are limited.
     pub tasks: bool,
+    /// One robot has a confidential service; its readers come and go.
+    pub confidential: bool,
     /// Admins apply, propose and approve whole sets of policies, and bring the lists of their CAs.
     pub governs: bool,
 }
@@ -120,6 +122,7 @@ impl Plan {
             contests: seed.is_multiple_of(3),
             tasks: seed.is_multiple_of(6),
             governs: seed.is_multiple_of(2),
+            confidential: seed % 5 == 4,
             network,
             faults,
         }

@@ -1,8 +1,11 @@
 //! A robot of the network: the real guard of each of its services, and what it knows of its node and of the voters.
 
+use crate::client::BRIDGE;
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
+use crate::confidential;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
+use ledger_confidential::Keyring;
 use ledger_gate::gate::{Now, Settings};
 use ledger_gate::guard::Guard;
 use ledger_gate::standing::{Members, Standing};
@@ -18,6 +21,8 @@ pub(crate) const STALE_AFTER: u64 = SECOND;
 /// The robots, with their services.
 pub(crate) const ROBOTS: [(&str, &[&str]); 2] =
     [("Turtlebot4", &["Turtlebot4/cmd_vel"]), ("Husky", &["Husky/cmd_vel", "Husky/arm"])];
+/// The robot with the confidential service, which is looked at where there is one.
+pub(crate) const CONFIDENTIAL: (&str, &[&str]) = (confidential::ROBOT, &[confidential::SERVICE]);
 /// Largest message.
 const SAMPLE_BYTES_MAX: usize = 1024;
 
@@ -203,7 +208,11 @@ impl Robot {
             command_timeout: None,
         };
         let now = self.clocks(now);
-        let watch = |id: &&'static str| Watched { id, guard: Guard::new(settings.clone(), id, now) };
+        let watch = |id: &&'static str| {
+            let mut guard = Guard::new(settings.clone(), id, now);
+            guard.read_with(Keyring::new(founded.network(), BRIDGE.to_owned(), confidential::pair(BRIDGE, 0)));
+            Watched { id, guard }
+        };
         self.watched = services.iter().map(watch).collect();
         self.openings += 1;
         self.governance = founded.clone();

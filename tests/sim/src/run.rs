@@ -2,6 +2,7 @@
 
 use crate::client::{Call, SERVICES};
 use crate::clock::{MILLISECOND, SECOND};
+use crate::confidential::shows_a_secret;
 use crate::coverage::Coverage;
 use crate::invariant::{Check, Violation};
 use crate::oracle;
@@ -131,7 +132,14 @@ fn last_word(world: &mut World, deadline: u64) -> Check {
     });
     let user = world.employ_for("Org1/Nina", orders.collect(), false);
     until(world, deadline, "a user is served", |world| world.clients[user].orders.is_empty())?;
-    let codes = &world.clients[user].obeyed;
+    let mut codes = world.clients[user].obeyed.clone();
+    if world.confides_now() {
+        for (person, orders) in world.last_secrets() {
+            let client = world.employ_for(person, orders, false);
+            until(world, deadline, "secrets are told", |world| world.clients[client].orders.is_empty())?;
+            codes.extend(&world.clients[client].obeyed);
+        }
+    }
     if codes.iter().any(|code| *code != Code::Ok) {
         return Err(Violation::new("the cluster serves again", format!("verdicts {codes:?}")));
     }
@@ -165,5 +173,8 @@ fn compare(world: &World) -> Check {
     let mut all = members.voters.iter().chain(&members.learners);
     let Some(first) = all.next() else { return Ok(()) };
     let reference = world.contents(*first);
+    if reference.iter().any(|(key, value)| shows_a_secret(key) || shows_a_secret(value)) {
+        return Err(Violation::new("only readers read", "a secret stands in the state"));
+    }
     all.try_for_each(|id| world.invariants.state_agreement.compare((*first, &reference), (*id, &world.contents(*id))))
 }

@@ -27,6 +27,7 @@ pub use statements::Keys;
 
 use crate::client::{Book, Client, Heard};
 use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
+use crate::confidential::Sealed;
 use crate::coverage::{Coverage, Fault};
 use crate::history::History;
 use crate::invariant::{Check, Invariants, Violation};
@@ -129,6 +130,7 @@ pub(crate) struct Randoms {
     pub(crate) robot: Random,
     pub(crate) contests: Random,
     pub(crate) governance: Random,
+    pub(crate) confidential: Random,
 }
 
 /// A block as the first node executed it.
@@ -171,6 +173,8 @@ pub struct World {
     pub(crate) tasks: BTreeMap<u64, Heard>,
     /// The sets and proposals of policies, as admins read them.
     pub(crate) book: Book,
+    /// Every message that was sealed.
+    pub(crate) sealed: Sealed,
     /// Every revocation list that a CA has signed.
     pub(crate) lists: Lists,
     pub(crate) links: Links,
@@ -227,6 +231,7 @@ impl World {
             robot: sequence("robot"),
             contests: sequence("contests"),
             governance: sequence("governance"),
+            confidential: sequence("confidential"),
         };
         let (voters, all) = (plan.voters, plan.voters + plan.learners);
         let statements = &mut random.statements;
@@ -263,6 +268,7 @@ impl World {
             clients: Vec::new(),
             tasks: BTreeMap::new(),
             book: Book::default(),
+            sealed: Sealed::default(),
             lists: Lists::default(),
             links: Links::new(plan.network.clone()),
             random,

@@ -339,3 +339,13 @@ fn a_proposer_of_policies_that_counts_twice_is_noticed() {
 fn a_revocation_list_that_goes_back_is_noticed_when_it_is_taken() {
     caught(Mutation::TakeAnOlderList, 2, &["the oracle agrees"]);
 }
+
+#[test]
+fn a_content_key_that_is_good_after_a_reader_was_taken_out_is_noticed() {
+    caught(Mutation::KeepAnOldContentKey, 4, &["only readers read", "the oracle agrees"]);
+}
+
+#[test]
+fn a_content_key_that_is_shared_with_others_than_the_readers_is_noticed() {
+    caught(Mutation::ShareWithAnybody, 4, &["only readers read", "the oracle agrees"]);
+}

@@ -1,7 +1,7 @@
 //! The wishes of clients where there are rules for who wins: lines, priorities, limits, emergencies.
 
 use super::Call;
-use super::intent::SERVICES;
+use super::fleet::SERVICES;
 use crate::world::World;
 use testkit::Random;
 

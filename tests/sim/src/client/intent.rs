@@ -2,17 +2,18 @@
 
 use super::READER;
 use super::contest::Terms;
+use super::fleet::{SERVICES, robots};
 use super::govern::{ADMINS, Draft};
 use super::tasks::ROBOT;
 use crate::clock::EPOCH;
+use crate::confidential::{self, SERVICE};
 use crate::history::Asks;
 use crate::policy::Policy;
 use crate::world::World;
 use bytes::Bytes;
+use ledger_confidential::Fresh;
 use serde_json::json;
 
-/// The services of the simulated robots.
-pub const SERVICES: [&str; 3] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel", "Husky/arm"];
 /// A small CDR message.
 const MESSAGE: &[u8] = &[0, 1, 0, 0, 42, 0, 0, 0];
 
@@ -171,6 +172,38 @@ pub enum Call {
         /// Is the arm for everybody?
         open: bool,
     },
+    /// To describe the robot with the confidential service.
+    Describe(confidential::Terms),
+    /// To read the confidential service, with the pair of this public half.
+    Enter {
+        /// In hexadecimal digits.
+        key: String,
+    },
+    /// To read it no more.
+    Leave,
+    /// That somebody reads it no more.
+    TakeOut {
+        /// The name.
+        reader: String,
+    },
+    /// To share a content key.
+    Share {
+        /// The epoch of the grant.
+        epoch: u64,
+        /// The key, wrapped for its readers, as JSON.
+        share: String,
+        /// The key.
+        fresh: Fresh,
+    },
+    /// To publish on the confidential service.
+    Seal {
+        /// The epoch of the grant.
+        epoch: u64,
+        /// Sequence number.
+        seq: u64,
+        /// The envelope.
+        payload: Bytes,
+    },
     /// To put a policy.
     Put(Policy),
     /// To remove a policy.
@@ -313,6 +346,17 @@ impl Call {
                 let record = json!({"list": list, "ended": ended});
                 ("msp", "record_revocation_list", vec![text(&record.to_string())])
             }
+            Self::Describe(terms) => ("abac", "replace", vec![text(&terms.json())]),
+            Self::Enter { key } => ("abac", "reader", vec![text(SERVICE), text(key)]),
+            Self::Leave => ("abac", "reader", vec![text(SERVICE), text("none")]),
+            Self::TakeOut { reader } => ("abac", "reader", vec![text(SERVICE), text("none"), text(reader)]),
+            Self::Share { epoch, share, .. } => {
+                ("abac", "share", vec![text(SERVICE), text(&epoch.to_string()), text(share)])
+            }
+            Self::Seal { epoch, seq, payload } => {
+                let (epoch, seq) = (text(&epoch.to_string()), text(&seq.to_string()));
+                ("abac", "set", vec![text(SERVICE), epoch, seq, payload.clone()])
+            }
             Self::Speak { newest } => {
                 ("msp", "speak", vec![text(&format!(r#"{{"newest":{newest},"release":"9.0.0"}}"#))])
             }
@@ -333,28 +377,11 @@ impl Call {
             Self::Put(policy) => format!("policy put {}", policy.id()),
             Self::Remove(policy) => format!("policy remove {}", policy.id()),
             Self::Publish { ended, .. } => format!("list with {} certificates", ended.len()),
+            Self::Share { epoch, .. } => format!("share in epoch {epoch}"),
+            Self::Seal { epoch, seq, .. } => format!("seal number {seq} of epoch {epoch}"),
             other => format!("{other:?}"),
         }
     }
-}
-
-/// The robots as their owner registers them.
-pub fn robots(open: bool) -> [String; 2] {
-    let service = |topic: &str, mode: &str| {
-        format!(
-            r#"{{"topic":"{topic}","type":"geometry_msgs/msg/Twist","mode":"{mode}","lease_ms":3000,"lease_ms_max":20000}}"#
-        )
-    };
-    let robot = |name: &str, services: &str| {
-        format!(
-            r#"{{"name":"{name}","attribute_required":"{name}","trusted":["Org1","Org2"],"services":[{services}]}}"#
-        )
-    };
-    let arm = service("/arm", if open { "open" } else { "exclusive" });
-    [
-        robot("Turtlebot4", &service("/cmd_vel", "exclusive")),
-        robot("Husky", &format!("{},{arm}", service("/cmd_vel", "exclusive"))),
-    ]
 }
 
 impl World {
@@ -372,11 +399,15 @@ impl World {
                         Call::Set { service, epoch, seq }
                     }
                 }
+                Call::Seal { .. } => self.speak(number),
                 call => call,
             });
         }
         if client.obedient {
             return None;
+        }
+        if client.circle.belongs {
+            return self.confide(number);
         }
         let governs = ADMINS.contains(&&*client.person) && (client.ready || client.person != "Org2/admin");
         if governs && let Some(call) = self.govern(number) {

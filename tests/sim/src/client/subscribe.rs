@@ -2,7 +2,7 @@
 
 use super::Call;
 use super::contest::{CONTENDERS, Terms, contender, limited};
-use super::intent::SERVICES;
+use super::fleet::SERVICES;
 use crate::history::Asks;
 use crate::policy::Policy;
 use crate::world::World;

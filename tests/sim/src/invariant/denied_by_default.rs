@@ -49,6 +49,8 @@ impl DeniedByDefault {
                         | "handover"
                         | "recall"
                         | "renew"
+                        | "reader"
+                        | "share"
                         | "set"
                         | "take"
                         | "stop"

@@ -3,7 +3,7 @@
 //!
 //! Told by the events, which is how the robots' bridges know, and by the numbers that owners chose.
 
-use super::{Check, Executed, Violation};
+use super::{Check, Executed, Violation, is_of};
 use crate::client::READERS;
 use ledger::Outcome;
 use ledger::transaction::Transaction;
@@ -90,7 +90,7 @@ impl GrantExclusivity {
     fn configured(&mut self, transaction: &Transaction) {
         let body = transaction.body();
         match (&*body.chaincode, &*body.function, body.args.as_slice()) {
-            ("abac", "replace", _) => self.places.clear(),
+            ("abac", "replace", robots) => self.places.retain(|service, _| !is_of(service, robots)),
             ("abac", "configure", [service, settings]) => {
                 let Configured { sharing } = serde_json::from_slice(settings).unwrap();
                 let service = String::from_utf8_lossy(service).into_owned();

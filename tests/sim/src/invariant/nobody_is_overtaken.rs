@@ -4,7 +4,7 @@
 //!
 //! Told by the events, and by the settings that owners chose.
 
-use super::{Check, Executed, Violation};
+use super::{Check, Executed, Violation, is_of};
 use crate::client::READERS;
 use crate::people::People;
 use ledger::transaction::Transaction;
@@ -250,7 +250,7 @@ impl NobodyIsOvertaken {
     fn configured(&mut self, transaction: &Transaction) {
         let body = transaction.body();
         match (&*body.chaincode, &*body.function, body.args.as_slice()) {
-            ("abac", "replace", _) => self.settings.clear(),
+            ("abac", "replace", robots) => self.settings.retain(|service, _| !is_of(service, robots)),
             ("abac", "configure", [service, settings]) => {
                 let Configured { sharing } = serde_json::from_slice(settings).unwrap();
                 self.settings.insert(String::from_utf8_lossy(service).into_owned(), sharing);

@@ -10,6 +10,7 @@ mod lists;
 mod network;
 mod policies;
 mod proposals;
+mod readers;
 mod services;
 mod sets;
 mod tasks;
@@ -26,6 +27,8 @@ use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::Code;
 use network::Nodes;
+use readers::Circle;
+pub(super) use readers::Listed;
 use services::{Robot, Service};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -60,6 +63,8 @@ pub(super) struct Model {
     tasks: Vec<Task>,
     /// Of each service, by name.
     asking: confirm::Askings,
+    /// Of each confidential service.
+    circles: BTreeMap<String, Circle>,
     /// Robots.
     stopped: BTreeSet<String>,
     /// Organisations with policies from before their steps were counted.
@@ -137,6 +142,7 @@ impl Model {
             lines: BTreeMap::new(),
             tasks: Vec::new(),
             asking: confirm::Askings::new(),
+            circles: BTreeMap::new(),
             stopped: BTreeSet::new(),
             uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
@@ -251,8 +257,10 @@ impl Model {
             ("abac", "release") => self.release(who, &first, time),
             ("abac", "set") => {
                 let (epoch, seq) = (number(text(1))?.unwrap_or(0), number(text(2))?.unwrap_or(0));
-                self.set(who, &first, epoch, seq, time)
+                self.set(who, &first, (epoch, seq), body.args.get(3), time)
             }
+            ("abac", "reader") => self.reader((who, person), &body.args, time),
+            ("abac", "share") => self.share(who, &body.args, time),
             ("abac", "submit") => self.submit((who, person), &first, &text(1).unwrap_or_default(), time),
             ("abac", "progress") => self.progress(who, number(text(0))?, number(text(1))?, time),
             ("abac", "fail") => self.fail(who, number(text(0))?, time),
@@ -280,6 +288,9 @@ impl Model {
         let mut replaced = Vec::new();
         for robot in robots {
             let robot = Robot::read(robot, &who.identity.organisation)?;
+            if !self.has_contests() && robot.services.iter().any(|service| !service.sharing.is_empty()) {
+                return Err(Code::BadArgument);
+            }
             replaced.push(robot.name.clone());
             self.robots.insert(robot.name.clone(), robot);
         }
@@ -357,6 +368,7 @@ impl Model {
         self.end_everywhere(Why::Failed, time, is_theirs);
         self.leave_all(|certificate| fingerprints.contains(certificate), time);
         self.approvals_without(|person| revoked.contains(&person));
+        self.read_no_more(|person| revoked.contains(&person));
     }
 }
 

@@ -1,20 +1,26 @@
 //! The chain through the model: every verdict, every refusal, every read.
 
 mod policies;
+mod secrets;
 mod told;
 
-use super::model::{Judged, Model, State};
+use super::model::{Judged, Listed, Model, State};
+use crate::coverage::Coverage;
 use crate::history::{Asks, Kind, Outcome};
 use crate::invariant::Violation;
 use crate::world::World;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
+use ledger_contract::Readers;
 use ledger_rejection::Code;
 use ledger_storage::result::TransactionResult;
+use secrets::Secrets;
 use serde::Deserialize;
 use told::Standing;
 
 const NAME: &str = "the oracle agrees";
+/// The promise about confidential services.
+const SECRET: &str = "only readers read";
 
 /// The fields that are read of a grant.
 #[derive(Clone, Copy, Deserialize)]
@@ -73,12 +79,12 @@ enum Claim<'a> {
 }
 
 /// Replays everything; answers with how many facts were checked.
-pub(super) fn replay(world: &World) -> Result<u64, Violation> {
+pub(super) fn replay(world: &World) -> Result<(u64, Coverage), Violation> {
     let mut claims = claims(world);
     claims.sort_by_key(|(height, ..)| *height);
     let mut claims = claims.into_iter().peekable();
     let mut model = Model::new(&world.people, world.network, &world.plan, &world.lists);
-    let mut standing = Standing::default();
+    let (mut standing, mut secrets) = (Standing::default(), Secrets::new(world));
     let (mut time, mut checks) = (0, 0);
     for height in 0..=world.blocks.len() as u64 {
         if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {
@@ -88,7 +94,7 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
             for (at, (encoded, result)) in block.outcome.transactions.iter().zip(&block.outcome.results).enumerate() {
                 let transaction = Transaction::decode(encoded.clone()).ok();
                 let judged = model.execute(transaction.as_ref(), time);
-                let says = transaction.map(|transaction| transaction.body().clone());
+                let says = transaction.as_ref().map(|transaction| transaction.body().clone());
                 let wrong = |what: String| {
                     let what = format!("block {height}, transaction {at}: {what}; {says:?}");
                     Violation::new(NAME, what)
@@ -114,6 +120,10 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
                     return Err(wrong(format!("task {:?}, the model says {task:?}", found.task)));
                 }
                 policies::check(&mut model, &judged, result).map_err(wrong)?;
+                if let Some(transaction) = &transaction {
+                    let leaks = |what| Violation::new(SECRET, format!("block {height}, transaction {at}: {what}"));
+                    secrets.follow(&model, transaction, result.code(), (height, time)).map_err(leaks)?;
+                }
                 checks += 1;
             }
             standing.follow(&block.outcome);
@@ -128,7 +138,7 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
         }
     }
     match claims.next() {
-        None => Ok(checks),
+        None => Ok((checks, secrets.coverage)),
         Some((height, ..)) => Err(Violation::new(NAME, format!("a node spoke of height {height}, which never came"))),
     }
 }
@@ -195,6 +205,21 @@ fn check(model: &Model, height: u64, time: u64, claim: &Claim<'_>) -> Result<(),
                 return Err(Violation::new(NAME, what));
             }
         }
+        Claim::Read { asks: Asks::Readers, service, code, response, person } => {
+            let known = || model.known().and_then(|()| model.find(service).map(drop));
+            let wanted = match known() {
+                _ if model.is_revoked_now(*person) => Err(Code::Revoked),
+                Err(code) => Err(code),
+                Ok(()) => Ok((model.readers(service, time), model.key_places(service))),
+            };
+            let found = if *code == Code::Ok { Ok(read_readers(response)) } else { Err(*code) };
+            let unknown = found.as_ref().err() == Some(&Code::UnknownFunction);
+            let is_older = || unknown && model.by_older_rules().is_some_and(|model| model.known().is_err());
+            if found != wanted && !is_older() {
+                let what = format!("readers of {service} at height {height}: {found:?}, the model says {wanted:?}");
+                return Err(Violation::new(NAME, what));
+            }
+        }
         Claim::Read { service, code, response, person, .. } => {
             let wanted = match model.find(service) {
                 _ if model.is_revoked_now(*person) => Err(Code::Revoked),
@@ -219,4 +244,11 @@ fn check(model: &Model, height: u64, time: u64, claim: &Claim<'_>) -> Result<(),
         }
     }
     Ok(())
+}
+
+/// The readers of a service, and where the newest content keys are.
+fn read_readers(response: &[u8]) -> (Vec<Listed>, Vec<(String, u64)>) {
+    let Readers { readers, keys, .. } = serde_json::from_slice(response).unwrap();
+    let listed = readers.into_iter().map(|one| Listed { reader: one.reader, key: one.key, may_read: one.may_read });
+    (listed.collect(), keys.into_iter().map(|place| (place.publisher, place.key)).collect())
 }

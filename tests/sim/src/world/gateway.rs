@@ -89,6 +89,7 @@ impl World {
         let service = Bytes::from(service.clone());
         let answer = match asks {
             Asks::Holders => running.ledger.query(caller, clock, "abac", "service", &[service]),
+            Asks::Readers => running.ledger.query(caller, clock, "abac", "readers", &[service]),
             Asks::MayRead => running.ledger.query(caller, clock, "abac", "authorize", &[service, "subscribe".into()]),
         };
         let (code, response) = match answer {

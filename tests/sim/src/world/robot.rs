@@ -7,11 +7,14 @@ mod untruth;
 pub use untruth::Untruth;
 
 use super::{Event, World};
-use crate::client::Client;
+use crate::client::{BRIDGE, Client};
 use crate::clock::{MILLISECOND, SECOND};
+use crate::confidential::{SERVICE, pair};
 use crate::invariant::{Check, Passed, Violation};
-use crate::robot::{ANSWER_MAX, Delivery, IDENTITY, QUIET_MAX, ROBOTS, Robot, Step};
+use crate::robot::{ANSWER_MAX, CONFIDENTIAL, Delivery, IDENTITY, QUIET_MAX, ROBOTS, Robot, Step};
 use ledger::network::Genesis;
+use ledger::transaction::Transaction;
+use ledger_confidential::Keyring;
 use ledger_gate::gate::Refused;
 use ledger_gate::guard::{Act, Block, Told};
 use ledger_light::Proof;
@@ -46,6 +49,7 @@ impl World {
         let has_robot = !self.plan.activates && random.percent(80);
         if let Some(governance) = Genesis::governance(&self.genesis).unwrap().filter(|_| has_robot) {
             let robot = random.pick(&ROBOTS).copied().unwrap_or(ROBOTS[0]);
+            let robot = if self.plan.confidential { CONFIDENTIAL } else { robot };
             let client = self.clients.len();
             self.clients.push(Client::for_robot(IDENTITY));
             let offset = random.below(100 * MILLISECOND) as i64 - 50 * MILLISECOND as i64;
@@ -153,10 +157,11 @@ impl World {
         let now = robot.clocks(self.now);
         for event in &delivery.events {
             // Whatever passes is one of these.
-            if let Ok(transaction) = ledger::transaction::Transaction::decode(event.transaction.clone())
+            if let Ok(transaction) = Transaction::decode(event.transaction.clone())
                 && let Some(payload) = transaction.body().args.get(3)
             {
-                robot.told.insert(payload.clone(), transaction);
+                let message = self.sealed.get(payload).unwrap_or(payload).clone();
+                robot.told.insert(message, transaction);
             }
         }
         for at in 0..robot.watched.len() {
@@ -197,6 +202,9 @@ impl World {
                         // A new stream shows the certificates again.
                         robot.stream = None;
                     }
+                    if refused == Refused::NoKey {
+                        self.fetch_content_keys(robot);
+                    }
                     self.note(format_args!("robot: {service} lets a message not pass: {}", refused.name()));
                 }
                 Act::Publish(passed) => {
@@ -205,6 +213,9 @@ impl World {
                             return Err(Violation::new("gate", format!("{service}: nobody told of {sample:?}")));
                         };
                         *self.coverage.gate.entry("passed").or_default() += 1;
+                        if service == SERVICE {
+                            self.coverage.confides("sealed message passed a gate");
+                        }
                         let creator = self.people.by_fingerprint(&transaction.creator());
                         let who = creator.map(crate::people::Person::id).unwrap_or_default();
                         let id = transaction.id();
@@ -219,6 +230,28 @@ impl World {
             }
         }
         Ok(())
+    }
+
+    /// The robot reads the content keys of before from the blocks of its node (`crates/ros-bridge/src/reading.rs`).
+    fn fetch_content_keys(&mut self, robot: &mut Robot) {
+        let Some(watched) = robot.watched.iter_mut().find(|watched| watched.id == SERVICE) else { return };
+        let tip = robot.stream.as_ref().and_then(|stream| self.tip(stream.node)).map_or(0, |tip| tip.0);
+        let mut keyring = Keyring::new(self.network, BRIDGE.to_owned(), pair(BRIDGE, 0));
+        for block in self.blocks.iter().take(tip as usize) {
+            let outcome = &block.outcome;
+            for emitted in outcome.events.iter().filter(|emitted| emitted.event.name == "keyed") {
+                let transaction = emitted.index.and_then(|index| outcome.transactions.get(index as usize));
+                let transaction = transaction.and_then(|bytes| Transaction::decode(bytes.clone()).ok());
+                let Some((transaction, share)) = transaction.and_then(|signed| {
+                    serde_json::from_slice(signed.body().args.get(2)?).ok().map(|share| (signed, share))
+                }) else {
+                    continue;
+                };
+                let publisher = self.people.by_fingerprint(&transaction.creator()).map(crate::people::Person::id);
+                keyring.learn(SERVICE, &publisher.unwrap_or_default(), outcome.header.height, &share);
+            }
+        }
+        watched.guard.read_with(keyring);
     }
 
     /// Nobody says how the robot stands. `gone`: because there is no such robot.

@@ -385,7 +385,7 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    pub(super) fn known(&self) -> Result<(), Code> {
+    pub(in crate::oracle) fn known(&self) -> Result<(), Code> {
         if self.has_contests() { Ok(()) } else { Err(Code::UnknownFunction) }
     }
 

@@ -7,6 +7,7 @@ use super::ends::Why;
 use super::tasks::Task;
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
+use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::Code;
@@ -144,24 +145,17 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    pub(super) fn set(&mut self, who: &Person, id: &str, epoch: u64, seq: u64, time: u64) -> Verdict {
-        let (robot, service) = self.find(id)?;
-        if service.reads {
-            return Err(Code::UnknownService);
-        }
-        let mut used = None;
-        if service.is_open() && epoch == 0 {
-            self.permits(who, &robot, &service, time)?;
-            self.goes(&robot, &service)?;
-        } else {
-            match self.own(who, id, time) {
-                Some(own) if own.epoch == epoch => used = Some(own),
-                _ if self.stopped.contains(&robot.name) => return Err(Code::Stopped),
-                Some(_) => return Err(Code::StaleEpoch),
-                None if epoch > 0 && epoch < self.epoch(id) => return Err(Code::StaleEpoch),
-                None => return Err(self.permits(who, &robot, &service, time).err().unwrap_or(Code::NotHolder)),
-            }
-        }
+    pub(super) fn set(
+        &mut self,
+        who: &Person,
+        id: &str,
+        (epoch, seq): (u64, u64),
+        payload: Option<&Bytes>,
+        time: u64,
+    ) -> Verdict {
+        let used = self.may_publish(who, id, epoch, time)?;
+        let (_, service) = self.find(id)?;
+        self.check_key(who, id, payload.map_or(&[][..], |payload| &payload[..]), time)?;
         // Publishers that stand side by side number their messages apart.
         let apart = service.mode != "exclusive";
         let place = (id.to_owned(), if apart { who.id() } else { String::new() });
@@ -174,6 +168,26 @@ impl Model {
         used.into_iter().for_each(|own| self.used(id, &own, time));
         self.last.insert(place, (epoch, seq));
         Ok(Code::Ok.into())
+    }
+
+    /// May they publish? Answers with the grant that lets them, if it is one that does.
+    pub(super) fn may_publish(&self, who: &Person, id: &str, epoch: u64, time: u64) -> Result<Option<Grant>, Code> {
+        let (robot, service) = self.find(id)?;
+        if service.reads {
+            return Err(Code::UnknownService);
+        }
+        if service.is_open() && epoch == 0 {
+            self.permits(who, &robot, &service, time)?;
+            self.goes(&robot, &service)?;
+            return Ok(None);
+        }
+        match self.own(who, id, time) {
+            Some(own) if own.epoch == epoch => Ok(Some(own)),
+            _ if self.stopped.contains(&robot.name) => Err(Code::Stopped),
+            Some(_) => Err(Code::StaleEpoch),
+            None if epoch > 0 && epoch < self.epoch(id) => Err(Code::StaleEpoch),
+            None => Err(self.permits(who, &robot, &service, time).err().unwrap_or(Code::NotHolder)),
+        }
     }
 
     /// Use keeps a grant alive, but is written down only when it is worth it, and only while policies permit.

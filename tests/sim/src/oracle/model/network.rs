@@ -89,6 +89,11 @@ impl Nodes {
         self.active() != newest
     }
 
+    /// The height of the next block.
+    pub(super) fn height(&self) -> u64 {
+        self.next.0
+    }
+
     pub(super) fn active(&self) -> u32 {
         let reached = self.rules.iter().rfind(|activation| activation.height <= self.next.0);
         reached.map_or(0, |activation| activation.number)

@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 const READERS: &str = ":subscribe";
 
 /// A robot as it was registered.
-#[derive(Clone, Deserialize)]
+#[derive(Clone, PartialEq, Deserialize)]
 pub(in crate::oracle) struct Robot {
     #[serde(skip)]
     pub(super) owner: String,
@@ -20,7 +20,7 @@ pub(in crate::oracle) struct Robot {
 }
 
 /// A service as it was registered, or the places of its readers.
-#[derive(Clone, Deserialize)]
+#[derive(Clone, PartialEq, Deserialize)]
 pub(in crate::oracle) struct Service {
     pub(super) topic: String,
     pub(super) mode: String,

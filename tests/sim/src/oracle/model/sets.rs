@@ -113,7 +113,7 @@ impl Governance {
 
 impl Model {
     /// The policies of an organisation that are in force.
-    fn policies_of(&self, organisation: &str) -> Policies {
+    pub(super) fn policies_of(&self, organisation: &str) -> Policies {
         let own = self.policies.iter().filter(|((owner, _), _)| owner == organisation);
         own.map(|((_, id), policy)| (id.clone(), *policy)).collect()
     }

@@ -3,6 +3,7 @@
 use super::super::model::{Model, State};
 use super::NAME;
 use crate::client::{READERS, SERVICES};
+use crate::confidential::SERVICE;
 use crate::invariant::Violation;
 use ledger::Outcome;
 use serde::Deserialize;
@@ -105,7 +106,11 @@ impl Standing {
     pub(super) fn check(&mut self, model: &Model, outcome: &Outcome) -> Result<(), Violation> {
         let height = outcome.header.height;
         let wrong = |what: String| Violation::new(NAME, format!("after block {height}: {what}"));
-        for service in SERVICES.into_iter().flat_map(|service| [service.to_owned(), format!("{service}{READERS}")]) {
+        for service in SERVICES
+            .into_iter()
+            .chain([SERVICE])
+            .flat_map(|service| [service.to_owned(), format!("{service}{READERS}")])
+        {
             let holders: BTreeSet<_> =
                 model.stored(&service).iter().map(|grant| (grant.holder.clone(), grant.epoch)).collect();
             let own = model.line(&service).iter().filter(|waiter| waiter.task.is_none());

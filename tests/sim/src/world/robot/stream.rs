@@ -12,8 +12,8 @@ const BLOCKS_MAX: u64 = 64;
 /// A node gives a sign of life that often, microseconds.
 const HEARTBEAT: u64 = 250 * MILLISECOND;
 /// The names of the events that the robot wants.
-const NAMES: [&str; 8] =
-    ["message", "granted", "released", "robot", "stopped", "resumed", "revoked", "revocation_list"];
+const NAMES: [&str; 9] =
+    ["message", "granted", "released", "robot", "stopped", "resumed", "revoked", "revocation_list", "keyed"];
 
 impl World {
     /// The robot turns to a node: often to the one that lies, while it does.

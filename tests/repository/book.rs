@@ -1,0 +1,140 @@
+//! The book: docs/SUMMARY.md lists every page once, the pictures are readable by day and by night, and what is made from the
+//! sources is up to date. `LEDGERD_REFERENCE=write cargo test --test repository book` makes it anew.
+
+use crate::sources::{files, read, root};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The page below which the decisions are listed.
+const REASONS: &str = "- [Reasons](decisions/README.md)\n";
+
+fn docs() -> PathBuf {
+    root().join("docs")
+}
+
+/// The entries of the summary: titles and files below docs/, in their order.
+fn entries() -> Vec<(String, String)> {
+    let summary = read(&docs().join("SUMMARY.md"));
+    let entry = |line: &str| {
+        let (title, file) =
+            line.trim().trim_start_matches("- ").strip_prefix('[')?.strip_suffix(')')?.split_once("](")?;
+        Some((title.to_owned(), file.to_owned()))
+    };
+    summary.lines().filter_map(entry).collect()
+}
+
+/// Compares a file with what it is to be, or writes it.
+fn made(path: &Path, wanted: &str) {
+    if std::env::var_os("LEDGERD_REFERENCE").is_some() {
+        std::fs::write(path, wanted).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        return;
+    }
+    let why = "make it anew: LEDGERD_REFERENCE=write cargo test --test repository book";
+    assert!(read(path) == wanted, "{} is not what the sources say; {why}", path.display());
+}
+
+#[test]
+fn the_summary_lists_every_page_once() {
+    let listed: Vec<String> = entries().into_iter().map(|(_, file)| file).collect();
+    let once: BTreeSet<&String> = listed.iter().collect();
+    assert_eq!(once.len(), listed.len(), "a page stands twice in docs/SUMMARY.md");
+    let pages = files(&docs(), ".md").into_iter().map(|path| {
+        let below = path.strip_prefix(docs()).unwrap_or(&path);
+        below.to_string_lossy().into_owned()
+    });
+    let pages: BTreeSet<String> = pages.filter(|page| page != "SUMMARY.md").collect();
+    let listed: BTreeSet<String> = listed.into_iter().collect();
+    assert_eq!(listed, pages, "left: docs/SUMMARY.md; right: the pages below docs/");
+}
+
+#[test]
+fn the_summary_lists_the_decisions_in_their_order_with_their_titles() {
+    let path = docs().join("SUMMARY.md");
+    let summary = read(&path);
+    let (before, _) = summary.split_once(REASONS).unwrap_or_else(|| panic!("docs/SUMMARY.md lacks {REASONS:?}"));
+    let decisions = files(&docs().join("decisions"), ".md").into_iter().filter(|path| !path.ends_with("README.md"));
+    let decisions: BTreeMap<String, String> = decisions
+        .map(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            (name, read(&path).lines().next().unwrap_or_default().trim_start_matches("# ").to_owned())
+        })
+        .collect();
+    let listed: String = decisions.iter().map(|(name, title)| format!("  - [{title}](decisions/{name})\n")).collect();
+    made(&path, &format!("{before}{REASONS}{listed}"));
+}
+
+#[test]
+fn each_concept_has_one_picture_that_is_readable_by_day_and_by_night() {
+    let page = read(&docs().join("concepts.md"));
+    let sections: Vec<&str> = page.split("\n## ").skip(1).collect();
+    let picture = |section: &&str| {
+        let mut names = section.split("](pictures/").skip(1).filter_map(|rest| rest.split_once(')'));
+        let (name, _) = names.next().unwrap_or_else(|| panic!("no picture in {section}"));
+        assert!(names.next().is_none(), "two pictures in {section}");
+        name.to_owned()
+    };
+    let used: BTreeSet<String> = sections.iter().map(picture).collect();
+    let drawn = files(&docs().join("pictures"), ".svg");
+    let names = drawn.iter().filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+    assert_eq!(used, names.collect(), "left: docs/concepts.md; right: docs/pictures");
+    for path in drawn {
+        let text = read(&path);
+        for part in ["<title", "<desc", "class=\"card\"", "@media (prefers-color-scheme:dark)"] {
+            assert!(text.contains(part), "{} lacks {part}", path.display());
+        }
+        for foreign in ["href", "<script", "<image", "@import", "url(http"] {
+            assert!(!text.contains(foreign), "{} needs something from elsewhere: {foreign}", path.display());
+        }
+    }
+}
+
+/// A setting of ledgerd.toml.
+struct Setting {
+    key: String,
+    default: String,
+    meaning: String,
+}
+
+/// The sections of ledgerd.toml with their settings. The one without a name comes first.
+fn settings() -> Vec<(String, Vec<Setting>)> {
+    let mut sections = vec![(String::new(), Vec::new())];
+    let mut comment: Vec<String> = Vec::new();
+    for line in read(&root().join("ledgerd.toml")).lines() {
+        if let Some(words) = line.strip_prefix("# ") {
+            comment.push(words.to_owned());
+        } else if let Some((key, default)) = line.strip_prefix('#').and_then(|setting| setting.split_once(" = ")) {
+            let meaning = std::mem::take(&mut comment).join(" ");
+            if let Some((_, section)) = sections.last_mut() {
+                section.push(Setting { key: key.to_owned(), default: default.to_owned(), meaning });
+            }
+        } else if let Some(name) = line.strip_prefix('[') {
+            comment.clear();
+            sections.push((name.trim_end_matches(']').to_owned(), Vec::new()));
+        } else {
+            comment.clear();
+        }
+    }
+    sections
+}
+
+#[test]
+fn the_page_about_settings_is_that_of_the_configuration_file() {
+    let mut page = String::from(
+        "# Settings of a node\n\nA test makes this page from [ledgerd.toml](../ledgerd.toml), which is compared with the program. Remove the \
+         `#` before a setting there to change it. `ledgerd check --config FILE` names every fault at once. Times and sizes have bounds, and a \
+         value outside of them is refused.\n\nThe settings of a bridge: [Bridges](bridge.md#settings).\n",
+    );
+    let mut seen = 0;
+    for (section, settings) in settings() {
+        let heading = if section.is_empty() { "At the top".to_owned() } else { format!("`[{section}]`") };
+        page.push_str(&format!("\n## {heading}\n\n| setting | default | meaning |\n|---|---|---|\n"));
+        // Some settings have one comment together: it stands with the first.
+        for Setting { key, default, meaning } in settings {
+            let meaning = meaning.replace('|', "\\|").replace('<', "&lt;");
+            page.push_str(&format!("| `{key}` | `{default}` | {meaning} |\n"));
+            seen += 1;
+        }
+    }
+    assert!(seen > 15, "{seen} settings are found in ledgerd.toml");
+    made(&docs().join("configuration.md"), &page);
+}
