@@ -1,15 +1,17 @@
 //! A node: a host and its instance, up and down in order.
 
 use super::serve::Serving;
-use super::{Host, Papers};
+use super::{Host, Papers, Services};
 use crate::admin::Admin;
 use crate::bridge::NodeBridge;
 use crate::config::Config;
+use crate::console::{Console, Parts};
 use crate::instance::{Ended, Instance, Prepared};
 use crate::join::{advised, nothing_here};
 use crate::stores::Stores;
 use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::{AccessControl, Rule};
+use ledger_api::tls::TlsIdentity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::net::SocketAddr;
@@ -101,6 +103,7 @@ pub struct Node {
     serving: Serving,
     bridge: Option<NodeBridge>,
     admin: Option<Admin>,
+    console: Option<Console>,
 }
 
 impl Node {
@@ -132,6 +135,7 @@ impl Node {
                 Some(Admin::serve(address, node, (identity.clone(), trust)).await?)
             }
         };
+        let console = console(config, &host, &services, &identity).await?;
         let serving = host.serve(network, identity, services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
@@ -143,7 +147,7 @@ impl Node {
         let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
-        Ok(Self { host, instance, serving, bridge, admin })
+        Ok(Self { host, instance, serving, bridge, admin, console })
     }
 
     /// Takes over the routes of the bridge in another configuration. All other settings, and a bridge that comes or goes as a whole, count
@@ -164,6 +168,11 @@ impl Node {
     /// Where the page for whoever watches the node is, if there is one.
     pub fn admin(&self) -> Option<SocketAddr> {
         self.admin.as_ref().map(Admin::address)
+    }
+
+    /// Where browsers find its console, such as `http://127.0.0.1:7452`, if there is one.
+    pub fn console(&self) -> Option<&str> {
+        self.console.as_ref().map(Console::address)
     }
 
     /// The ledger, for looking into it in the same process.
@@ -192,4 +201,29 @@ impl Node {
         self.host.leave().await;
         self.instance.stop().await;
     }
+}
+
+/// The console, if the configuration wants one; the node tells where it is.
+async fn console(
+    config: &Config,
+    host: &Host,
+    services: &Services,
+    identity: &TlsIdentity,
+) -> Result<Option<Console>, Rejection> {
+    if config.console.listen.is_empty() {
+        return Ok(None);
+    }
+    let parts = Parts {
+        gateway: services.gateway.clone(),
+        enrolment: services.enrolment.clone(),
+        trust: Arc::clone(&services.trust),
+        identity: identity.clone(),
+    };
+    let reached = match config.member.address.as_str() {
+        "" => host.own_gateway(),
+        address => address.to_owned(),
+    };
+    let console = Console::serve(&config.console, &reached, parts).await?;
+    let _told_once = services.gateway.description.console.set(console.address().to_owned());
+    Ok(Some(console))
 }

@@ -2,8 +2,8 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    audit, bridge, ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity,
-    ledger, light, message, network, policy, prove, readers, record, replay, robot, task, whoami,
+    audit, bridge, ca, can, chaincode, completions, console, context, denials, emergency, enroll, explain, grant,
+    identity, ledger, light, message, network, policy, prove, readers, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -92,6 +92,7 @@ enum Command {
     #[command(subcommand)]
     Policy(policy::Policy),
     Can(can::Can),
+    Console(console::Console),
     Invoke(chaincode::Invoke),
     Query(chaincode::Query),
     Light(light::Light),
@@ -152,6 +153,7 @@ impl Cli {
             Command::Bridge(command) => command.run(global, output).await,
             Command::Policy(command) => command.run(global, output).await,
             Command::Can(command) => command.run(global, output).await,
+            Command::Console(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,
             Command::Query(command) => command.run(global, output).await,
             Command::Light(command) => command.run(global, output).await,
