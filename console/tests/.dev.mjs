@@ -10,7 +10,7 @@ import puppeteer from "puppeteer-core";
 
 const [ownerLink, memberLink, shots] = process.argv.slice(2);
 const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-const WAIT_MS = 60_000;
+const WAIT_MS = 20_000;
 const DESK = { width: 1280, height: 900 };
 const PHONE = { width: 390, height: 844, isMobile: true, hasTouch: true };
 
@@ -176,8 +176,10 @@ async function story() {
   await owner.waitForFunction(() => /^Block \d+$|^Transaction$/.test(document.querySelector("h1")?.textContent ?? ""), { timeout: WAIT_MS });
   await photograph(owner, "block");
   await accessible(owner, "block");
-  const transaction = await owner.$('td a[href^="#/tx/"]');
-  if (transaction) await transaction.click();
+  if (!(await owner.evaluate(() => location.hash.startsWith("#/tx/")))) {
+    const transaction = await owner.waitForSelector('td a[href^="#/tx/"]', { timeout: WAIT_MS });
+    await transaction.click();
+  }
   await owner.waitForFunction(() => document.querySelector("h1")?.textContent === "Transaction", { timeout: WAIT_MS });
   await press(owner, "Check the proof");
   await shows(owner, "The proof holds: signed by Org1/node1");

@@ -153,8 +153,8 @@ async function story() {
   // A refused action shows its reason.
   await go(member, "#/robots/Rover", "Rover");
   await press(member, "Stop");
-  await member.waitForSelector('main [role="alert"]', { timeout: WAIT_MS });
-  const reason = await member.$eval('main [role="alert"]', (alert) => alert.innerText);
+  await shows(member, "may not stop Rover");
+  const reason = await member.$eval('.actions ~ [role="alert"]', (alert) => alert.innerText);
   check(/LGR-3\d+/.test(reason) && /try/i.test(reason), `a refusal without code or advice: ${reason}`);
   say(`refused: ${reason.replaceAll("\n", " ")}`);
   await accessible(member, "refusal");
@@ -175,8 +175,10 @@ async function story() {
   await owner.waitForFunction(() => /^Block \d+$|^Transaction$/.test(document.querySelector("h1")?.textContent ?? ""), { timeout: WAIT_MS });
   await photograph(owner, "block");
   await accessible(owner, "block");
-  const transaction = await owner.$('td a[href^="#/tx/"]');
-  if (transaction) await transaction.click();
+  if (!(await owner.evaluate(() => location.hash.startsWith("#/tx/")))) {
+    const transaction = await owner.waitForSelector('td a[href^="#/tx/"]', { timeout: WAIT_MS });
+    await transaction.click();
+  }
   await owner.waitForFunction(() => document.querySelector("h1")?.textContent === "Transaction", { timeout: WAIT_MS });
   await press(owner, "Check the proof");
   await shows(owner, "The proof holds: signed by Org1/node1");

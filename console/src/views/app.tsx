@@ -89,7 +89,7 @@ export function App(): JSX.Element {
   }, []);
 
   if (state === "begins") return <main class="alone" aria-busy="true" />;
-  if (state === "stranger" || !identity || isLink(where)) return <Enrol where={where} error={error} entered={enter} />;
+  if (state === "stranger" || !identity || isLink(where)) return <Enrol key={isLink(where) ? where.join("/") : ""} where={where} error={error} entered={enter} />;
   return (
     <>
       <a class="skip" href="#main" onClick={(event) => (event.preventDefault(), document.querySelector<HTMLElement>("main")?.focus())}>

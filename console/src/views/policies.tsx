@@ -16,9 +16,11 @@ import { Action, Empty, Fact, Facts, Page, Refused, Table, address } from "./par
 export function Policies({ organisation: own, chosen }: { organisation: string; chosen: string }): JSX.Element {
   const { answer: all, error } = useAnswer(() => list<Policy>("abac", "policies"), [], 5000);
   const owners = useStore(robots)?.map((robot) => robot.organisation) ?? [];
-  const organisations = [...new Set([own, ...owners, ...(all ?? []).map((policy) => policy.organisation)])].sort();
+  const organisations = [...new Set([own, ...owners, ...(all ?? []).map((policy) => policy.organisation)])].filter(Boolean).sort();
   const organisation = chosen || own;
-  const shown = all?.filter((policy) => policy.organisation === organisation);
+  const theirs = all?.filter((policy) => policy.organisation === organisation);
+  // The default of the network has no owner.
+  const shown = theirs?.length ? theirs : all?.filter((policy) => !policy.organisation);
   return (
     <Page title="Policies" aside={<a href={address("can", "")}>Can somebody do something?</a>}>
       <div class="tabs" role="group" aria-label="Organisations">
@@ -30,7 +32,7 @@ export function Policies({ organisation: own, chosen }: { organisation: string; 
       </div>
       {error !== undefined && <Refused error={error} />}
       <h2>In force</h2>
-      {shown?.length === 0 && <Empty>{organisation} has no policies of its own: the attribute that a robot requires decides.</Empty>}
+      {theirs?.length === 0 && <p class="dim">{organisation} has no policies of its own. The default decides.</p>}
       {shown?.map((policy) => (
         <details key={policy.id} open={shown.length < 4}>
           <summary>{policy.id}</summary>
