@@ -108,9 +108,8 @@ async function follow(signal: AbortSignal, names: string[]): Promise<void> {
   let from = 0n;
   while (!signal.aborted) {
     try {
-      const stream = gateway.subscribe({ fromHeight: from, names, heartbeatMs: HEARTBEAT_MS }, { signal });
+      const stream = gateway.subscribe({ fromHeight: from, names, heartbeatMs: HEARTBEAT_MS }, { signal, onHeader: () => connected.set(true) });
       for await (const delivery of stream) {
-        connected.set(true);
         if (delivery.early) continue;
         from = delivery.height + 1n;
         if (delivery.events.length) heard(delivery);

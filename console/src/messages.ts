@@ -4,7 +4,7 @@ import { fromBinary } from "@bufbuild/protobuf";
 import { TransactionBodySchema, TransactionSchema } from "./gen/ledgerd/v1/transaction_pb";
 import { hex, own, text } from "./bytes";
 import { now } from "./ledger";
-import { hasEnded } from "./refusal";
+import { hasEnded, isDenied } from "./refusal";
 import { gateway } from "./session";
 
 // Bridges and ledgerctl sign a message for so long, microseconds: so its signature says when it was made.
@@ -74,6 +74,8 @@ export class Messages {
       } catch (error) {
         if (signal.aborted || hasEnded(error)) return;
         this.failed(error);
+        // A right that is missing does not come back by asking, and each question would be a refusal in the books.
+        if (isDenied(error)) return;
       }
       await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
     }

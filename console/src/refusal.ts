@@ -26,6 +26,9 @@ export function accepted(verdict: Verdict | undefined): void {
 // The session of this page has ended.
 export const hasEnded = (error: unknown): boolean => error instanceof ConnectError && error.code === Code.Unauthenticated;
 
+// This identity may not.
+export const isDenied = (error: unknown): boolean => error instanceof ConnectError && error.code === Code.PermissionDenied;
+
 export function refusal(error: unknown): Refusal {
   if (error instanceof Refusal) return error;
   if (error instanceof ConnectError) {

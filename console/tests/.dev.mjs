@@ -145,7 +145,7 @@ async function story() {
   await go(owner, "#/robots/Rover", "Rover");
   say("wants driving");
   await shows(owner, "linear.x");
-  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && document.querySelector("canvas"), { timeout: WAIT_MS });
+  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && /Rate\s+[1-9]/.test(document.body.innerText) && document.querySelector("canvas"), { timeout: WAIT_MS });
   const before = await owner.$eval("figure canvas", (canvas) => canvas.toDataURL());
   await owner.waitForFunction((old) => document.querySelector("figure canvas").toDataURL() !== old, { timeout: WAIT_MS }, before);
   await photograph(owner, "robot");
@@ -154,8 +154,8 @@ async function story() {
   // A refused action shows its reason.
   await go(member, "#/robots/Rover", "Rover");
   await press(member, "Stop");
-  await member.waitForSelector('main [role="alert"]', { timeout: WAIT_MS });
-  const reason = await member.$eval('main [role="alert"]', (alert) => alert.innerText);
+  await shows(member, "may not stop Rover");
+  const reason = await member.$eval('.actions ~ [role="alert"]', (alert) => alert.innerText);
   check(/LGR-3\d+/.test(reason) && /try/i.test(reason), `a refusal without code or advice: ${reason}`);
   say(`refused: ${reason.replaceAll("\n", " ")}`);
   await accessible(member, "refusal");

@@ -144,7 +144,7 @@ async function story() {
   await go(owner, "#/robots/Rover", "Rover");
   say("wants driving");
   await shows(owner, "linear.x");
-  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && document.querySelector("canvas"), { timeout: WAIT_MS });
+  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && /Rate\s+[1-9]/.test(document.body.innerText) && document.querySelector("canvas"), { timeout: WAIT_MS });
   const before = await owner.$eval("figure canvas", (canvas) => canvas.toDataURL());
   await owner.waitForFunction((old) => document.querySelector("figure canvas").toDataURL() !== old, { timeout: WAIT_MS }, before);
   await photograph(owner, "robot");
@@ -153,8 +153,8 @@ async function story() {
   // A refused action shows its reason.
   await go(member, "#/robots/Rover", "Rover");
   await press(member, "Stop");
-  await shows(member, "may not stop Rover");
-  const reason = await member.$eval('.actions ~ [role="alert"]', (alert) => alert.innerText);
+  const told = () => [...document.querySelectorAll('[role="alert"]')].map((alert) => alert.innerText).find((text) => text.includes("may not stop Rover"));
+  const reason = await (await member.waitForFunction(told, { timeout: WAIT_MS })).jsonValue();
   check(/LGR-3\d+/.test(reason) && /try/i.test(reason), `a refusal without code or advice: ${reason}`);
   say(`refused: ${reason.replaceAll("\n", " ")}`);
   await accessible(member, "refusal");

@@ -3,6 +3,7 @@
 import type { JSX } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
+import { WINDOW_S } from "../messages";
 
 export interface Series {
   label: string;
@@ -26,12 +27,12 @@ export function Chart({ label, unit, series, data }: { label: string; unit: stri
         height: HEIGHT,
         legend: { show: false },
         cursor: { show: false },
-        scales: { x: { time: true }, y: { range: (_, __, max) => [0, Math.max(max ?? 0, 1) * 1.1] } },
+        scales: { x: { time: true, range: (_, __, max) => [max - WINDOW_S + 1, max] }, y: { range: (_, __, max) => [0, Math.max(max ?? 0, 1) * 1.1] } },
         axes: [
           { ...axis, values: (_, times) => times.map((time) => new Date(time * 1000).toLocaleTimeString(undefined, { hour12: false, minute: "2-digit", second: "2-digit" })) },
           { ...axis, size: 56, values: (_, values) => values.map((value) => `${value} ${unit}`) },
         ],
-        series: [{}, ...series.map(({ label: name, color, dash }) => ({ label: name, stroke: style(color), width: 2, dash, spanGaps: true, points: { show: false } }))],
+        series: [{}, ...series.map(({ label: name, color, dash }) => ({ label: name, stroke: style(color), width: 2, dash, spanGaps: true, points: { show: true, size: 4 } }))],
       },
       data,
       host,

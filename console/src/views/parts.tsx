@@ -79,8 +79,12 @@ export function Empty({ children }: { children: ComponentChildren }): JSX.Elemen
   return <p class="empty">{children}</p>;
 }
 
-// A table that scrolls sideways on a narrow screen, also by keyboard.
+// A table. On a narrow screen each row stands by itself, and each cell with the name of its column.
 export function Table({ label, head, children }: { label: string; head: string[]; children: ComponentChildren }): JSX.Element {
+  const body = useRef<HTMLTableSectionElement>(null);
+  useEffect(() => {
+    for (const row of body.current?.rows ?? []) [...row.cells].forEach((cell, at) => (cell.dataset.name = head[at] ?? ""));
+  });
   return (
     <div class="scroll" role="region" aria-label={label} tabIndex={0}>
       <table>
@@ -94,7 +98,7 @@ export function Table({ label, head, children }: { label: string; head: string[]
             ))}
           </tr>
         </thead>
-        <tbody>{children}</tbody>
+        <tbody ref={body}>{children}</tbody>
       </table>
     </div>
   );
