@@ -64,7 +64,7 @@ pub(crate) struct Console {
     serving: JoinHandle<()>,
 }
 
-/// What the handlers share.
+/// The parts that the handlers share.
 struct Shared {
     parts: Parts,
     names: Names,

@@ -96,16 +96,6 @@ export async function enrol(organisation: string, name: string, secret: string):
   return identity;
 }
 
-// A new certificate, with a new key, for an identity whose certificate ends soon.
-export async function renew(identity: Identity): Promise<Identity> {
-  const { key, request } = await makeKey(identity.name);
-  const answer = await enrolment.renew({ request });
-  accepted(answer.verdict);
-  const renewed = { ...identity, key, certificate: Uint8Array.from(answer.certificate) };
-  await save(renewed);
-  return renewed;
-}
-
 export async function abandon(): Promise<void> {
   close();
   await forget();

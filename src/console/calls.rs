@@ -25,7 +25,7 @@ const CALL_BYTES_MAX: usize = 1 << 20;
 const STRANGER_BYTES_MAX: usize = 32 << 10;
 
 /// The calls of a session.
-const CALLS: [&str; 12] = [
+const CALLS: [&str; 11] = [
     "/ledgerd.v1.Gateway/Audit",
     "/ledgerd.v1.Gateway/Denials",
     "/ledgerd.v1.Gateway/GetBlock",
@@ -37,7 +37,6 @@ const CALLS: [&str; 12] = [
     "/ledgerd.v1.Gateway/Status",
     "/ledgerd.v1.Gateway/Submit",
     "/ledgerd.v1.Gateway/Subscribe",
-    "/ledgerd.v1.Enrolment/Renew",
 ];
 
 /// The calls of a browser that has no identity yet.

@@ -10,7 +10,7 @@
 
 use super::Shared;
 use super::guard::Origin;
-use super::sessions::SILENCE_MAX;
+use super::sessions::QUIET_MAX;
 use crate::doors::Source;
 use axum::Router;
 use axum::body::Bytes;
@@ -136,7 +136,7 @@ impl Shared {
         self.sessions.enter(&token, Arc::clone(&identity), Instant::now());
         tracing::info!(identity = identity.id(), "a browser has opened a session");
         let Identity { role, attributes, .. } = (*identity).clone();
-        let (session, silence_s) = (hex::encode(token), SILENCE_MAX.as_secs());
+        let (session, silence_s) = (hex::encode(token), QUIET_MAX.as_secs());
         Ok(Opened { session, id: identity.id(), role, attributes, silence_s })
     }
 }

@@ -1,5 +1,5 @@
 //! The sessions that are open. A session is known by its token alone, which the page keeps in its memory. It ends when the page says
-//! so, after [`SILENCE_MAX`] without a call, and at the latest after [`LIFE_MAX`].
+//! so, after [`QUIET_MAX`] without a call, and at the latest after [`LIFE_MAX`].
 
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 /// Longest time without a call, while no stream is open either.
-pub(super) const SILENCE_MAX: Duration = Duration::from_secs(5 * 60);
+pub(super) const QUIET_MAX: Duration = Duration::from_secs(5 * 60);
 /// Longest life of a session, and of a connection.
 pub(super) const LIFE_MAX: Duration = Duration::from_secs(12 * 60 * 60);
 /// Most sessions of one identity; beyond it its oldest one ends.
@@ -111,7 +111,7 @@ impl Session {
 
     fn is_over(&self, now: Instant) -> bool {
         let calls = self.lock();
-        let is_silent = calls.open == 0 && now.saturating_duration_since(calls.last) >= SILENCE_MAX;
+        let is_silent = calls.open == 0 && now.saturating_duration_since(calls.last) >= QUIET_MAX;
         is_silent || now.saturating_duration_since(self.opened) >= LIFE_MAX
     }
 
@@ -168,8 +168,8 @@ mod tests {
         sessions.leave(b"leaves");
         assert!(sessions.find(b"leaves", start).is_none());
         let stream = sessions.find(b"talks ", start).unwrap().begin(start);
-        assert!(sessions.find(b"silent", start + SILENCE_MAX - second).is_some());
-        assert!(sessions.find(b"silent", start + SILENCE_MAX).is_none());
+        assert!(sessions.find(b"silent", start + QUIET_MAX - second).is_some());
+        assert!(sessions.find(b"silent", start + QUIET_MAX).is_none());
         assert!(sessions.find(b"silent", start).is_none(), "it does not come back");
         assert!(sessions.find(b"talks ", start + LIFE_MAX - second).is_some(), "a stream is open");
         assert!(sessions.find(b"talks ", start + LIFE_MAX).is_none());

@@ -271,9 +271,14 @@ fn a_challenge_is_good_once_and_for_one_origin_and_nothing_is_answered_to_other_
     assert_eq!(browser.ask("POST /session/challenge", &[("host", &host)], b"{}").status, 403, "no origin");
 
     // What changes something without a signature is no call of the console; nor is what nodes tell each other.
-    for path in
-        ["Gateway/TransferLeadership", "Enrolment/SealCa", "Enrolment/TakeCa", "Gateway/SubmitStream", "Peer/Talk"]
-    {
+    for path in [
+        "Gateway/TransferLeadership",
+        "Enrolment/Renew",
+        "Enrolment/SealCa",
+        "Enrolment/TakeCa",
+        "Gateway/SubmitStream",
+        "Peer/Talk",
+    ] {
         let refused = browser.call::<v1::StatusResponse>(path, &v1::StatusRequest {}).err().unwrap();
         assert_eq!(refused.status, 404, "{path}");
     }

@@ -97,7 +97,7 @@ export function App(): JSX.Element {
       </a>
       <Header where={where} id={idOf(identity)} />
       <main id="main" tabIndex={-1}>
-        {session && state === "open" && <Content where={where} identity={identity} session={session} renewed={setIdentity} />}
+        {session && state === "open" && <Content where={where} identity={identity} session={session} />}
         {state === "ended" && <Ended id={idOf(identity)} error={error} again={() => enter(identity)} />}
       </main>
     </>
@@ -135,10 +135,9 @@ interface Shown {
   where: string[];
   identity: Identity;
   session: Session;
-  renewed: (identity: Identity) => void;
 }
 
-function Content({ where: [place = "robots", first = "", ...rest], identity, session, renewed }: Shown): JSX.Element {
+function Content({ where: [place = "robots", first = "", ...rest], identity, session }: Shown): JSX.Element {
   switch (place) {
     case "robots":
       return first ? <OneRobot key={first} name={first} identity={identity} id={session.id} /> : <Robots />;
@@ -155,7 +154,7 @@ function Content({ where: [place = "robots", first = "", ...rest], identity, ses
     case "can":
       return <CanForm key={first} service={first} id={session.id} />;
     case "identities":
-      return <Identities identity={identity} role={session.role} attributes={session.attributes} renewed={renewed} />;
+      return <Identities identity={identity} role={session.role} attributes={session.attributes} />;
     case "nodes":
       return <Nodes />;
     default:

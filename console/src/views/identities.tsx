@@ -6,7 +6,7 @@ import { moment, span } from "../bytes";
 import type { Registered } from "../contract";
 import { type Identity, endOf, idOf } from "../identity";
 import { list, now } from "../ledger";
-import { abandon, renew } from "../session";
+import { abandon } from "../session";
 import { useAnswer } from "../store";
 import { Action, Fact, Facts, Page, Refused, Table } from "./parts";
 
@@ -16,10 +16,9 @@ interface Shown {
   identity: Identity;
   role: string;
   attributes: Record<string, string>;
-  renewed: (identity: Identity) => void;
 }
 
-export function Identities({ identity, role, attributes, renewed }: Shown): JSX.Element {
+export function Identities({ identity, role, attributes }: Shown): JSX.Element {
   const { answer: all, error } = useAnswer(() => list<Registered>("msp", "identities"), [], 10000);
   const [refused, setRefused] = useState<unknown>();
   const forget = async () => {
@@ -39,10 +38,8 @@ export function Identities({ identity, role, attributes, renewed }: Shown): JSX.
           <Fact name="Certificate ends">{ends(endOf(identity))}</Fact>
           <Fact name="Key">P-256, kept by this browser, and cannot be read by any page</Fact>
         </Facts>
+        <p class="dim">Before its certificate ends, an admin gives it a new link: ledgerctl console {identity.name} --reissue</p>
         <div class="actions">
-          <Action run={async () => renewed(await renew(identity))} refused={setRefused}>
-            Renew the certificate
-          </Action>
           <Action kind="danger" run={forget} refused={setRefused}>
             Forget this identity
           </Action>

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// What is added to the name of the caller for the name of its browser.
+/// Added to the name of the caller for the name of its browser.
 const BROWSER: &str = "-browser";
 
 /// Print a link for a browser: it opens the console of the node, and makes an identity of its own there.
