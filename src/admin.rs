@@ -4,13 +4,12 @@
 //! admin       the addresses: /livez, /readyz, /metrics
 //!   checks    what readiness consists of
 //!   metrics   the figures, as Prometheus and OpenMetrics read them
-//!   doors     plain on loopback, TLS elsewhere
 //! ```
 
 mod checks;
-mod doors;
 mod metrics;
 
+use crate::doors::{Doors, Room};
 use crate::gateway::Description;
 use axum::Router;
 use axum::extract::{RawQuery, State};
@@ -19,16 +18,20 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use checks::Check;
-use doors::Doors;
-use ledger_api::tls::{TlsIdentity, TrustSource};
+use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_rejection::{Code, Rejection};
 use std::net::SocketAddr;
 use std::sync::Arc;
-use tokio::net::TcpListener;
+use std::time::Duration;
 use tokio::task::JoinHandle;
 
 /// The form of `/metrics`: <https://prometheus.io/docs/specs/om/open_metrics_spec/>.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// Most connections at a time.
+const OPEN_MAX: usize = 32;
+/// Longest life of one. A program that watches connects again.
+const LIFE_MAX: Duration = Duration::from_secs(60);
 
 /// The page, as long as it is served. It ends when it is dropped.
 pub(crate) struct Admin {
@@ -47,13 +50,19 @@ impl Admin {
         node: Arc<Description>,
         (identity, trust): (TlsIdentity, Arc<dyn TrustSource>),
     ) -> Result<Self, Rejection> {
-        let refused = |error: std::io::Error| {
-            Rejection::new(Code::BadConfiguration, format!("cannot listen on {address}: {error}"))
-                .next("choose another address with the setting admin.listen, or end the process that uses this one")
+        let listening = Doors::listen(address, "admin.listen").await?;
+        let address = listening.1;
+        let tls = match address.ip().is_loopback() {
+            true => None,
+            false => {
+                let config = server_config(identity, trust);
+                let mut config = config.map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+                config.alpn_protocols = vec![b"http/1.1".to_vec()];
+                Some(config)
+            }
         };
-        let listener = TcpListener::bind(address).await.map_err(refused)?;
-        let address = listener.local_addr().map_err(refused)?;
-        let doors = Doors::open(listener, address, identity, trust)?;
+        let room = Room { all_max: OPEN_MAX, each_max: OPEN_MAX, life_max: LIFE_MAX, tls, wants_certificate: true };
+        let doors = Doors::open(listening, room);
         let page = Router::new()
             .route("/livez", get(live))
             .route("/readyz", get(ready))

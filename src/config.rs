@@ -53,6 +53,21 @@ pub struct Config {
     pub bridge: Option<ros_bridge::Config>,
     /// `[admin] listen`: `HOST:PORT` of the page for whoever watches the node; empty = none.
     pub admin: String,
+    /// `[console]`
+    pub console: Console,
+}
+
+/// The console for browsers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Console {
+    /// `HOST:PORT` where it listens; empty = there is none.
+    pub listen: String,
+    /// The host name by which browsers reach it; empty = an address, or the name in `listen`.
+    pub name: String,
+    /// Its own certificate for TLS, with those of its issuers; empty = the certificate of the node.
+    pub certificate: PathBuf,
+    /// The key of that certificate.
+    pub key: PathBuf,
 }
 
 /// The preference of this machine.
@@ -160,6 +175,7 @@ impl Default for Config {
             log: Log::default(),
             bridge: None,
             admin: String::new(),
+            console: Console::default(),
         }
     }
 }
@@ -220,7 +236,8 @@ impl Config {
 
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
-        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge, admin } = self;
+        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge, admin, console } =
+            self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
             is_address(text).then(|| text.to_owned())
@@ -271,6 +288,7 @@ impl Config {
             let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
             s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
         });
+        console.read(root, directory);
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
         let timing = order.timing();
@@ -289,6 +307,28 @@ impl Config {
                 ["limits.payload_bytes_max", "storage.segment_mib"],
                 format!("transactions of up to {payload} bytes and segments of {segment_mib} MiB"),
                 "segments that hold at least two transactions of the largest size".into(),
+            );
+        }
+    }
+}
+
+impl Console {
+    fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
+        let Self { listen, name, certificate, key } = self;
+        let file = |text: &str| Some(if text.is_empty() { PathBuf::new() } else { directory.join(text) });
+        root.section("console", |s| {
+            let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
+            s.text("listen", "HOST:PORT, for example \"127.0.0.1:7452\"", listen, address);
+            let host = |text: &str| (!text.contains([':', '/', ' '])).then(|| text.to_ascii_lowercase());
+            s.text("name", "a host name, for example \"robots.example.org\"", name, host);
+            s.text("certificate", "a path", certificate, file);
+            s.text("key", "a path", key, file);
+        });
+        if certificate.as_os_str().is_empty() != key.as_os_str().is_empty() {
+            root.conflict(
+                ["console.certificate", "console.key"],
+                "one of the two".into(),
+                "both, or none of them".into(),
             );
         }
     }

@@ -5,7 +5,7 @@ mod ownership;
 use crate::ca::{self, CertificateAuthority};
 use crate::clock::wall;
 use crate::command::{print_line, stop_signal, until_stopped};
-use crate::config::{Config, Log};
+use crate::config::{self, Config, Log};
 use crate::host::NodeBuilder;
 use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use crate::telemetry;
@@ -32,6 +32,8 @@ pub(crate) const ORGANISATIONS: [&str; 2] = ["Org1", "Org2"];
 const LABEL: &str = "dev";
 /// Where the page for whoever watches the node is: at a free port.
 const ADMIN: &str = "127.0.0.1:0";
+/// The port of the console, where that is free and the network has its usual one: browsers keep their keys by address and port.
+const CONSOLE_PORT: u16 = 7452;
 
 /// `ledgerd dev`
 #[derive(clap::Args)]
@@ -53,6 +55,8 @@ struct Facts {
     address: String,
     /// `http://HOST:PORT` of the page for whoever watches the node.
     admin: String,
+    /// `http://HOST:PORT` of the console for browsers.
+    console: String,
     ca_fingerprint: Hash,
     data: PathBuf,
     contexts: Vec<String>,
@@ -85,7 +89,8 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     if fresh {
         found(&plan(&data, &listen), wall())?;
     }
-    let config = Config { data: data.clone(), listen, admin: ADMIN.to_owned(), ..Config::default() };
+    let console = config::Console { listen: console_address(&options.listen), ..Default::default() };
+    let config = Config { data: data.clone(), listen, admin: ADMIN.to_owned(), console, ..Config::default() };
     // Before the node runs, which owns its CAs from then on.
     let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
     let mut contexts = Written::default();
@@ -98,6 +103,7 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     let facts = Facts {
         address: config.listen.clone(),
         admin: String::new(),
+        console: String::new(),
         ca_fingerprint,
         data,
         contexts: contexts.names.clone(),
@@ -123,6 +129,7 @@ async fn play(
 ) -> Result<(), Rejection> {
     let node = builder.start(config).await?;
     facts.admin = node.admin().map(|address| format!("http://{address}")).unwrap_or_default();
+    facts.console = node.console().unwrap_or_default().to_owned();
     if fresh {
         facts.robots = register_robots(home, facts.contexts.last()).await?;
     }
@@ -166,6 +173,13 @@ fn free_port(listen: &str) -> Result<String, Rejection> {
                 .next(next))
         }
     }
+}
+
+/// Where the console listens.
+fn console_address(listen: &str) -> String {
+    let usual = format!("127.0.0.1:{CONSOLE_PORT}");
+    let is_free = !listen.ends_with(":0") && TcpListener::bind(&usual).is_ok();
+    if is_free { usual } else { ADMIN.to_owned() }
 }
 
 fn authority(data: &Path, organisation: &str) -> Result<CertificateAuthority, Rejection> {
@@ -231,6 +245,7 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
         "ledgerd {version} · a network for playing, ready\n\n  \
          address         {address}\n  \
          admin page      {page}/metrics\n  \
+         console         {console} (ledgerctl --context {owner} console prints a link for a browser)\n  \
          CA fingerprint  {fingerprint}\n  \
          data            {data}{kept}\n  \
          contexts        {admin} (Org1), {owner} (Org2, owns Turtlebot4, Husky and OptiTrack)\n\n\
@@ -242,6 +257,7 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
         version = facts.version,
         address = facts.address,
         page = facts.admin,
+        console = facts.console,
         fingerprint = facts.ca_fingerprint,
         data = facts.data.display(),
         kept = if temporary { " (removed at the end; --data DIR keeps it)" } else { "" },

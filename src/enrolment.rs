@@ -24,6 +24,7 @@ mod tries;
 mod voice;
 
 pub(crate) use authorities::{Authorities, given_up_file, lock};
+pub(crate) use tries::Tries;
 pub(crate) use voice::Voice;
 
 use crate::ca::CertificateAuthority;
@@ -47,7 +48,6 @@ use std::time::Duration;
 use tokio::sync::Semaphore;
 use tokio::time::Instant;
 use tonic::{Request, Response, Status};
-use tries::Tries;
 
 /// A refused try to enrol is answered no sooner than this after it came, so that nobody learns from the time what was
 /// wrong.

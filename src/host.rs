@@ -21,6 +21,7 @@ mod papers;
 mod serve;
 mod sources;
 
+pub(crate) use crowd::{Crowd, Stay};
 pub(crate) use door::{Caller, Members};
 pub use node::{Node, NodeBuilder};
 pub(crate) use papers::{CERTIFICATE_FILE, KEY_FILE, Papers};

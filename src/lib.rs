@@ -32,6 +32,7 @@
 //! | `peers` | TLS connections between nodes |
 //! | `company` | what the other nodes say about the chain, and what this one stops for |
 //! | `gateway` | the gRPC API |
+//! | `admin`, `console`, `doors` | pages over HTTP: readiness and figures; the console for browsers; their connections |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
 //! | `identity` | which of the network's nodes this is |
 //! | `renewal` | the node's certificate, renewed before it runs out |
@@ -57,9 +58,11 @@ mod command;
 mod company;
 mod conductor;
 pub mod config;
+mod console;
 mod demo;
 mod denials;
 mod dev;
+mod doors;
 mod early;
 mod enrolment;
 mod gateway;

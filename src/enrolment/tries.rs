@@ -1,4 +1,4 @@
-//! How often enrolment may fail: by one source, and by everybody together.
+//! How often enrolment, or opening a session of the console, may fail: by one source, and by everybody together.
 //!
 //! Only what is refused counts, and who comes with a good secret is never refused for the guesses of others.
 
@@ -20,7 +20,7 @@ const SOURCES_MAX: usize = 1024;
 
 /// Recent tries.
 #[derive(Default)]
-pub(super) struct Tries {
+pub(crate) struct Tries {
     all: Bucket,
     sources: HashMap<IpAddr, Bucket>,
     others: Bucket,
@@ -31,7 +31,7 @@ impl Tries {
     ///
     /// # Errors
     /// [`Code::Overloaded`] if there were too many: then it is not even looked at closely.
-    pub(super) fn take(&mut self, source: IpAddr, now: u64) -> Result<(), Rejection> {
+    pub(crate) fn take(&mut self, source: IpAddr, now: u64) -> Result<(), Rejection> {
         let source = network_of(source);
         if self.sources.len() >= SOURCES_MAX && !self.sources.contains_key(&source) {
             self.sources.retain(|_, bucket| !bucket.is_full(REFILL, now));
@@ -52,17 +52,17 @@ impl Tries {
 
 impl Tries {
     /// A try that was counted did not fail.
-    pub(super) fn give_back(&mut self, source: IpAddr) {
+    pub(crate) fn give_back(&mut self, source: IpAddr) {
         self.all.give_back();
         self.sources.get_mut(&network_of(source)).unwrap_or(&mut self.others).give_back();
     }
 }
 
 fn overloaded(whose: &str, burst: u64, refill: u64) -> Rejection {
-    Rejection::new(Code::Overloaded, format!("enrolment is tried too often {whose}"))
+    Rejection::new(Code::Overloaded, format!("there were too many tries {whose}"))
         .found(format!("more than {burst} tries that failed"))
         .wanted(format!("at most {} a second", 1_000_000 / refill))
-        .next("try again in a few seconds, with the right secret")
+        .next("try again in a few seconds, with the right secret or key")
 }
 
 /// A bucket with a token for each try; it refills with time.

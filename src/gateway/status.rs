@@ -17,7 +17,7 @@ use ledger_api::v1::{CertificateStatus, PeerStatus, StatusResponse};
 use ledger_identity::certificate::Certificate;
 use ledger_rejection::Rejection;
 use ledger_replica::gateway::Shares;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// Describes a node.
@@ -40,6 +40,8 @@ pub(crate) struct Description {
     pub usage: Usage,
     /// How long the steps of a command take.
     pub meters: Meters,
+    /// Where browsers find the console, once there is one.
+    pub console: OnceLock<String>,
 }
 
 /// The chain of a node.
@@ -150,6 +152,7 @@ impl Description {
             disk_total_bytes: self.links.space.measured().total,
             disk_accepts: self.links.space.accepts().word().into(),
             certificates: self.certificates(),
+            console: self.console.get().cloned().unwrap_or_default(),
             voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
             voters_connected: u32::try_from(voters().filter(|id| self.links.is_connected(*id)).count())
                 .unwrap_or(u32::MAX),

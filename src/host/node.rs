@@ -1,11 +1,12 @@
 //! A node: a host and its instance, up and down in order.
 
 use super::serve::Serving;
-use super::{Host, Papers};
+use super::{Host, Papers, Services};
 use crate::admin::Admin;
 use crate::backup::refuse_restored;
 use crate::bridge::NodeBridge;
 use crate::config::Config;
+use crate::console::{Console, Parts};
 use crate::instance::{Ended, Instance, Prepared};
 use crate::join::{advised, nothing_here};
 use crate::stores::Stores;
@@ -106,6 +107,7 @@ pub struct Node {
     serving: Serving,
     bridge: Option<NodeBridge>,
     admin: Option<Admin>,
+    console: Option<Console>,
 }
 
 impl Node {
@@ -138,6 +140,7 @@ impl Node {
                 Some(Admin::serve(address, node, (identity.clone(), trust)).await?)
             }
         };
+        let console = console(config, &host, &services, &identity).await?;
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
@@ -149,7 +152,7 @@ impl Node {
         let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
-        Ok(Self { host, instance, identity, serving, bridge, admin })
+        Ok(Self { host, instance, identity, serving, bridge, admin, console })
     }
 
     /// Takes over the level of the log and the routes of the bridge in another configuration, and a certificate of the node that lies in its
@@ -178,6 +181,11 @@ impl Node {
         self.admin.as_ref().map(Admin::address)
     }
 
+    /// Where browsers find its console, such as `http://127.0.0.1:7452`, if there is one.
+    pub fn console(&self) -> Option<&str> {
+        self.console.as_ref().map(Console::address)
+    }
+
     /// The ledger, for looking into it in the same process.
     pub fn ledger(&self) -> &Arc<Ledger> {
         &self.instance.ledger
@@ -204,4 +212,29 @@ impl Node {
         self.host.leave().await;
         self.instance.stop().await;
     }
+}
+
+/// The console, if the configuration wants one; the node tells where it is.
+async fn console(
+    config: &Config,
+    host: &Host,
+    services: &Services,
+    identity: &TlsIdentity,
+) -> Result<Option<Console>, Rejection> {
+    if config.console.listen.is_empty() {
+        return Ok(None);
+    }
+    let parts = Parts {
+        gateway: services.gateway.clone(),
+        enrolment: services.enrolment.clone(),
+        trust: Arc::clone(&services.trust),
+        identity: identity.clone(),
+    };
+    let reached = match config.member.address.as_str() {
+        "" => host.own_gateway(),
+        address => address.to_owned(),
+    };
+    let console = Console::serve(&config.console, &reached, parts).await?;
+    let _told_once = services.gateway.description.console.set(console.address().to_owned());
+    Ok(Some(console))
 }

@@ -37,7 +37,7 @@ use ledger_replica::certifier::Certifier;
 use ledger_replica::gateway::Shares;
 use ledger_replica::{Executor, Observer, Retries, Voting};
 use std::io;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 
@@ -286,6 +286,7 @@ impl Wired {
             links: self.links.clone(),
             usage,
             meters: self.engines.meters.clone(),
+            console: OnceLock::new(),
         }
     }
 

@@ -3,6 +3,7 @@
 //! | module | what happens |
 //! |---|---|
 //! | `python` | the package `clients/python`: its own tests, its types, its wheel, its README |
+//! | `console` | the sources and the bundle of the console; tests/interop shows it in a browser |
 //! | `languages` | the programs of docs/clients.md, typed as they stand |
 //!
 //! The interpreter is `$LEDGERD_TEST_PYTHON`, as `./test` prepares it.
@@ -22,6 +23,7 @@ mod support;
 #[path = "../support/two_networks.rs"]
 mod two_networks;
 
+mod console;
 mod languages;
 mod python;
 

@@ -16,6 +16,7 @@ mod arena;
 mod calls;
 mod codec;
 mod confidential;
+mod console;
 mod demo;
 mod discovering;
 mod keyed;

@@ -27,6 +27,7 @@ mod catch_up;
 mod certified;
 mod confidential;
 mod config;
+mod console;
 mod contexts;
 mod crash;
 mod disasters;

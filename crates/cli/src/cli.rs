@@ -2,9 +2,9 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    audit, bridge, ca, can, chaincode, completions, context, denials, doctor, emergency, enroll, explain, grant,
-    identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, top, watch,
-    whoami,
+    audit, bridge, ca, can, chaincode, completions, console, context, denials, doctor, emergency, enroll, explain,
+    grant, identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, top,
+    watch, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -94,6 +94,7 @@ enum Command {
     #[command(subcommand)]
     Policy(policy::Policy),
     Can(can::Can),
+    Console(console::Console),
     Invoke(chaincode::Invoke),
     Query(chaincode::Query),
     Light(light::Light),
@@ -158,6 +159,7 @@ impl Cli {
             Command::Bridge(command) => command.run(global, output).await,
             Command::Policy(command) => command.run(global, output).await,
             Command::Can(command) => command.run(global, output).await,
+            Command::Console(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,
             Command::Query(command) => command.run(global, output).await,
             Command::Light(command) => command.run(global, output).await,

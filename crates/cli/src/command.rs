@@ -6,6 +6,7 @@ pub(crate) mod ca;
 pub(crate) mod can;
 pub(crate) mod chaincode;
 pub(crate) mod completions;
+pub(crate) mod console;
 pub(crate) mod context;
 pub(crate) mod denials;
 pub(crate) mod doctor;

@@ -1,0 +1,264 @@
+// A person with a browser, against a real network (tests/interop/console.rs starts both):
+//
+//   node tests/browser.mjs OWNER_LINK MEMBER_LINK [DIRECTORY of screenshots]
+//
+// It says on standard output what it wants to happen next, one line each, and waits until its pages show it. It ends with 1 at the first
+// thing that is not as it should be.
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import puppeteer from "puppeteer-core";
+
+const [ownerLink, memberLink, shots] = process.argv.slice(2);
+const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const WAIT_MS = 60_000;
+const DESK = { width: 1280, height: 900 };
+const PHONE = { width: 390, height: 844, isMobile: true, hasTouch: true };
+
+const say = (line) => process.stdout.write(`${line}\n`);
+const check = (holds, what) => {
+  if (!holds) throw new Error(what);
+};
+
+const browser = await puppeteer.launch({
+  executablePath: process.env.LEDGERD_TEST_CHROMIUM ?? "/usr/bin/chromium",
+  args: ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"],
+});
+
+// A browser of its own: its own keys, its own sessions. Whatever it complains about fails the test.
+async function person() {
+  const context = await browser.createBrowserContext();
+  const page = await context.newPage();
+  await page.setViewport(DESK);
+  page.complaints = [];
+  page.tokens = [];
+  page.on("pageerror", (error) => page.complaints.push(String(error)));
+  page.on("console", (message) => {
+    // The browser itself reports answers with an error code; those are looked at on the page.
+    if (message.type() === "error" && !message.text().startsWith("Failed to load resource")) page.complaints.push(message.text());
+  });
+  page.on("request", (request) => {
+    const told = request.headers().authorization;
+    if (told) page.tokens.push(told);
+    if (!request.url().startsWith(origin)) page.complaints.push(`asks elsewhere: ${request.url()}`);
+  });
+  return page;
+}
+
+const origin = new URL(ownerLink).origin;
+const shows = (page, text) => page.waitForFunction((wanted) => document.body.innerText.includes(wanted), { timeout: WAIT_MS, polling: "mutation" }, text);
+const go = async (page, place, title) => {
+  await page.evaluate((hash) => void (location.hash = hash), place);
+  await page.waitForFunction((wanted) => document.querySelector("h1")?.textContent === wanted, { timeout: WAIT_MS }, title);
+};
+
+async function press(page, name) {
+  const button = await page.waitForSelector(`::-p-aria([name="${name}"][role="button"])`, { timeout: WAIT_MS });
+  await button.click();
+}
+
+async function photograph(page, name) {
+  if (shots) await page.screenshot({ path: `${shots}/${name}.png`, fullPage: true });
+}
+
+// Nothing serious for people who use a screen reader, a keyboard, or their own colours.
+async function accessible(page, name) {
+  await page.evaluate(axe);
+  const found = await page.evaluate(async () => (await window.axe.run(document)).violations.map(({ id, impact, help, nodes }) => ({ id, impact, help, at: nodes.map((node) => `${node.html} ${node.any.map((each) => each.message).join("; ")}`).slice(0, 3) })));
+  const serious = found.filter(({ impact }) => impact === "serious" || impact === "critical");
+  check(serious.length === 0, `axe finds at ${name}: ${JSON.stringify(serious, null, 1)}`);
+  say(`accessible ${name}: ${found.length} minor`);
+}
+
+const PLACES = [
+  ["#/robots", "Robots", "robots"],
+  ["#/robots/Rover", "Rover", "robot"],
+  ["#/feed", "Feed", "feed"],
+  ["#/blocks", "Blocks", "blocks"],
+  ["#/policies/Org2", "Policies", "policies"],
+  ["#/can/Rover%2Fcmd_vel", "Can somebody do something?", "can"],
+  ["#/identities", "Identities", "identities"],
+  ["#/nodes", "Nodes", "nodes"],
+];
+
+async function enrol(page, link, id) {
+  await page.goto(link);
+  await shows(page, id);
+  check(!(await page.evaluate(() => location.href)).includes(link.split("/").pop()), "the secret stays in the address");
+  await press(page, "Enrol this browser");
+  await shows(page, "Rover");
+  await shows(page, "live");
+}
+
+async function story() {
+  const [owner, member] = [await person(), await person()];
+
+  // Without an identity nothing is shown.
+  await owner.goto(`${origin}/`);
+  await shows(owner, "ledgerctl console NAME");
+  await accessible(owner, "stranger");
+  await photograph(owner, "stranger");
+  await enrol(owner, ownerLink, "Org2/Admin-browser");
+  await enrol(member, memberLink, "Org1/Tablet");
+  say("enrolled");
+
+  // A key that is used up is no use to somebody else.
+  const thief = await person();
+  await thief.goto(memberLink);
+  await press(thief, "Enrol this browser");
+  await thief.waitForSelector('[role="alert"]', { timeout: WAIT_MS });
+  check((await thief.$eval('[role="alert"]', (alert) => alert.innerText)).includes("LGR-2007"), "the second use of a secret is refused with its code");
+  await thief.close();
+
+  // The key cannot be read, not even by a script of the page.
+  const kept = await owner.evaluate(
+    () =>
+      new Promise((resolve) => {
+        indexedDB.open("ledgerd").onsuccess = ({ target }) => {
+          target.result.transaction("identity").objectStore("identity").get("own").onsuccess = async ({ target: { result } }) =>
+            resolve({ extractable: result.key.extractable, exported: await crypto.subtle.exportKey("pkcs8", result.key).then(() => true, () => false) });
+        };
+      }),
+  );
+  check(!kept.extractable && !kept.exported, `the key can be read: ${JSON.stringify(kept)}`);
+  const stored = await owner.evaluate(() => JSON.stringify({ ...localStorage, ...sessionStorage }) + document.cookie);
+  check(stored === "{}", `something is stored: ${stored}`);
+
+  // A grant appears.
+  await go(owner, "#/feed", "Feed");
+  await owner.evaluate(() => {
+    window.seen = new Promise((resolve) => {
+      const look = () => {
+        const row = [...document.querySelectorAll("tbody tr")].find((row) => row.innerText.includes("granted") && row.innerText.includes("Org1/Salma"));
+        if (row) resolve(Date.now() - Number(row.querySelector("td").title) / 1000);
+      };
+      new MutationObserver(look).observe(document.body, { childList: true, subtree: true, characterData: true });
+    });
+  });
+  say("wants grant");
+  say(`grant after ${(await owner.evaluate(() => window.seen)).toFixed(0)} ms`);
+  await go(owner, "#/robots", "Robots");
+  await shows(owner, "Org1/Salma");
+  await photograph(owner, "robots");
+
+  // The robot is driven: rate, latency, and the Twist in words.
+  await go(owner, "#/robots/Rover", "Rover");
+  say("wants driving");
+  await shows(owner, "linear.x");
+  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && /Rate\s+[1-9]/.test(document.body.innerText) && document.querySelector("canvas"), { timeout: WAIT_MS });
+  const before = await owner.$eval("figure canvas", (canvas) => canvas.toDataURL());
+  await owner.waitForFunction((old) => document.querySelector("figure canvas").toDataURL() !== old, { timeout: WAIT_MS }, before);
+  await photograph(owner, "robot");
+  say(await owner.$$eval("figcaption", (captions) => captions.map((caption) => caption.innerText).join(" · ")));
+
+  // A refused action shows its reason.
+  await go(member, "#/robots/Rover", "Rover");
+  await press(member, "Stop");
+  const told = () => [...document.querySelectorAll('[role="alert"]')].map((alert) => alert.innerText).find((text) => text.includes("may not stop Rover"));
+  const reason = await (await member.waitForFunction(told, { timeout: WAIT_MS })).jsonValue();
+  check(/LGR-3\d+/.test(reason) && /try/i.test(reason), `a refusal without code or advice: ${reason}`);
+  say(`refused: ${reason.replaceAll("\n", " ")}`);
+  await accessible(member, "refusal");
+  await photograph(member, "refused");
+
+  // Stop, as the owner.
+  await owner.type('input[placeholder="why, for the others"]', "a person on the floor");
+  await press(owner, "Stop");
+  await shows(owner, "a person on the floor");
+  await owner.waitForSelector(".mark.stopped", { timeout: WAIT_MS });
+  say("stopped");
+  await shows(member, "a person on the floor");
+  await photograph(owner, "stopped");
+
+  // The proof of it.
+  const link = await owner.waitForSelector("tbody tr td:last-child a", { timeout: WAIT_MS });
+  await link.click();
+  await owner.waitForFunction(() => /^Block \d+$|^Transaction$/.test(document.querySelector("h1")?.textContent ?? ""), { timeout: WAIT_MS });
+  await photograph(owner, "block");
+  await accessible(owner, "block");
+  if (!(await owner.evaluate(() => location.hash.startsWith("#/tx/")))) {
+    const transaction = await owner.waitForSelector('td a[href^="#/tx/"]', { timeout: WAIT_MS });
+    await transaction.click();
+  }
+  await owner.waitForFunction(() => document.querySelector("h1")?.textContent === "Transaction", { timeout: WAIT_MS });
+  await press(owner, "Check the proof");
+  await shows(owner, "The proof holds: signed by Org1/node1");
+  await accessible(owner, "transaction");
+  await photograph(owner, "transaction");
+
+  // Search by robot.
+  await go(owner, "#/blocks", "Blocks");
+  await owner.type('input[type="search"]', "Rover");
+  await owner.keyboard.press("Enter");
+  await shows(owner, "decisions about Rover");
+  await photograph(owner, "search");
+
+  // Can somebody do something, and why not?
+  await go(member, "#/can/Rover%2Fcmd_vel", "Can somebody do something?");
+  await press(member, "Ask");
+  await shows(member, "may not acquire Rover/cmd_vel");
+  await photograph(member, "can");
+
+  await go(owner, "#/robots/Rover", "Rover");
+  await press(owner, "Resume");
+  await owner.waitForFunction(() => !document.querySelector(".mark.stopped"), { timeout: WAIT_MS });
+  say("resumed");
+
+  // Every page, for everybody: by day and by night, at a desk and in a hand.
+  for (const scheme of ["light", "dark"]) {
+    await owner.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
+    for (const [size, viewport] of [["desk", DESK], ["phone", PHONE]]) {
+      await owner.setViewport(viewport);
+      for (const [place, title, name] of PLACES) {
+        await go(owner, place, title);
+        await owner.waitForNetworkIdle({ idleTime: 150, concurrency: 3, timeout: 5000 }).catch(() => undefined);
+        const wide = await owner.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+        check(wide <= 0, `${name} is ${wide} pixels too wide on a ${size}`);
+        if (size === "desk" || scheme === "light") await accessible(owner, `${name}, ${scheme}, ${size}`);
+        await photograph(owner, `${name}-${scheme}-${size}`);
+      }
+    }
+  }
+  await owner.setViewport(DESK);
+
+  // The keyboard alone: the first stop leads to the content, the next ones to the places.
+  await go(owner, "#/robots", "Robots");
+  await owner.evaluate(() => document.activeElement.blur());
+  await owner.reload();
+  await shows(owner, "Rover");
+  await owner.evaluate(() => document.activeElement?.blur());
+  const stops = [];
+  for (let stop = 0; stop < 5; stop += 1) {
+    await owner.keyboard.press("Tab");
+    stops.push(await owner.evaluate(() => document.activeElement.textContent.trim()));
+  }
+  check(stops.some((text) => ["Feed", "Blocks", "Rover", "Robots"].includes(text)), `the keyboard reaches ${stops}`);
+
+  // A session that has ended asks again; nothing goes on without it.
+  const token = owner.tokens.at(-1);
+  const ended = await owner.evaluate((told) => fetch("/session/end", { method: "POST", headers: { authorization: told } }).then((answer) => answer.status), token);
+  check(ended === 204, `the session does not end: ${ended}`);
+  await shows(owner, "The session has ended");
+  await accessible(owner, "ended");
+  await photograph(owner, "ended");
+  await press(owner, "Continue as Org2/Admin-browser");
+  await owner.waitForSelector(".map", { timeout: WAIT_MS });
+  check(owner.tokens.at(-1) !== token || (await shows(owner, "live")), "it has another session");
+  say("asked again");
+
+  for (const page of [owner, member]) check(page.complaints.length === 0, `the browser complains: ${page.complaints.join("\n")}`);
+}
+
+let code = 0;
+try {
+  await story();
+  say("done");
+} catch (error) {
+  code = 1;
+  say(`failed: ${error.stack ?? error}`);
+  for (const [at, page] of (await browser.pages()).entries()) {
+    say(`page ${at}: ${(await page.evaluate(() => document.body.innerText).catch(String)).replaceAll("\n", " | ").slice(0, 1500)} ${JSON.stringify(page.complaints ?? [])}`);
+    if (shots) await page.screenshot({ path: `${shots}/failed-${at}.png` }).catch(() => undefined);
+  }
+}
+await browser.close();
+process.exit(code);

@@ -1,0 +1,155 @@
+//! `console`: a link with which a browser enrols.
+
+use crate::argument::attribute::Attribute;
+use crate::argument::span::Milliseconds;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table, attributes};
+use crate::session::Session;
+use crate::time;
+use ledger_identity::Role;
+use ledger_rejection::{Code, Rejection};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::time::Duration;
+
+/// Added to the name of the caller for the name of its browser.
+const BROWSER: &str = "-browser";
+
+/// Print a link for a browser: it opens the console of the node, and makes an identity of its own there.
+///
+/// For admins. The link holds a one-time secret: whoever opens it first is the new identity. The key stays in that browser. Without a
+/// name the browser is called after you, and has your role and your attributes.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl console
+  ledgerctl console Salma-tablet --role member --attr Turtlebot4
+  ledgerctl console --reissue
+  ledgerctl console --at https://robots.example:7452")]
+pub(crate) struct Console {
+    /// The name of the new identity
+    name: Option<String>,
+    /// Its role: member or admin; yours, where neither a name nor a role is given, otherwise member
+    #[arg(long, value_name = "ROLE", value_parser = role)]
+    role: Option<Role>,
+    /// An attribute to sign into its certificate; KEY alone means KEY=true
+    #[arg(long = "attr", value_name = "KEY[=VALUE]")]
+    attributes: Vec<Attribute>,
+    /// A new link for a name that was registered before, such as for another browser
+    #[arg(long, conflicts_with_all = ["role", "attributes"])]
+    reissue: bool,
+    /// How long the link can be used
+    #[arg(long = "for", value_name = "SPAN", default_value = "1h")]
+    span: Milliseconds,
+    /// Where the console is; otherwise where the node says
+    #[arg(long, value_name = "URL")]
+    at: Option<String>,
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    match text {
+        "member" => Ok(Role::Member),
+        "admin" => Ok(Role::Admin),
+        _ => Err("wanted member or admin".to_owned()),
+    }
+}
+
+/// The link, and the identity behind it.
+#[derive(Serialize)]
+struct Link {
+    link: String,
+    id: String,
+    role: Role,
+    attributes: BTreeMap<String, String>,
+    /// Until when, microseconds since the UNIX epoch.
+    expires: u64,
+}
+
+impl Facts for Link {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{}", self.link)?;
+        let mut table = Table::pairs();
+        table.pair("identity", &self.id);
+        table.pair("role", self.role);
+        table.pair("attributes", attributes(&self.attributes));
+        table.pair("good once, until", time::moment(self.expires));
+        table.write(out, 2)
+    }
+}
+
+impl Console {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let at = match self.at {
+            Some(at) => at,
+            None => session.client.status().await?.console,
+        };
+        if at.is_empty() {
+            return Err(no_console(session.client.node()).into());
+        }
+        let own = session.identity()?;
+        let asked = self.attributes.into_iter().map(|Attribute { key, value }| (key, value)).collect();
+        let (role, attributes) = match (&self.name, self.role, self.reissue) {
+            (None, None, false) if BTreeMap::is_empty(&asked) => (own.role, own.attributes),
+            (_, role, _) => (role.unwrap_or(Role::Member), asked),
+        };
+        let name = self.name.unwrap_or_else(|| format!("{}{BROWSER}", own.name));
+        let life = Duration::from_millis(self.span.0);
+        let wanted = Some(role).filter(|_| !self.reissue);
+        let registered = session.client.register_for(&name, wanted, &attributes, life).await.map_err(again)?;
+        let known = session.client.identities(&name).await?.into_iter().find(|record| record.name == name);
+        let (role, attributes) = known.map_or((role, attributes), |record| (record.role, record.attributes));
+        output.show(&Link {
+            // Behind the #, so that no server and no log ever sees it.
+            link: format!(
+                "{}/#/enrol/{}/{}/{}",
+                at.trim_end_matches('/'),
+                encoded(&registered.organisation),
+                encoded(&name),
+                encoded(&registered.secret)
+            ),
+            id: format!("{}/{name}", registered.organisation),
+            role,
+            attributes,
+            expires: registered.expires,
+        })
+    }
+}
+
+fn no_console(node: impl std::fmt::Display) -> Rejection {
+    Rejection::new(Code::NotFound, "this node has no console")
+        .found(format!("node {node} without the setting console.listen"))
+        .wanted("a node with a console")
+        .next("set listen = \"127.0.0.1:7452\" in the section [console] of its ledgerd.toml, or name another one with --at URL")
+}
+
+/// A name that is registered wants the word for it.
+fn again(refused: Rejection) -> Rejection {
+    match refused.code {
+        Code::AlreadyRegistered => {
+            refused.next("ledgerctl console --reissue gives the same identity a new link; or choose a NAME")
+        }
+        _ => refused,
+    }
+}
+
+/// The text as a part of an address.
+fn encoded(text: &str) -> String {
+    let is_plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"-._~".contains(byte);
+    text.bytes()
+        .map(|byte| if is_plain(&byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_one_part_of_the_link_whatever_is_in_it() {
+        assert_eq!(encoded("Salma-1_x.y~z"), "Salma-1_x.y~z");
+        assert_eq!(encoded("a/b c#d%é"), "a%2Fb%20c%23d%25%C3%A9");
+    }
+}

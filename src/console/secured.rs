@@ -1,0 +1,71 @@
+//! The certificate of the console.
+
+use crate::config;
+use ledger_api::tls::TlsIdentity;
+use ledger_rejection::{Code, Rejection};
+use rustls::ServerConfig;
+use rustls::crypto::ring;
+use rustls::version::TLS13;
+use rustls_pki_types::pem::PemObject;
+use rustls_pki_types::{CertificateDer, PrivateKeyDer};
+use std::fs::File;
+use std::io::Read;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Largest file with a certificate or a key, bytes.
+const FILE_BYTES_MAX: u64 = 64 * 1024;
+
+/// TLS for a console that listens there; none for plain HTTP, which stays on this machine.
+///
+/// # Errors
+/// [`Code::BadFile`] if the certificate cannot be used.
+pub(super) fn tls(
+    settings: &config::Console,
+    address: SocketAddr,
+    node: &TlsIdentity,
+) -> Result<Option<ServerConfig>, Rejection> {
+    let has_own = !settings.certificate.as_os_str().is_empty();
+    if address.ip().is_loopback() && !has_own {
+        return Ok(None);
+    }
+    let builder = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
+        .with_protocol_versions(&[&TLS13])
+        .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?
+        .with_no_client_auth();
+    let mut tls = match has_own {
+        false => builder.with_cert_resolver(Arc::new(node.clone())),
+        true => {
+            let (chain, key) = (chain(&settings.certificate)?, key(&settings.key)?);
+            builder.with_single_cert(chain, key).map_err(|error| unusable(&settings.certificate, &error.to_string()))?
+        }
+    };
+    tls.alpn_protocols = vec![b"http/1.1".to_vec()];
+    tls.send_tls13_tickets = 0;
+    Ok(Some(tls))
+}
+
+fn chain(path: &Path) -> Result<Vec<CertificateDer<'static>>, Rejection> {
+    let text = read(path)?;
+    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
+    chain.map_err(|error| unusable(path, &error.to_string()))
+}
+
+fn key(path: &Path) -> Result<PrivateKeyDer<'static>, Rejection> {
+    PrivateKeyDer::from_pem_slice(&read(path)?).map_err(|error| unusable(path, &error.to_string()))
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Rejection> {
+    let mut text = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(FILE_BYTES_MAX).read_to_end(&mut text));
+    read.map_err(|error| unusable(path, &error.to_string()))?;
+    Ok(text)
+}
+
+fn unusable(path: &Path, found: &str) -> Rejection {
+    Rejection::new(Code::BadFile, format!("cannot use {} for the console", path.display()))
+        .found(found)
+        .wanted("a certificate with its issuers in PEM, and its private key")
+        .next("correct console.certificate and console.key in ledgerd.toml, or leave both out")
+}
