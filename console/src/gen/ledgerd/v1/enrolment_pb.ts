@@ -16,7 +16,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file ledgerd/v1/enrolment.proto.
  */
 export const file_ledgerd_v1_enrolment: GenFile = /*@__PURE__*/
-  fileDesc("ChpsZWRnZXJkL3YxL2Vucm9sbWVudC5wcm90bxIKbGVkZ2VyZC52MSIfCgxSZW5ld1JlcXVlc3QSDwoHcmVxdWVzdBgBIAEoDCIQCg5HZW5lc2lzUmVxdWVzdCIiCg9HZW5lc2lzUmVzcG9uc2USDwoHZ2VuZXNpcxgBIAEoDCInChdKb2luT3JnYW5pc2F0aW9uUmVxdWVzdBIMCgRqb2luGAEgASgMIkAKGEpvaW5PcmdhbmlzYXRpb25SZXNwb25zZRIkCgd2ZXJkaWN0GAEgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0IhAKDk5ldHdvcmtSZXF1ZXN0IpMBCg9OZXR3b3JrUmVzcG9uc2USDwoHbmV0d29yaxgBIAEoDBINCgVsYWJlbBgCIAEoCRIvCg1vcmdhbmlzYXRpb25zGAMgAygLMhgubGVkZ2VyZC52MS5PcmdhbmlzYXRpb24SDQoFY2xvY2sYBCABKAQSDwoHY3V0X29mZhgFIAEoCBIPCgdjYXJyaWVzGAYgAygJIncKDE9yZ2FuaXNhdGlvbhIMCgRuYW1lGAEgASgJEg0KBXJvb3RzGAIgAygMEhUKDWludGVybWVkaWF0ZXMYAyADKAwSEQoJYWRkcmVzc2VzGAQgAygJEiAKBXVuaXRzGAUgASgLMhEubGVkZ2VyZC52MS5Vbml0cyIoCgVVbml0cxIfCgV1bml0cxgBIAMoCzIQLmxlZGdlcmQudjEuVW5pdCIyCgRVbml0EgwKBHVuaXQYASABKAkSDAoEcm9sZRgCIAEoCRIOCgZpc3N1ZXIYAyABKAwiPQoMRW5yb2xSZXF1ZXN0EgwKBG5hbWUYASABKAkSDgoGc2VjcmV0GAIgASgJEg8KB3JlcXVlc3QYAyABKAwirwEKDUVucm9sUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdBITCgtjZXJ0aWZpY2F0ZRgCIAEoDBINCgVjaGFpbhgDIAMoDBIUCgxvcmdhbmlzYXRpb24YBCABKAkSLAoHbmV0d29yaxgFIAEoCzIbLmxlZGdlcmQudjEuTmV0d29ya1Jlc3BvbnNlEhAKCGNhcnJpZXJzGAYgAygJIiYKDk9mZmVyQ2FSZXF1ZXN0EhQKDG9yZ2FuaXNhdGlvbhgBIAEoCSJ6Cg9PZmZlckNhUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdBIMCgRub2RlGAIgASgJEgsKA2tleRgDIAEoDBIRCglzaWduYXR1cmUYBCABKAwSEwoLY2VydGlmaWNhdGUYBSABKAwiaAoNU2VhbENhUmVxdWVzdBIUCgxvcmdhbmlzYXRpb24YASABKAkSDAoEbm9kZRgCIAEoCRILCgNrZXkYAyABKAwSEQoJc2lnbmF0dXJlGAQgASgMEhMKC2NlcnRpZmljYXRlGAUgASgMIlQKDlNlYWxDYVJlc3BvbnNlEiQKB3ZlcmRpY3QYASABKAsyEy5sZWRnZXJkLnYxLlZlcmRpY3QSDgoGc2VhbGVkGAIgASgMEgwKBHJvb3QYAyABKAwiQwoNVGFrZUNhUmVxdWVzdBIUCgxvcmdhbmlzYXRpb24YASABKAkSDgoGc2VhbGVkGAIgASgMEgwKBHJvb3QYAyABKAwiNgoOVGFrZUNhUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdDK0BAoJRW5yb2xtZW50EkIKB05ldHdvcmsSGi5sZWRnZXJkLnYxLk5ldHdvcmtSZXF1ZXN0GhsubGVkZ2VyZC52MS5OZXR3b3JrUmVzcG9uc2USPAoFRW5yb2wSGC5sZWRnZXJkLnYxLkVucm9sUmVxdWVzdBoZLmxlZGdlcmQudjEuRW5yb2xSZXNwb25zZRI8CgVSZW5ldxIYLmxlZGdlcmQudjEuUmVuZXdSZXF1ZXN0GhkubGVkZ2VyZC52MS5FbnJvbFJlc3BvbnNlEkIKB0dlbmVzaXMSGi5sZWRnZXJkLnYxLkdlbmVzaXNSZXF1ZXN0GhsubGVkZ2VyZC52MS5HZW5lc2lzUmVzcG9uc2USQgoHT2ZmZXJDYRIaLmxlZGdlcmQudjEuT2ZmZXJDYVJlcXVlc3QaGy5sZWRnZXJkLnYxLk9mZmVyQ2FSZXNwb25zZRI/CgZTZWFsQ2ESGS5sZWRnZXJkLnYxLlNlYWxDYVJlcXVlc3QaGi5sZWRnZXJkLnYxLlNlYWxDYVJlc3BvbnNlEj8KBlRha2VDYRIZLmxlZGdlcmQudjEuVGFrZUNhUmVxdWVzdBoaLmxlZGdlcmQudjEuVGFrZUNhUmVzcG9uc2USXQoQSm9pbk9yZ2FuaXNhdGlvbhIjLmxlZGdlcmQudjEuSm9pbk9yZ2FuaXNhdGlvblJlcXVlc3QaJC5sZWRnZXJkLnYxLkpvaW5PcmdhbmlzYXRpb25SZXNwb25zZUIWWhRsZWRnZXJkL3YxO2xlZGdlcmR2MWIGcHJvdG8z", [file_ledgerd_v1_gateway]);
+  fileDesc("ChpsZWRnZXJkL3YxL2Vucm9sbWVudC5wcm90bxIKbGVkZ2VyZC52MSIfCgxSZW5ld1JlcXVlc3QSDwoHcmVxdWVzdBgBIAEoDCIQCg5HZW5lc2lzUmVxdWVzdCIiCg9HZW5lc2lzUmVzcG9uc2USDwoHZ2VuZXNpcxgBIAEoDCInChdKb2luT3JnYW5pc2F0aW9uUmVxdWVzdBIMCgRqb2luGAEgASgMIkAKGEpvaW5PcmdhbmlzYXRpb25SZXNwb25zZRIkCgd2ZXJkaWN0GAEgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0IhAKDk5ldHdvcmtSZXF1ZXN0IqIBCg9OZXR3b3JrUmVzcG9uc2USDwoHbmV0d29yaxgBIAEoDBINCgVsYWJlbBgCIAEoCRIvCg1vcmdhbmlzYXRpb25zGAMgAygLMhgubGVkZ2VyZC52MS5PcmdhbmlzYXRpb24SDQoFY2xvY2sYBCABKAQSDwoHY3V0X29mZhgFIAEoCBIPCgdjYXJyaWVzGAYgAygJEg0KBXJ1bGVzGAcgASgNIncKDE9yZ2FuaXNhdGlvbhIMCgRuYW1lGAEgASgJEg0KBXJvb3RzGAIgAygMEhUKDWludGVybWVkaWF0ZXMYAyADKAwSEQoJYWRkcmVzc2VzGAQgAygJEiAKBXVuaXRzGAUgASgLMhEubGVkZ2VyZC52MS5Vbml0cyIoCgVVbml0cxIfCgV1bml0cxgBIAMoCzIQLmxlZGdlcmQudjEuVW5pdCIyCgRVbml0EgwKBHVuaXQYASABKAkSDAoEcm9sZRgCIAEoCRIOCgZpc3N1ZXIYAyABKAwiPQoMRW5yb2xSZXF1ZXN0EgwKBG5hbWUYASABKAkSDgoGc2VjcmV0GAIgASgJEg8KB3JlcXVlc3QYAyABKAwirwEKDUVucm9sUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdBITCgtjZXJ0aWZpY2F0ZRgCIAEoDBINCgVjaGFpbhgDIAMoDBIUCgxvcmdhbmlzYXRpb24YBCABKAkSLAoHbmV0d29yaxgFIAEoCzIbLmxlZGdlcmQudjEuTmV0d29ya1Jlc3BvbnNlEhAKCGNhcnJpZXJzGAYgAygJIiYKDk9mZmVyQ2FSZXF1ZXN0EhQKDG9yZ2FuaXNhdGlvbhgBIAEoCSJ6Cg9PZmZlckNhUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdBIMCgRub2RlGAIgASgJEgsKA2tleRgDIAEoDBIRCglzaWduYXR1cmUYBCABKAwSEwoLY2VydGlmaWNhdGUYBSABKAwiaAoNU2VhbENhUmVxdWVzdBIUCgxvcmdhbmlzYXRpb24YASABKAkSDAoEbm9kZRgCIAEoCRILCgNrZXkYAyABKAwSEQoJc2lnbmF0dXJlGAQgASgMEhMKC2NlcnRpZmljYXRlGAUgASgMIlQKDlNlYWxDYVJlc3BvbnNlEiQKB3ZlcmRpY3QYASABKAsyEy5sZWRnZXJkLnYxLlZlcmRpY3QSDgoGc2VhbGVkGAIgASgMEgwKBHJvb3QYAyABKAwiQwoNVGFrZUNhUmVxdWVzdBIUCgxvcmdhbmlzYXRpb24YASABKAkSDgoGc2VhbGVkGAIgASgMEgwKBHJvb3QYAyABKAwiNgoOVGFrZUNhUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdCI5Cg1Db3B5Q2FSZXF1ZXN0EhQKDG9yZ2FuaXNhdGlvbhgBIAEoCRISCgpwYXNzcGhyYXNlGAIgASgJIkQKDkNvcHlDYVJlc3BvbnNlEiQKB3ZlcmRpY3QYASABKAsyEy5sZWRnZXJkLnYxLlZlcmRpY3QSDAoEZmlsZRgCIAEoDCJKChBSZXN0b3JlQ2FSZXF1ZXN0EhQKDG9yZ2FuaXNhdGlvbhgBIAEoCRIMCgRmaWxlGAIgASgMEhIKCnBhc3NwaHJhc2UYAyABKAkiOQoRUmVzdG9yZUNhUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdCIlCg1Ecm9wQ2FSZXF1ZXN0EhQKDG9yZ2FuaXNhdGlvbhgBIAEoCSI2Cg5Ecm9wQ2FSZXNwb25zZRIkCgd2ZXJkaWN0GAEgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0MoAGCglFbnJvbG1lbnQSQgoHTmV0d29yaxIaLmxlZGdlcmQudjEuTmV0d29ya1JlcXVlc3QaGy5sZWRnZXJkLnYxLk5ldHdvcmtSZXNwb25zZRI8CgVFbnJvbBIYLmxlZGdlcmQudjEuRW5yb2xSZXF1ZXN0GhkubGVkZ2VyZC52MS5FbnJvbFJlc3BvbnNlEjwKBVJlbmV3EhgubGVkZ2VyZC52MS5SZW5ld1JlcXVlc3QaGS5sZWRnZXJkLnYxLkVucm9sUmVzcG9uc2USQgoHR2VuZXNpcxIaLmxlZGdlcmQudjEuR2VuZXNpc1JlcXVlc3QaGy5sZWRnZXJkLnYxLkdlbmVzaXNSZXNwb25zZRJCCgdPZmZlckNhEhoubGVkZ2VyZC52MS5PZmZlckNhUmVxdWVzdBobLmxlZGdlcmQudjEuT2ZmZXJDYVJlc3BvbnNlEj8KBlNlYWxDYRIZLmxlZGdlcmQudjEuU2VhbENhUmVxdWVzdBoaLmxlZGdlcmQudjEuU2VhbENhUmVzcG9uc2USPwoGVGFrZUNhEhkubGVkZ2VyZC52MS5UYWtlQ2FSZXF1ZXN0GhoubGVkZ2VyZC52MS5UYWtlQ2FSZXNwb25zZRI/CgZDb3B5Q2ESGS5sZWRnZXJkLnYxLkNvcHlDYVJlcXVlc3QaGi5sZWRnZXJkLnYxLkNvcHlDYVJlc3BvbnNlEkgKCVJlc3RvcmVDYRIcLmxlZGdlcmQudjEuUmVzdG9yZUNhUmVxdWVzdBodLmxlZGdlcmQudjEuUmVzdG9yZUNhUmVzcG9uc2USPwoGRHJvcENhEhkubGVkZ2VyZC52MS5Ecm9wQ2FSZXF1ZXN0GhoubGVkZ2VyZC52MS5Ecm9wQ2FSZXNwb25zZRJdChBKb2luT3JnYW5pc2F0aW9uEiMubGVkZ2VyZC52MS5Kb2luT3JnYW5pc2F0aW9uUmVxdWVzdBokLmxlZGdlcmQudjEuSm9pbk9yZ2FuaXNhdGlvblJlc3BvbnNlQhZaFGxlZGdlcmQvdjE7bGVkZ2VyZHYxYgZwcm90bzM", [file_ledgerd_v1_gateway]);
 
 /**
  * @generated from message ledgerd.v1.RenewRequest
@@ -160,6 +160,13 @@ export type NetworkResponse = Message<"ledgerd.v1.NetworkResponse"> & {
    * @generated from field: repeated string carries = 6;
    */
   carries: string[];
+
+  /**
+   * The number of the rules by which blocks are executed now. From 3 on a long transaction may be signed by its id.
+   *
+   * @generated from field: uint32 rules = 7;
+   */
+  rules: number;
 };
 
 /**
@@ -526,6 +533,134 @@ export const TakeCaResponseSchema: GenMessage<TakeCaResponse> = /*@__PURE__*/
   messageDesc(file_ledgerd_v1_enrolment, 17);
 
 /**
+ * @generated from message ledgerd.v1.CopyCaRequest
+ */
+export type CopyCaRequest = Message<"ledgerd.v1.CopyCaRequest"> & {
+  /**
+   * @generated from field: string organisation = 1;
+   */
+  organisation: string;
+
+  /**
+   * At least 12 characters.
+   *
+   * @generated from field: string passphrase = 2;
+   */
+  passphrase: string;
+};
+
+/**
+ * Describes the message ledgerd.v1.CopyCaRequest.
+ * Use `create(CopyCaRequestSchema)` to create a new message.
+ */
+export const CopyCaRequestSchema: GenMessage<CopyCaRequest> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_enrolment, 18);
+
+/**
+ * @generated from message ledgerd.v1.CopyCaResponse
+ */
+export type CopyCaResponse = Message<"ledgerd.v1.CopyCaResponse"> & {
+  /**
+   * @generated from field: ledgerd.v1.Verdict verdict = 1;
+   */
+  verdict?: Verdict | undefined;
+
+  /**
+   * PEM: a line with the organisation, the encrypted key (PKCS #8) and the root.
+   *
+   * @generated from field: bytes file = 2;
+   */
+  file: Uint8Array;
+};
+
+/**
+ * Describes the message ledgerd.v1.CopyCaResponse.
+ * Use `create(CopyCaResponseSchema)` to create a new message.
+ */
+export const CopyCaResponseSchema: GenMessage<CopyCaResponse> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_enrolment, 19);
+
+/**
+ * @generated from message ledgerd.v1.RestoreCaRequest
+ */
+export type RestoreCaRequest = Message<"ledgerd.v1.RestoreCaRequest"> & {
+  /**
+   * @generated from field: string organisation = 1;
+   */
+  organisation: string;
+
+  /**
+   * As CopyCa gave it.
+   *
+   * @generated from field: bytes file = 2;
+   */
+  file: Uint8Array;
+
+  /**
+   * @generated from field: string passphrase = 3;
+   */
+  passphrase: string;
+};
+
+/**
+ * Describes the message ledgerd.v1.RestoreCaRequest.
+ * Use `create(RestoreCaRequestSchema)` to create a new message.
+ */
+export const RestoreCaRequestSchema: GenMessage<RestoreCaRequest> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_enrolment, 20);
+
+/**
+ * @generated from message ledgerd.v1.RestoreCaResponse
+ */
+export type RestoreCaResponse = Message<"ledgerd.v1.RestoreCaResponse"> & {
+  /**
+   * @generated from field: ledgerd.v1.Verdict verdict = 1;
+   */
+  verdict?: Verdict | undefined;
+};
+
+/**
+ * Describes the message ledgerd.v1.RestoreCaResponse.
+ * Use `create(RestoreCaResponseSchema)` to create a new message.
+ */
+export const RestoreCaResponseSchema: GenMessage<RestoreCaResponse> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_enrolment, 21);
+
+/**
+ * @generated from message ledgerd.v1.DropCaRequest
+ */
+export type DropCaRequest = Message<"ledgerd.v1.DropCaRequest"> & {
+  /**
+   * @generated from field: string organisation = 1;
+   */
+  organisation: string;
+};
+
+/**
+ * Describes the message ledgerd.v1.DropCaRequest.
+ * Use `create(DropCaRequestSchema)` to create a new message.
+ */
+export const DropCaRequestSchema: GenMessage<DropCaRequest> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_enrolment, 22);
+
+/**
+ * @generated from message ledgerd.v1.DropCaResponse
+ */
+export type DropCaResponse = Message<"ledgerd.v1.DropCaResponse"> & {
+  /**
+   * @generated from field: ledgerd.v1.Verdict verdict = 1;
+   */
+  verdict?: Verdict | undefined;
+};
+
+/**
+ * Describes the message ledgerd.v1.DropCaResponse.
+ * Use `create(DropCaResponseSchema)` to create a new message.
+ */
+export const DropCaResponseSchema: GenMessage<DropCaResponse> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_enrolment, 23);
+
+/**
  * @generated from service ledgerd.v1.Enrolment
  */
 export const Enrolment: GenService<{
@@ -597,6 +732,36 @@ export const Enrolment: GenService<{
     methodKind: "unary";
     input: typeof TakeCaRequestSchema;
     output: typeof TakeCaResponseSchema;
+  },
+  /**
+   * Gives an admin of an organisation a copy of its CA under a passphrase. The ledger knows of it first.
+   *
+   * @generated from rpc ledgerd.v1.Enrolment.CopyCa
+   */
+  copyCa: {
+    methodKind: "unary";
+    input: typeof CopyCaRequestSchema;
+    output: typeof CopyCaResponseSchema;
+  },
+  /**
+   * Puts such a copy back at this node, which carries the CA from then on; for admins of the organisation.
+   *
+   * @generated from rpc ledgerd.v1.Enrolment.RestoreCa
+   */
+  restoreCa: {
+    methodKind: "unary";
+    input: typeof RestoreCaRequestSchema;
+    output: typeof RestoreCaResponseSchema;
+  },
+  /**
+   * Removes the CA of an organisation from this node, if another node carries it; for admins of the organisation.
+   *
+   * @generated from rpc ledgerd.v1.Enrolment.DropCa
+   */
+  dropCa: {
+    methodKind: "unary";
+    input: typeof DropCaRequestSchema;
+    output: typeof DropCaResponseSchema;
   },
   /**
    * Lets an organisation that was invited, and its first node, become part of the network. Needs no certificate: the
