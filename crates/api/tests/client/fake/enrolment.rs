@@ -69,4 +69,16 @@ impl Enrolment for Shared {
     async fn take_ca(&self, _: Request<v1::TakeCaRequest>) -> Result<Response<v1::TakeCaResponse>, Status> {
         Err(Status::unimplemented("taking"))
     }
+
+    async fn copy_ca(&self, _: Request<v1::CopyCaRequest>) -> Result<Response<v1::CopyCaResponse>, Status> {
+        Err(Status::unimplemented("copying"))
+    }
+
+    async fn restore_ca(&self, _: Request<v1::RestoreCaRequest>) -> Result<Response<v1::RestoreCaResponse>, Status> {
+        Err(Status::unimplemented("restoring"))
+    }
+
+    async fn drop_ca(&self, _: Request<v1::DropCaRequest>) -> Result<Response<v1::DropCaResponse>, Status> {
+        Err(Status::unimplemented("dropping"))
+    }
 }
