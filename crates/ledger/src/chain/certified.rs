@@ -1,7 +1,7 @@
 //! Certified blocks: the voters whose signatures count, and the hashes that the next block builds on.
 
 use super::{BlockHashes, Ledger};
-use crate::facts::{ControlWrites, Facts};
+use crate::facts::{self, ControlWrites, Facts};
 use crate::msp;
 use ledger_light::fact::Fact;
 use ledger_light::proof::Shown;
