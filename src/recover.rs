@@ -211,15 +211,15 @@ impl Survivor {
         store.append(&entries, Some(&HardState { term, vote: self.me.id, commit }))?;
         store.flush()?;
         unmark(config)?;
+        let recorded = self.last + 1 + u64::from(self.ordering.is_joint());
         let file = config.file.display();
         Ok(format!(
             "RECOVERED BY FORCE: {consequences}.\n\
-             The ledger says so from block {} on, for ever: event members_forced.\n\n\
+             The ledger says so from block {recorded} on, for ever: event members_forced.\n\n\
              next:\n  ledgerd run --config {file}\n\
              Never start one of the others as it is. On each that comes back: ledgerd rejoin --config FILE --node {}\n\
              For each that is lost: ledgerctl network remove NODE. Gates and checkpoints from before believe nothing that this \
              node alone signs: docs/operations.md says how they begin anew.",
-            self.last + 1,
             self.me.address
         ))
     }

@@ -303,13 +303,13 @@ fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks
     let backup = fleet.path().join("backup");
     back_up(&owner, &survivor.config, &backup);
 
-    let rejoin = ["rejoin", "--node", &survivor.address, "--blocks", text(&backup)];
+    let rejoin = ["rejoin", "--node", survivor.address.as_str(), "--blocks", text(&backup)];
     let other = voters(1);
     let _running = other.nodes[0].start();
     order(&admin(&other, 1), "Foreign");
     let foreign = fleet.path().join("foreign");
     said(&ledgerd(&["backup", text(&foreign)], &other.nodes[0].config));
-    let wrong = ["rejoin", "--node", &survivor.address, "--blocks", text(&foreign)];
+    let wrong = ["rejoin", "--node", survivor.address.as_str(), "--blocks", text(&foreign)];
     refused(&ledgerd(&wrong, &lost.config), &["is of another network"]);
     let back = said(&ledgerd(&rejoin, &lost.config));
     assert!(back.contains("node Org1/node1 is node 4"), "{back}");

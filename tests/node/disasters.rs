@@ -73,7 +73,7 @@ fn the_stolen_key_of_a_node_opens_nothing_once_its_certificate_is_revoked() {
     });
     // Whoever has the disk comes in no more, neither as a new node nor as the old one.
     let mut command = Command::new(programs::ledgerd());
-    let address = &fleet.nodes[0].address;
+    let address = fleet.nodes[0].address.as_str();
     let refused = command.args(["rejoin", "--node", address, "--config"]).arg(&fleet.nodes[1].config).output().unwrap();
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && told.contains("LGR-"), "{told}");
