@@ -141,9 +141,9 @@ async fn ledgerctl_shows_the_audit_and_the_history_with_decoded_values() {
     let shown = lines(&shown.stdout);
     let used = shown.iter().find(|row| row["decision"] == "used").unwrap();
     assert_eq!((&used["who"], &used["policy_version"]), (&"Org1/Salma".into(), &1.into()));
-    assert!(used["time"].as_str().unwrap().ends_with('Z'));
+    assert!(used["time"].is_u64() && used["time_utc"].as_str().unwrap().ends_with('Z'));
     let refused = ctl(&story.owner).run(&["audit", "--user", "Org1/Farhad", "--code", "LGR-3002", "--csv"]).ok().stdout;
-    assert!(refused.starts_with("time,height,decision,") && refused.lines().count() >= 2, "{refused}");
+    assert!(refused.starts_with("time,time_utc,height,decision,") && refused.lines().count() >= 2, "{refused}");
     let table = ctl(&story.farhad).run(&["audit", "--user", "Farhad"]).ok().stdout;
     assert!(table.contains("refused LGR-3002") && table.contains("version 1"), "{table}");
     ctl(&story.owner).run(&["audit", "--code", "9"]).refused(64, &[]);

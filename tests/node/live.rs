@@ -90,14 +90,14 @@ fn tables_fit_a_narrow_terminal_and_lose_nothing() {
         let told = on_terminal(columns, &dev.owner(), &["robot", "list"]).stdin(Stdio::null()).output().unwrap();
         String::from_utf8(told.stdout).unwrap()
     };
-    let (wide, narrow) = (run(200), run(70));
+    let (wide, narrow) = (run(200), run(90));
     let signs = |text: &str| {
         let mut signs: Vec<char> = text.chars().filter(|c| !c.is_whitespace()).collect();
         signs.sort_unstable();
         signs
     };
-    assert!(wide.lines().any(|line| line.chars().count() > 70), "{wide}");
-    assert!(narrow.lines().all(|line| line.trim_end().chars().count() <= 70), "{narrow}");
+    assert!(wide.lines().any(|line| line.chars().count() > 90), "{wide}");
+    assert!(narrow.lines().all(|line| line.trim_end().chars().count() <= 90), "{narrow}");
     assert_eq!(signs(&wide), signs(&narrow));
 }
 
@@ -124,7 +124,7 @@ fn a_shell_completes_the_names_of_now() {
     let line = "PATH=$(dirname \"$0\"):$PATH; source <(ledgerctl completions bash); \
                 COMP_WORDS=(ledgerctl acquire Tur); COMP_CWORD=2; COMP_TYPE=9; _clap_complete_ledgerctl ledgerctl Tur acquire; echo \"${COMPREPLY[@]}\"";
     let mut bash = Command::new("bash");
-    bash.args(["-c", line]).arg(&program).env("LEDGERD_HOME", dev.home.path()).env_remove("LEDGERCTL_CONTEXT");
+    bash.args(["-c", line]).arg(program).env("LEDGERD_HOME", dev.home.path()).env_remove("LEDGERCTL_CONTEXT");
     let done = bash.output().unwrap();
     let told = String::from_utf8_lossy(&done.stdout);
     assert!(told.contains("Turtlebot4/cmd_vel"), "{told} {}", String::from_utf8_lossy(&done.stderr));

@@ -106,7 +106,8 @@ fn settings_of_a_bridge_are_looked_at_with_every_fault() {
     let faults = findings(&machine, &["--config", &at], &[]);
     found(&faults, "bridge", "wrong", "domain_id", "");
     found(&faults, "bridge", "wrong", "node_nam", "");
-    fs::write(&config, "domain_id = 3\ninterfaces = '192.0.2.77'\ncontext = 'Salma'\n").unwrap();
+    let route = "[[route]]\nservice = 'T/cmd_vel'\ndirection = 'to_ledger'\ntype = 'geometry_msgs/msg/Twist'\n";
+    fs::write(&config, format!("domain_id = 3\ninterfaces = '192.0.2.77'\n{route}")).unwrap();
     let findings = findings(&machine, &["--config", &at], &[]);
     found(&findings, "DDS domain", "ok", "domain 3, by domain_id", "");
     found(&findings, "DDS interfaces", "wrong", "no interface has 192.0.2.77", "ip -4 address");

@@ -248,7 +248,7 @@ fn a_wrong_command_line_is_json_for_who_asked_for_json() {
     for (args, message, part) in [
         (&["-o", "json", "aquire", "T"][..], "unrecognized subcommand 'aquire'", "did you mean"),
         (&["acquire", "-o", "json"], "the following required arguments were not provided", "--help"),
-        (&["status", "-o", "yaml", "-o=json@1"], "the argument", "--help"),
+        (&["status", "-o", "yaml", "-o=json@1"], "invalid value 'yaml'", "--help"),
         (&["acquire", "T", "--for", "30", "--output=json"], "invalid value '30'", "--help"),
         (&["status", "-o", "json@2"], "invalid value 'json@2'", "--help"),
     ] {
