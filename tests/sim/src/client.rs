@@ -75,7 +75,7 @@ pub struct Client {
     pub obliging: bool,
     /// Verdicts of its orders.
     pub obeyed: Vec<Code>,
-    /// What it knows of the confidential service.
+    /// Its knowledge about the confidential service.
     pub(crate) circle: Circle,
 }
 

@@ -22,7 +22,7 @@ const READERS: [&str; 3] = ["Org1/Farhad", "Org1/Nina", "Org3/Trudy"];
 /// A message that somebody sends in the clear by mistake; it says no secret.
 const CLEAR: &[u8] = &[0, 1, 0, 0, 7, 0, 0, 0];
 
-/// What a client knows of the confidential service.
+/// The knowledge of a client about the confidential service.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circle {
     /// It is here for this service.
