@@ -330,7 +330,7 @@ impl World {
         let think = self.random.clients.around(self.plan.think);
         let client = &mut self.clients[number];
         let think = match &*client.person {
-            _ if client.circle.belongs => think / 4 + 1,
+            _ if client.circle.belongs => think / 3 + 1,
             READER => think / 8 + 1,
             _ => think,
         };
