@@ -1,5 +1,5 @@
-//! Sharing and sealing with random bytes that the caller makes: a simulation must be the same again from the same seed. Whoever can
-//! guess these bytes reads everything, so no product uses this.
+//! Sharing and sealing with random bytes that the caller makes: a simulation must be the same again from the same seed. A reader
+//! that can guess these bytes reads everything, so no product uses this.
 
 use super::content::{CONTENT_KEY_BYTES, ContentKey};
 use super::sealer::{Fresh, Sealer};

@@ -75,7 +75,7 @@ pub struct Client {
     pub obliging: bool,
     /// Verdicts of its orders.
     pub obeyed: Vec<Code>,
-    /// What it knows of the confidential service.
+    /// Its knowledge about the confidential service.
     pub(crate) circle: Circle,
 }
 
@@ -330,7 +330,7 @@ impl World {
         let think = self.random.clients.around(self.plan.think);
         let client = &mut self.clients[number];
         let think = match &*client.person {
-            _ if client.circle.belongs => think / 4 + 1,
+            _ if client.circle.belongs => think / 3 + 1,
             READER => think / 8 + 1,
             _ => think,
         };

@@ -22,7 +22,7 @@ const READERS: [&str; 3] = ["Org1/Farhad", "Org1/Nina", "Org3/Trudy"];
 /// A message that somebody sends in the clear by mistake; it says no secret.
 const CLEAR: &[u8] = &[0, 1, 0, 0, 7, 0, 0, 0];
 
-/// What a client knows of the confidential service.
+/// The knowledge of a client about the confidential service.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circle {
     /// It is here for this service.
@@ -76,8 +76,6 @@ impl Client {
     /// Its reading of who reads.
     pub(super) fn read_of_the_circle(&mut self, response: &[u8]) {
         self.circle.known = serde_json::from_slice(response).ok();
-        let listed = self.circle.known.iter().flat_map(|known| &known.readers);
-        self.circle.entered = listed.into_iter().any(|listed| listed.reader == self.person);
     }
 }
 
@@ -113,7 +111,7 @@ impl World {
         Some(match &*person {
             OWNER if !client.ready => Call::Describe(Terms::PLAIN),
             OWNER => self.rule_the_circle(number),
-            _ if DRIVERS.contains(&&*person) && self.random.confidential.percent(92) => self.drive_in_secret(number),
+            _ if DRIVERS.contains(&&*person) && self.random.confidential.percent(80) => self.drive_in_secret(number),
             _ => self.read_in_secret(number),
         })
     }
@@ -125,14 +123,14 @@ impl World {
         let random = &mut self.random.confidential;
         let lease_ms_max = 20_000 + random.below(2);
         match random.below(100) {
-            0..=14 => Call::TakeOut { reader: random.pick(&readers).cloned().unwrap_or_default() },
-            40..=42 => {
+            0..=39 => Call::TakeOut { reader: random.pick(&readers).cloned().unwrap_or_default() },
+            40..=44 => {
                 let (confidential, trusts_all) = (random.percent(60), random.percent(60));
                 // Then it is as before again, as soon as possible.
                 self.clients[number].ready = confidential && trusts_all;
                 Call::Describe(Terms { confidential, lease_ms_max, trusts_all })
             }
-            43..=45 => Call::Describe(Terms { lease_ms_max, ..Terms::PLAIN }),
+            45..=49 => Call::Describe(Terms { lease_ms_max, ..Terms::PLAIN }),
             50..=52 => Call::Release { service: SERVICE.to_owned() },
             53..=54 => Call::Resume { robot: "*" },
             _ => self.read_in_secret(number),
@@ -143,12 +141,13 @@ impl World {
     fn read_in_secret(&mut self, number: usize) -> Call {
         let entered = self.clients[number].circle.entered;
         let random = &mut self.random.confidential;
+        // One that was taken out does not know, and comes back.
         match random.below(100) {
-            0..=29 if !entered => {}
-            0..=1 => {}
-            2..=4 => self.clients[number].circle.nth = random.below(PAIRS as u64) as usize,
-            5..=8 if self.clients[number].person != BRIDGE => return Call::Leave,
-            9 => return Call::TakeOut { reader: BRIDGE.to_owned() },
+            0..=64 if !entered => {}
+            0..=24 => {}
+            25..=34 => self.clients[number].circle.nth = random.below(PAIRS as u64) as usize,
+            35..=44 if self.clients[number].person != BRIDGE => return Call::Leave,
+            45..=46 => return Call::TakeOut { reader: BRIDGE.to_owned() },
             _ => return asks_who_reads(random.percent(50)),
         }
         self.enter(number)
@@ -167,13 +166,13 @@ impl World {
         let Some((epoch, seq)) = client.grants.get(SERVICE).copied() else { return self.speak(number) };
         let (has_key, knows) = (client.circle.sealer.is_some(), client.circle.known.is_some());
         match self.random.confidential.below(100) {
-            0..=1 => Call::Release { service: SERVICE.to_owned() },
-            2..=4 => Call::Renew { service: SERVICE.to_owned() },
+            0..=3 => Call::Release { service: SERVICE.to_owned() },
+            4..=7 => Call::Renew { service: SERVICE.to_owned() },
             // With a key from before.
-            5..=9 => self.seal(number, true).unwrap_or_else(|| asks_who_reads(true)),
-            10..=11 => Call::Seal { epoch, seq, payload: CLEAR.into() },
-            12..=15 if knows => self.share_with(number, true),
-            16..=19 if knows && has_key => self.share_with(number, false),
+            8..=12 => self.seal(number, true).unwrap_or_else(|| asks_who_reads(true)),
+            13..=14 => Call::Seal { epoch, seq, payload: CLEAR.into() },
+            15..=19 if knows => self.share_with(number, true),
+            20..=24 if knows && has_key => self.share_with(number, false),
             _ => self.speak(number),
         }
     }

@@ -163,7 +163,7 @@ impl Model {
         if same && in_time { Ok(()) } else { Err(Code::ReadersChanged) }
     }
 
-    /// Whose certificate is revoked reads nothing any more.
+    /// With a revoked certificate nobody reads any more.
     pub(super) fn read_no_more(&mut self, is_revoked: impl Fn(usize) -> bool) {
         for circle in self.circles.values_mut() {
             let before = circle.entered.len();

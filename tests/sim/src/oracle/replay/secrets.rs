@@ -2,7 +2,7 @@
 //! takes all that stands in the blocks, and tries to open every message:
 //!
 //! - nobody opens one that was sent after they had been taken out, revoked, or denied by a policy;
-//! - whoever was a reader when the key was shared, and still is, opens it, and finds what was sealed;
+//! - a reader of the moment when the key was shared, which still is one, opens it, and finds what was sealed;
 //! - no block has a secret in the clear.
 
 use super::super::model::{Listed, Model};
