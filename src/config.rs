@@ -64,7 +64,7 @@ pub struct Console {
     pub listen: String,
     /// The host name by which browsers reach it; empty = an address, or the name in `listen`.
     pub name: String,
-    /// Its own certificate for TLS, with those of its issuers; empty = the certificate of the node.
+    /// Its certificate for TLS, with those of its issuers; empty = one that it makes at each start.
     pub certificate: PathBuf,
     /// The key of that certificate.
     pub key: PathBuf,

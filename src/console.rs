@@ -32,7 +32,7 @@ use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use challenge::Challenges;
 use guard::Names;
-use ledger_api::tls::{TlsIdentity, TrustSource};
+use ledger_api::tls::TrustSource;
 use ledger_rejection::{Code, Rejection};
 use sessions::{LIFE_MAX, Sessions};
 use std::net::SocketAddr;
@@ -54,8 +54,6 @@ pub(crate) struct Parts {
     pub(crate) enrolment: EnrolmentService,
     /// Knows who is who.
     pub(crate) trust: Arc<dyn TrustSource>,
-    /// The node's certificate, for where the console has none of its own.
-    pub(crate) identity: TlsIdentity,
 }
 
 /// The console, as long as it is served. It ends when it is dropped.
@@ -81,8 +79,9 @@ impl Console {
     /// [`Code::BadConfiguration`] if nothing can listen there; [`Code::BadFile`] if the certificate cannot be used.
     pub(crate) async fn serve(settings: &config::Console, reached: &str, parts: Parts) -> Result<Self, Rejection> {
         let listening = Doors::listen(&settings.listen, "console.listen").await?;
-        let tls = secured::tls(settings, listening.1, &parts.identity)?;
-        let names = Names::new(settings, reached, tls.is_some());
+        let hosts = guard::hosts(settings, reached);
+        let tls = secured::tls(settings, listening.1, &hosts)?;
+        let names = Names::new(hosts, tls.is_some());
         let address = names.address(settings, reached, listening.1);
         let room = Room {
             all_max: OPEN_MAX,

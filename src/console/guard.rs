@@ -48,10 +48,14 @@ fn host_of(authority: &str) -> &str {
     }
 }
 
+/// The names and addresses by which browsers may know a console of a node that others reach at `reached`, `HOST:PORT`.
+pub(super) fn hosts(settings: &config::Console, reached: &str) -> Vec<String> {
+    let named = [settings.name.as_str(), host_of(&settings.listen), host_of(reached), "localhost"];
+    named.into_iter().filter(|name| !name.is_empty()).map(str::to_ascii_lowercase).collect()
+}
+
 impl Names {
-    pub(super) fn new(settings: &config::Console, reached: &str, is_secure: bool) -> Self {
-        let named = [settings.name.as_str(), host_of(&settings.listen), host_of(reached), "localhost"];
-        let hosts = named.into_iter().filter(|name| !name.is_empty()).map(str::to_ascii_lowercase).collect();
+    pub(super) fn new(hosts: Vec<String>, is_secure: bool) -> Self {
         Self { scheme: if is_secure { "https" } else { "http" }, hosts }
     }
 
@@ -112,7 +116,7 @@ mod tests {
     fn names() -> Names {
         let settings =
             config::Console { listen: "0.0.0.0:7452".into(), name: "robots.example".into(), ..Default::default() };
-        Names::new(&settings, "node1.lan:7450", true)
+        Names::new(hosts(&settings, "node1.lan:7450"), true)
     }
 
     fn origin(method: Method, host: &str, origin: Option<&str>) -> Option<String> {
@@ -145,7 +149,7 @@ mod tests {
     fn a_console_is_found_by_its_name_or_else_where_the_node_is_reached() {
         let at = |listen: &str, name: &str, listens: &str| {
             let settings = config::Console { listen: listen.into(), name: name.into(), ..Default::default() };
-            let names = Names::new(&settings, "10.0.0.4:7450", true);
+            let names = Names::new(hosts(&settings, "10.0.0.4:7450"), true);
             names.address(&settings, "10.0.0.4:7450", listens.parse().unwrap())
         };
         assert_eq!(at("0.0.0.0:0", "", "0.0.0.0:4711"), "https://10.0.0.4:4711");

@@ -13,7 +13,6 @@ use crate::stores::Stores;
 use crate::{renewal, telemetry};
 use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::{AccessControl, Rule};
-use ledger_api::tls::TlsIdentity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::net::SocketAddr;
@@ -140,7 +139,7 @@ impl Node {
                 Some(Admin::serve(address, node, (identity.clone(), trust)).await?)
             }
         };
-        let console = console(config, &host, &services, &identity).await?;
+        let console = console(config, &host, &services).await?;
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
@@ -215,12 +214,7 @@ impl Node {
 }
 
 /// The console, if the configuration wants one; the node tells where it is.
-async fn console(
-    config: &Config,
-    host: &Host,
-    services: &Services,
-    identity: &TlsIdentity,
-) -> Result<Option<Console>, Rejection> {
+async fn console(config: &Config, host: &Host, services: &Services) -> Result<Option<Console>, Rejection> {
     if config.console.listen.is_empty() {
         return Ok(None);
     }
@@ -228,7 +222,6 @@ async fn console(
         gateway: services.gateway.clone(),
         enrolment: services.enrolment.clone(),
         trust: Arc::clone(&services.trust),
-        identity: identity.clone(),
     };
     let reached = match config.member.address.as_str() {
         "" => host.own_gateway(),
