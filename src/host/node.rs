@@ -13,6 +13,7 @@ use crate::stores::Stores;
 use crate::{renewal, telemetry};
 use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::{AccessControl, Rule};
+use ledger_api::tls::TlsIdentity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::net::SocketAddr;
