@@ -64,7 +64,7 @@ impl Client {
             (Code::Ok, Call::Describe(_)) => self.ready = true,
             (Code::Ok, Call::Enter { .. }) => self.circle.entered = true,
             (Code::Ok | Code::NotFound, Call::Leave) => self.circle.entered = false,
-            (Code::Ok, Call::Share { fresh, .. }) => self.circle.shared(fresh.clone(), response),
+            (Code::Ok, Call::Share { fresh, .. }) => self.circle.shared(Fresh::clone(fresh), response),
             (Code::ReadersChanged | Code::BadArgument, Call::Share { .. }) => self.circle.outdated(),
             (Code::Ok, Call::Seal { epoch, seq, .. }) => drop(self.grants.insert(SERVICE.into(), (*epoch, seq + 1))),
             (Code::ReadersChanged | Code::BadArgument, Call::Seal { .. }) => self.circle.outdated(),
@@ -200,7 +200,7 @@ impl World {
         }
         let chance = &mut Chance(&mut self.random.confidential);
         let (share, fresh) = Sealer::share_with(chance, &self.network, &client.person, &readers).unwrap();
-        Call::Share { epoch, share: serde_json::to_string(&share).unwrap(), fresh }
+        Call::Share { epoch, share: serde_json::to_string(&share).unwrap(), fresh: Box::new(fresh) }
     }
 
     /// Seals a message under the newest content key of the client, or the one before.

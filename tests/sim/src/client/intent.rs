@@ -193,7 +193,7 @@ pub enum Call {
         /// The key, wrapped for its readers, as JSON.
         share: String,
         /// The key.
-        fresh: Fresh,
+        fresh: Box<Fresh>,
     },
     /// To publish on the confidential service.
     Seal {

@@ -65,6 +65,8 @@ pub(super) struct Model {
     asking: confirm::Askings,
     /// Of each confidential service.
     circles: BTreeMap<String, Circle>,
+    /// A gateway judges, and no block is executed.
+    at_a_gateway: bool,
     /// Robots.
     stopped: BTreeSet<String>,
     /// Organisations with policies from before their steps were counted.
@@ -143,6 +145,7 @@ impl Model {
             tasks: Vec::new(),
             asking: confirm::Askings::new(),
             circles: BTreeMap::new(),
+            at_a_gateway: false,
             stopped: BTreeSet::new(),
             uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
@@ -197,6 +200,7 @@ impl Model {
             return Code::Duplicate;
         }
         let mut copy = self.clone();
+        copy.at_a_gateway = true;
         copy.execute(Some(transaction), time).code
     }
 
