@@ -250,7 +250,7 @@ fn a_wrong_command_line_is_json_for_who_asked_for_json() {
         (&["acquire", "-o", "json"], "the following required arguments were not provided", "--help"),
         (&["status", "-o", "yaml", "-o=json@1"], "invalid value 'yaml'", "--help"),
         (&["acquire", "T", "--for", "30", "--output=json"], "invalid value '30'", "--help"),
-        (&["status", "-o", "json@2"], "invalid value 'json@2'", "--help"),
+        (&["status", "-o", "json@2"], "invalid value 'json@2'", "did you mean json?"),
     ] {
         let said = machine.run(args);
         assert_eq!((said.code, said.stdout.as_str(), said.stderr.lines().count()), (64, "", 1), "{said:?}");

@@ -342,7 +342,8 @@ mod tests {
     #[test]
     fn a_long_body_may_be_signed_by_its_id_and_a_short_one_may_not() {
         let with = |argument: usize| Body { args: vec![vec![7; argument].into()], ..body() };
-        let longest = SIGNED_WHOLE_MAX - with(SIGNED_WHOLE_MAX).encoded_len() + SIGNED_WHOLE_MAX;
+        let beside = with(SIGNED_WHOLE_MAX).encoded_len() - SIGNED_WHOLE_MAX;
+        let longest = SIGNED_WHOLE_MAX - beside;
         for kind in [KeyKind::Ed25519, KeyKind::P256] {
             let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
             for (argument, may) in [(longest, false), (longest + 1, true)] {
