@@ -1,4 +1,4 @@
-//! What gRPC tools ask a server for: its health, and its services by their descriptions.
+//! Answers to gRPC tools: the health of the node, and its services by their descriptions.
 //!
 //! Health: <https://github.com/grpc/grpc/blob/master/doc/health-checking.md>. It is that of `/readyz`, a second old at most. The
 //! empty name and `ledgerd.v1.Gateway` stand for the node as a whole.

@@ -254,6 +254,13 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
     let checkpoint = fleet.path().join("checkpoint");
     let make = ["checkpoint", text(&checkpoint)];
     refused(&ledgerd(&make, &survivor.config), &["cannot open"]);
+    // It is made of a block that the new voter has certified.
+    let mut more = 0;
+    eventually("a block after the recovery is certified", || {
+        more += 1;
+        order(&first, &format!("More{more}"));
+        (first.json(&["status"])["certified"].as_u64()? > height).then_some(())
+    });
     nodes[0].interrupt();
     said(&ledgerd(&make, &survivor.config));
     nodes[0] = survivor.start();

@@ -186,7 +186,7 @@ fn image_of(package: &Path, place: &Path) {
         "/config/ledgerd.toml",
     ];
     assert!(inside(&founded).contains("is founded"));
-    assert!(inside(&["/usr/bin/ledgerd", "verify", "/config/data"]).contains("is right"));
+    assert!(inside(&["/usr/bin/ledgerd", "check", "--config", "/config/ledgerd.toml"]).contains("is fine"));
 }
 
 fn hex(content: &[u8]) -> String {

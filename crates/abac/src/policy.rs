@@ -13,6 +13,7 @@ mod diagnose;
 pub(crate) mod explain;
 mod index;
 pub(crate) mod limits;
+mod permit;
 pub(crate) mod refusal;
 #[cfg(test)]
 mod tests;
@@ -25,14 +26,15 @@ use self::defaults::schemas;
 use self::explain::Explanation;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
+pub(crate) use self::permit::Permit;
 use cedar_policy::{Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, Validator};
-use ledger_contract::{Attributes, Limits, POLICIES_TOLD_MAX, PolicyFault};
+use ledger_contract::{Attributes, POLICIES_TOLD_MAX, PolicyFault};
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use quick_cache::Weighter;
 use quick_cache::unsync::Cache;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -134,44 +136,6 @@ impl Verdict {
             _ => Vec::new(),
         }
     }
-}
-
-/// The annotations of policies on something that they permit.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Permit {
-    /// The highest `@priority` of those that permit it.
-    pub(crate) priority: Option<i64>,
-    /// Its limits: of each the strictest. The windows are those of policies that permit it now.
-    pub(crate) limits: Limits,
-    /// When the last of these windows closes (block time, microseconds); never, if a policy without one permits it.
-    pub(crate) closes: Option<u64>,
-    /// The ids of the policies that permit it, in order; none under rules that do not tell them.
-    pub(crate) policies: Vec<String>,
-}
-
-impl Permit {
-    /// Another policy permits the same.
-    fn or(self, other: Self) -> Self {
-        let closes = self.closes.zip(other.closes).map(|(one, two)| one.max(two));
-        let mut limits = self.limits.and(other.limits);
-        if closes.is_none() {
-            limits.between.clear();
-        }
-        let policies = both(self.policies, other.policies);
-        Self { priority: self.priority.max(other.priority), limits, closes, policies }
-    }
-
-    /// Another use must be permitted as well.
-    pub(crate) fn and(self, other: Self) -> Self {
-        let closes = self.closes.into_iter().chain(other.closes).min();
-        let policies = both(self.policies, other.policies);
-        Self { priority: self.priority, limits: self.limits.and(other.limits), closes, policies }
-    }
-}
-
-/// The ids of two lists, each once and in order.
-fn both(one: Vec<String>, other: Vec<String>) -> Vec<String> {
-    BTreeSet::from_iter(one.into_iter().chain(other)).into_iter().collect()
 }
 
 /// A verdict, and whether it holds whatever the time is.

@@ -89,7 +89,9 @@ pub(crate) async fn door(session: &Session, organisation: &str) -> Result<(Strin
         };
         node.role != NodeRole::Removed && carriers.iter().any(this)
     };
-    match nodes.iter().filter(carries).min_by_key(|node| node.id != status.node_id) {
+    // The disk of another carrier may be lost, and the ledger still name it.
+    let is_away = |id: u64| !status.peers.iter().any(|peer| peer.node_id == id && peer.connected);
+    match nodes.iter().filter(carries).min_by_key(|node| (node.id != status.node_id, is_away(node.id))) {
         Some(node) if node.id != status.node_id => {
             Ok((node.address.clone(), session.ca_fingerprint(&node.organisation)?))
         }
