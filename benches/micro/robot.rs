@@ -75,6 +75,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         follows: None,
         task: None,
         policy_version: 0,
+        policies: Vec::new(),
     };
     let standing = Standing {
         services: Vec::new(),

@@ -46,10 +46,11 @@ async function person() {
 
 const origin = new URL(ownerLink).origin;
 const shows = (page, text) => page.waitForFunction((wanted) => document.body.innerText.includes(wanted), { timeout: WAIT_MS, polling: "mutation" }, text);
-const go = async (page, place, title) => {
-  await page.evaluate((hash) => void (location.hash = hash), place);
-  await page.waitForFunction((wanted) => document.querySelector("h1")?.textContent === wanted, { timeout: WAIT_MS }, title);
-};
+// Sets the place until it is there: a page that becomes one of a phone loads again, and goes back to the place of before.
+const go = (page, place, title) => page.waitForFunction((hash, wanted) => {
+  if (location.hash !== hash) location.hash = hash;
+  return document.querySelector("h1")?.textContent === wanted;
+}, { timeout: WAIT_MS }, place, title);
 
 async function press(page, name) {
   const button = await page.waitForSelector(`::-p-aria([name="${name}"][role="button"])`, { timeout: WAIT_MS });
@@ -83,7 +84,7 @@ const PLACES = [
 async function enrol(page, link, id) {
   await page.goto(link);
   await shows(page, id);
-  check(!(await page.evaluate(() => location.href)).includes(link.split("/").pop()), "the secret stays in the address");
+  await page.waitForFunction((secret) => !location.href.includes(secret), { timeout: 5000 }, link.split("/").pop());
   await press(page, "Enrol this browser");
   await shows(page, "Rover");
   await shows(page, "live");

@@ -166,7 +166,9 @@ impl Node {
         }
         match (&self.bridge, &config.bridge) {
             (Some(bridge), Some(settings)) => bridge.reload(settings.clone()),
-            (None, None) => {}
+            (None, None) => {
+                tracing::info!("this node has no bridge: all but level and certificate waits for the next start")
+            }
             _ => tracing::warn!("a bridge comes or goes when the node starts again: it goes on as it is"),
         }
     }

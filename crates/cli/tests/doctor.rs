@@ -1,6 +1,6 @@
 //! The findings of `ledgerctl doctor` on a machine without a node. Each finding is provoked. tests/node/doctor.rs provokes the others.
 
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 #![expect(dead_code, reason = "the machine is shared with the transcripts")]
 
 mod machine;
