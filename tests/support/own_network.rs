@@ -1,7 +1,8 @@
-//! A network of its own for a test: only `lo`, no multicast, no neighbours.
+//! A network of its own for a test: only `lo`, no multicast, no neighbours; and shared memory of its own.
 //!
-//! DDS talks to everything that it finds, and who tests partitions needs routes to cut. So such a test runs itself
-//! again, in a new network namespace, and reports what happened there. Needs `unshare` (util-linux) and `ip` (iproute2).
+//! DDS talks to everything that it finds, and a test of partitions needs routes to cut. So such a test runs itself again,
+//! in new namespaces for network and mounts, and reports what happened there. Fast DDS and iceoryx2 would otherwise meet
+//! the other tests in shared memory. Needs `unshare`, `mount` (util-linux) and `ip` (iproute2).
 //!
 //! ```ignore
 //! #[test]
@@ -23,6 +24,9 @@ use std::{
     process::{Command, Stdio},
 };
 
+/// Brings up the network and hides the shared memory of others; then becomes the command that follows.
+const ALONE: &str = "mount -t tmpfs tmpfs /dev/shm && mkdir -p -m 1777 /tmp/iceoryx2 && mount -t tmpfs tmpfs /tmp/iceoryx2 \
+    && ip link set lo up && exec \"$0\" \"$@\"";
 /// Set inside the namespace to the name of the test.
 const INSIDE: &str = "LEDGERD_TEST_NAMESPACE";
 
@@ -36,13 +40,13 @@ pub(crate) fn isolated<Here>(_here: &Here) -> bool {
     if env::var_os(INSIDE).is_some_and(|inside| inside == name) {
         return true;
     }
-    let namespace = if runs(&["-n", "true"]) { "-n" } else { "-rn" };
+    let namespaces = if runs(&["-mn", "true"]) { "-mn" } else { "-rmn" };
     assert!(
-        runs(&[namespace, "ip", "link", "set", "lo", "up"]),
-        "this test needs a network namespace: run it as root or allow user namespaces, with `ip` of iproute2"
+        runs(&[namespaces, "sh", "-c", ALONE, "true"]),
+        "this test needs namespaces for network and mounts: run it as root or allow user namespaces, with `ip` of iproute2"
     );
     let done = Command::new("unshare")
-        .args([namespace, "sh", "-c", "ip link set lo up && exec \"$0\" \"$@\""])
+        .args([namespaces, "sh", "-c", ALONE])
         .arg(env::current_exe().expect("the test binary has a path"))
         .args(["--exact", name, "--nocapture", "--test-threads=1"])
         .env(INSIDE, name)
