@@ -117,7 +117,7 @@ impl Audit {
     ) -> Result<(Page, Option<Known>), Rejection> {
         let known = self.index.known();
         let mut page = self.index.find(question, shown)?;
-        for row in page.rows.iter_mut().filter(|row| row.is_use()) {
+        for row in page.rows.iter_mut().filter(|row| row.is_use() && row.epoch > 0) {
             (row.policy_version, row.policies) = self.index.policies_of(&row.subject, row.epoch)?;
         }
         Ok((page, known))

@@ -21,7 +21,7 @@ const TEXT_BYTES_MAX: usize = 256;
 /// Events that are no decision about control, or that follow from one.
 const LEFT_OUT: [&str; 4] = ["attested", "line", "message", "renewed"];
 /// Fields of a payload that name whom it is about, the most telling first.
-const WHO: [&str; 6] = ["holder", "receiver", "contender", "submitter", "giver", "by"];
+const WHO: [&str; 7] = ["holder", "receiver", "contender", "submitter", "giver", "publisher", "by"];
 /// Fields that are told as words.
 const WORDS: [&str; 12] = [
     "change",

@@ -182,9 +182,10 @@ const URGENT: [&str; 18] = [
 static NEEDS_APPROVAL: [(&str, Quorum); 1] = [(policy_rules::SET, Quorum::Majority)];
 
 /// The names of its events.
-const EVENTS: [&str; 22] = [
+const EVENTS: [&str; 23] = [
     "confirmed",
     "pending",
+    "permitted",
     "delegated",
     "granted",
     "keyed",

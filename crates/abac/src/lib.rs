@@ -54,7 +54,7 @@ pub use contract::AccessControl;
 pub use ledger_contract::{
     AcquireOptions, Acquired, Ask, Attribute, AttributeChanges, Attributes, Can, Capabilities, Condition, Confirmation,
     Could, Declaration, Delegated, Direction, Emergency, EmergencyAnswer, Fencing, Grant, Keyed, Latest, Left,
-    LeftReason, Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, PassOptions, Pending, Place, Point,
+    LeftReason, Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, PassOptions, Pending, Permitted, Place, Point,
     PolicyApproval, PolicyApprovals, PolicyChange, PolicyDiff, PolicyDigest, PolicyDraft, PolicyEntry, PolicyFault,
     PolicyNeed, PolicyProposal, PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText, Published, Publishing,
     Reader, ReaderTold, Readers, Reason, Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec,

@@ -46,7 +46,7 @@ pub use emergency::{Emergency, EmergencyAnswer, Stopped};
 pub use grant::{Grant, POLICIES_TOLD_MAX, Reason, Released};
 pub use limits::Limits;
 pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
-pub use message::{Latest, MessageEvent, Published};
+pub use message::{Latest, MessageEvent, Permitted, Published};
 pub use policy::{
     PolicyApproval, PolicyApprovals, PolicyChange, PolicyDigest, PolicyDraft, PolicyEntry, PolicyNeed, PolicyProposal,
     PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText,

@@ -22,6 +22,18 @@ pub struct MessageEvent {
     pub count: u64,
 }
 
+/// Payload of the event `permitted`, whose subject is the service: from this block on, these policies permit what a publisher
+/// sends without a grant.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Permitted {
+    /// The publisher, e.g. `Org2/Turtlebot4`.
+    pub publisher: String,
+    /// Number of the set of policies; 0 for the built-in policy of an owner that has never put one.
+    pub policy_version: u64,
+    /// Ids of those that permit it, in order; at most [`POLICIES_TOLD_MAX`](crate::POLICIES_TOLD_MAX).
+    pub policies: Vec<String>,
+}
+
 /// Where the last message of a publisher is: an element of the answer of `latest`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Latest {

@@ -443,8 +443,14 @@ impl Ledger {
         args: &[Bytes],
     ) -> Result<(Bytes, Vec<Event>), Rejection> {
         let (mut overlay, mut events) = (self.overlay(), Vec::new());
-        let tip = self.tip();
-        let meter = if transaction == Hash::ZERO { Meter::of_query() } else { Meter::of_block(self.rules()) };
+        let mut tip = self.tip();
+        let meter = if transaction == Hash::ZERO {
+            Meter::of_query()
+        } else {
+            // The first block that a transaction can be in.
+            tip.height += 1;
+            Meter::of_block(self.rules())
+        };
         let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time, &meter) };
         let answer = Registry::invoke(environment, &mut overlay, &mut events, chaincode, function, args);
         overlay.finish().and(answer).map(|answer| (answer, events))

@@ -9,7 +9,8 @@
 //! | `m` | version, first and last height that it knows, block time of the last |
 //! | `r` place | a [`Row`]; a place is block time, height and number of the row in its block |
 //! | `x` kind, length, name, place | nothing: a row that concerns a robot, a user, an organisation or a code |
-//! | `g` length, service, epoch | number of the set of policies of that grant, and whose set it is |
+//! | `g` length, service, epoch | number of the set of policies of that grant, and their ids |
+//! | `p` length, service, who | the same for commands without a grant, as it is now |
 
 mod question;
 mod row;
@@ -21,14 +22,19 @@ use crate::state::{Store, WriteSet};
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
 use row::{Place, by_name};
+use std::borrow::Cow;
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The form of the rows. An index of another one is made again.
-const VERSION: u64 = 2;
+const VERSION: u64 = 3;
 const META: &[u8] = b"m";
 const ROWS: u8 = b'r';
 const GRANTS: u8 = b'g';
+const PERMISSIONS: u8 = b'p';
+/// Permissions that are remembered between two writes.
+const PERMISSIONS_MAX: usize = 4096;
 /// Rows that are read at once.
 const ROWS_AT_ONCE: usize = 256;
 /// Rows that are dropped at once.
@@ -56,7 +62,12 @@ struct State {
     /// The rows of this minute that may still grow.
     open: HashMap<String, Growing>,
     minute: u64,
+    /// The policies that permit commands without a grant, by service and identity.
+    permissions: HashMap<(String, String), Decided>,
 }
+
+/// The number of a set of policies, and the ids of those that decided.
+type Decided = (u64, Vec<String>);
 
 /// A row that may still grow.
 struct Growing {
@@ -100,8 +111,11 @@ impl Index {
         let (Some(first), Some(last)) = (blocks.first(), blocks.last()) else { return Ok(()) };
         let mut state = self.state();
         let mut writes = WriteSet::new();
+        if state.permissions.len() > PERMISSIONS_MAX {
+            state.permissions.clear();
+        }
         for block in blocks {
-            state.take(block, &mut writes);
+            state.take(block, &*self.store, &mut writes)?;
         }
         state.write_grown(&mut writes);
         let from = state.known.map_or(first.height, |known| known.from);
@@ -144,9 +158,7 @@ impl Index {
     /// # Errors
     /// [`Code::Corrupt`], [`Code::DiskFailed`].
     pub fn policies_of(&self, service: &str, epoch: u64) -> Result<(u64, Vec<String>), Rejection> {
-        let value = self.store.get(&grant_key(service, epoch))?;
-        let row = value.map(|value| Row::read(&value)).transpose()?.unwrap_or_default();
-        Ok((row.policy_version, row.policies))
+        decided(&*self.store, &grant_key(service, epoch))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -159,7 +171,7 @@ impl State {
     fn read(store: &dyn Store) -> Result<Self, Rejection> {
         let known = store.get(META)?.map(|bytes| Known::from_bytes(&bytes)).transpose()?;
         let minute = known.map_or(0, |known| known.time / FOLDED_US);
-        let mut state = Self { known, minute, open: HashMap::new() };
+        let mut state = Self { known, minute, open: HashMap::new(), permissions: HashMap::new() };
         let mut after = place_key(ROWS, &Place::at(minute * FOLDED_US));
         loop {
             let pairs = store.range(&[ROWS], Some(&after), ROWS_AT_ONCE)?;
@@ -172,7 +184,7 @@ impl State {
         }
     }
 
-    fn take(&mut self, block: &Block, writes: &mut WriteSet) {
+    fn take(&mut self, block: &Block, store: &dyn Store, writes: &mut WriteSet) -> Result<(), Rejection> {
         if block.time / FOLDED_US != self.minute {
             self.write_grown(writes);
             self.minute = block.time / FOLDED_US;
@@ -180,16 +192,34 @@ impl State {
         }
         for (number, row) in (0u32..).zip(&block.rows) {
             let place = Place { time: block.time, height: block.height, number };
+            let row = self.with_permission(row, store)?;
             match row.folds_as() {
-                None => put(&place, row, writes),
+                None => put(&place, &row, writes),
                 Some(name) => {
                     let nothing = || Growing { place, row: row.nothing_yet(), grown: true };
                     let growing = self.open.entry(name).or_insert_with(nothing);
-                    growing.row.fold(row);
+                    growing.row.fold(&row);
                     growing.grown = true;
                 }
             }
         }
+        Ok(())
+    }
+
+    /// The row, with the policies that permit its commands if no grant stands behind them.
+    fn with_permission<'a>(&mut self, row: &'a Row, store: &dyn Store) -> Result<Cow<'a, Row>, Rejection> {
+        let whose = || (row.subject.clone(), row.who.clone());
+        if row.tells_permission() {
+            self.permissions.insert(whose(), (row.policy_version, row.policies.clone()));
+        }
+        if !row.is_use_without_grant() {
+            return Ok(Cow::Borrowed(row));
+        }
+        let (policy_version, policies) = match self.permissions.entry(whose()) {
+            Entry::Occupied(known) => known.get().clone(),
+            Entry::Vacant(place) => place.insert(decided(store, &permission_key(&row.subject, &row.who))?).clone(),
+        };
+        Ok(Cow::Owned(Row { policy_version, policies, ..row.clone() }))
     }
 
     fn write_grown(&mut self, writes: &mut WriteSet) {
@@ -204,21 +234,38 @@ fn put(place: &Place, row: &Row, writes: &mut WriteSet) {
     writes.insert(place_key(ROWS, place).into(), Some(row.to_bytes()));
     writes.extend(by_name(row, place).map(|key| (key, Some(Bytes::new()))));
     writes.extend(grant_of(row).map(|(key, value)| (key, Some(value))));
+    if row.tells_permission() {
+        writes.insert(permission_key(&row.subject, &row.who).into(), Some(policies_of(row)));
+    }
 }
 
 fn grant_of(row: &Row) -> Option<(Bytes, Bytes)> {
     let is_grant = row.decision == "granted" && (row.policy_version > 0 || !row.policies.is_empty());
+    is_grant.then(|| (grant_key(&row.subject, row.epoch).into(), policies_of(row)))
+}
+
+/// The policies of a row, as a row with nothing else.
+fn policies_of(row: &Row) -> Bytes {
     let Row { policy_version, policies, .. } = row.clone();
-    let value = || Row { policy_version, policies, ..Row::default() }.to_bytes();
-    is_grant.then(|| (grant_key(&row.subject, row.epoch).into(), value()))
+    Row { policy_version, policies, ..Row::default() }.to_bytes()
+}
+
+/// The policies under a key; none if they are not known.
+fn decided(store: &dyn Store, key: &[u8]) -> Result<Decided, Rejection> {
+    let row = store.get(key)?.map(|value| Row::read(&value)).transpose()?.unwrap_or_default();
+    Ok((row.policy_version, row.policies))
 }
 
 fn grant_key(service: &str, epoch: u64) -> Vec<u8> {
-    let mut key = vec![GRANTS];
-    key.extend_from_slice(&row::length(service));
-    key.extend_from_slice(service.as_bytes());
-    key.extend_from_slice(&epoch.to_be_bytes());
-    key
+    key_of(GRANTS, service, &epoch.to_be_bytes())
+}
+
+fn permission_key(service: &str, who: &str) -> Vec<u8> {
+    key_of(PERMISSIONS, service, who.as_bytes())
+}
+
+fn key_of(kind: u8, service: &str, rest: &[u8]) -> Vec<u8> {
+    [&[kind][..], &row::length(service), service.as_bytes(), rest].concat()
 }
 
 fn place_key(kind: u8, place: &Place) -> Vec<u8> {

@@ -5,7 +5,9 @@
 
 use super::{NAME, confidential, emergency, hold, renew, undecided};
 use crate::arguments::Arguments;
+use crate::policy::Permit;
 use crate::policy::decider::{self, Action, Decider};
+use crate::policy::texts;
 use crate::records::grant::{self, Holding};
 use crate::records::last::{self, Last};
 use crate::records::principal::Principal;
@@ -13,7 +15,7 @@ use crate::records::service::Target;
 use crate::records::{sharing, store};
 use bytes::Bytes;
 use ledger::{Context, Foretold};
-use ledger_contract::{Envelope, MessageEvent, Published, Publishing};
+use ledger_contract::{Envelope, MessageEvent, POLICIES_TOLD_MAX, Permitted, Published, Publishing};
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
@@ -39,30 +41,60 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
         .ok_or_else(|| args.bad(2, "FIRST_SEQ", first_seq.to_string(), "room for all messages below 2^64 - 1"))?;
     let submitter = ctx.submitter()?;
     let target = decider.records.target(ctx, args.text(0, "SERVICE")?)?;
-    let own = may_publish(ctx, decider, submitter, &target, Some(epoch))?;
+    let right = may_publish(ctx, decider, submitter, &target, Some(epoch))?;
 
     let publisher = submitter.id();
     confidential::check_key(ctx, &target, &publisher, envelope)?;
     let sequence = decider.rules.capabilities(&target)?.sequence;
-    let next_seq = last::next_sequence(ctx, &target.id, sequence, epoch, &publisher)?;
+    let before = last::read(ctx, &target.id, sequence, &publisher)?;
+    let next_seq = last::follows(before.as_ref(), sequence, epoch);
     if first_seq < next_seq {
         return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
             .found(format!("sequence number {first_seq}"))
             .wanted(format!("at least {next_seq}"))
             .next("number messages upwards; after a restart, acquire again and go on from next_seq"));
     }
-    if let Some(own) = &own {
-        renew::used(ctx, decider, &target, own)?;
+    let permitted = match &right {
+        Right::Grant(own) => {
+            renew::used(ctx, decider, &target, own)?;
+            None
+        }
+        Right::Policies(permit) => permitted_by(ctx, &target, permit)?,
+    };
+    if permitted != before.and_then(|before| before.permitted) {
+        tell_permitted(ctx, &target, &publisher, permitted.clone())?;
     }
     let at = target.service.sharing.idle_release_ms.map(|_| ctx.block_time());
-    let last = Last { epoch, seq: last_seq, height: ctx.height(), publisher, count, at };
+    let last = Last { epoch, seq: last_seq, height: ctx.height(), publisher, count, at, permitted };
     last::write(ctx, &target.id, sequence, &last)?;
     ctx.emit("message", &target.id, store::json(&MessageEvent { epoch, first_seq, count })?);
     store::json(&Published { epoch, next_seq: last_seq + 1 })
 }
 
+/// The policies that permit a message without a grant; none under rules that do not tell them.
+fn permitted_by(ctx: &Context<'_>, target: &Target, permit: &Permit) -> Result<Option<(u64, Vec<String>)>, Rejection> {
+    if permit.policies.is_empty() {
+        return Ok(None);
+    }
+    let policies = permit.policies.iter().take(POLICIES_TOLD_MAX).cloned().collect();
+    Ok(Some((texts::version(ctx, &target.robot.organisation)?.number, policies)))
+}
+
+/// Tells which policies permit from now on what a publisher sends without a grant. Once, not with each message.
+fn tell_permitted(
+    ctx: &mut Context<'_>,
+    target: &Target,
+    publisher: &str,
+    permitted: Option<(u64, Vec<String>)>,
+) -> Result<(), Rejection> {
+    let Some((policy_version, policies)) = permitted else { return Ok(()) };
+    let permitted = Permitted { publisher: publisher.to_owned(), policy_version, policies };
+    ctx.emit("permitted", &target.id, store::json(&permitted)?);
+    Ok(())
+}
+
 /// The answer and the event of a `set` that succeeds, if it names the service in full. For good: nodes keep results
-/// without it.
+/// without it. A `set` that tells more keeps all that it tells.
 pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
     let args = Arguments::new(USAGE, args, 4, 3 + MESSAGES_PER_CALL_MAX).ok()?;
     let (epoch, first_seq) = (args.number(1, "EPOCH").ok()?, args.number(2, "FIRST_SEQ").ok()?);
@@ -77,8 +109,16 @@ pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
     Some(Foretold { response, events: vec![message] })
 }
 
+/// The right to publish.
+pub(crate) enum Right {
+    /// A grant.
+    Grant(Arc<Holding>),
+    /// Policies, without a grant.
+    Policies(Permit),
+}
+
 /// May they publish now? With an epoch, that epoch must be the one of their grant; epoch 0 asks the policies alone,
-/// where the service's rule allows it. Returns the grant that entitles them, if it is one that does.
+/// where the service's rule allows it.
 ///
 /// The usual case, a holder who publishes, reads three values of the state and asks no policy.
 ///
@@ -90,7 +130,7 @@ pub(crate) fn may_publish(
     submitter: &Identity,
     target: &Target,
     epoch: Option<u64>,
-) -> Result<Option<Arc<Holding>>, Rejection> {
+) -> Result<Right, Rejection> {
     if target.is_for_readers() {
         return Err(for_readers(target));
     }
@@ -104,18 +144,18 @@ pub(crate) fn may_publish(
         if undecided::is_marked(ctx, target) {
             decider::may_keep(ctx, decider, &own, target)?;
         }
-        return Ok(Some(own));
+        return Ok(Right::Grant(own));
     }
     let principal = &Principal::of(submitter);
     if by_policy {
         let permit = decider.decide(ctx, principal, target, Action::Publish)?;
         emergency::check_goes(ctx, target)?;
-        return if permit.limits.is_none() { Ok(None) } else { Err(limited(target, &principal.id())) };
+        return if permit.limits.is_none() { Ok(Right::Policies(permit)) } else { Err(limited(target, &principal.id())) };
     }
     emergency::check_goes(ctx, target)?;
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let refused = match hold::own(ctx, principal, target) {
-        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Some(Arc::new(own))),
+        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Right::Grant(Arc::new(own))),
         Ok(own) => stale(target, epoch, own.grant.epoch),
         // Who has lost the grant to a newer one hears that; who never had one hears what is missing.
         Err(_) if epoch.is_some_and(|epoch| epoch > 0 && epoch < newest) => stale(target, epoch, newest),

@@ -25,6 +25,9 @@ pub(crate) struct Last {
     /// Block time (microseconds), where the service's rule asks for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) at: Option<u64>,
+    /// The policies that permitted it without a grant: the number of their set, and their ids. Since rules 3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) permitted: Option<(u64, Vec<String>)>,
 }
 
 /// Most publishers of a service that are looked at.
@@ -32,7 +35,7 @@ const PUBLISHERS_MAX: usize = 1024;
 
 impl From<Last> for Latest {
     fn from(last: Last) -> Self {
-        let Last { epoch, seq, height, publisher, count, at: _ } = last;
+        let Last { epoch, seq, height, publisher, count, at: _, permitted: _ } = last;
         Self { publisher, epoch, seq, count, height }
     }
 }
@@ -45,9 +48,13 @@ pub(crate) fn next_sequence(
     epoch: u64,
     publisher: &str,
 ) -> Result<u64, Rejection> {
-    let last = read(ctx, service, sequence, publisher)?;
-    let counts_on = |last: &Last| last.epoch == epoch || sequence != Sequence::PerEpoch;
-    Ok(last.filter(counts_on).map_or(0, |last| last.seq + 1))
+    Ok(follows(read(ctx, service, sequence, publisher)?.as_ref(), sequence, epoch))
+}
+
+/// The smallest sequence number that may follow a message, in this epoch.
+pub(crate) fn follows(last: Option<&Last>, sequence: Sequence, epoch: u64) -> u64 {
+    let counts_on = |last: &&Last| last.epoch == epoch || sequence != Sequence::PerEpoch;
+    last.filter(counts_on).map_or(0, |last| last.seq + 1)
 }
 
 /// The last message of the service, or of this publisher.
@@ -109,7 +116,8 @@ mod tests {
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         let mut ctx = Context::new(environment, "abac", &mut overlay, &mut events);
         for (epoch, seq, publisher) in [(1, 9, "Org1/Salma"), (2, 4, "Org1/Farhad")] {
-            let last = Last { epoch, seq, height: 1, publisher: publisher.to_owned(), count: 1, at: None };
+            let publisher = publisher.to_owned();
+            let last = Last { epoch, seq, height: 1, publisher, count: 1, at: None, permitted: None };
             write(&mut ctx, SERVICE, sequence, &last).unwrap();
         }
         [(1, "Org1/Salma"), (2, "Org1/Farhad")]

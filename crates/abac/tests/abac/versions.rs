@@ -1,9 +1,10 @@
 //! Numbered sets of policies: who may replace them, what is kept of them, and what names them.
 
-use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, admin1, farhad, identity, owner, salma};
+use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, admin1, farhad, identity, owner, robot, salma};
+use ledger::Rules;
 use ledger::msp::QUOTAS;
 use ledger_abac::{
-    Acquired, Ask, Can, DEFAULT_POLICY, Grant, PolicyApprovals, PolicyChange, PolicyDraft, PolicyProposal,
+    Acquired, Ask, Can, DEFAULT_POLICY, Grant, Permitted, PolicyApprovals, PolicyChange, PolicyDraft, PolicyProposal,
     PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText,
 };
 use ledger_identity::{Identity, Role};
@@ -111,6 +112,39 @@ fn grants_refusals_and_answers_name_the_set_that_decided() {
     let ask = Ask { action: "acquire".into(), service: TURTLEBOT.into(), ..Ask::default() };
     let can: Can = fleet.get(&farhad(), "can", &[&serde_json::to_string(&ask).unwrap()]);
     assert_eq!((can.allowed, can.policy_version), (false, 4));
+}
+
+#[test]
+fn a_publisher_without_a_grant_is_told_with_the_policies_that_permit_it_once_and_when_they_change() {
+    let mut fleet = Fleet::empty();
+    fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "open")]);
+    let told = |fleet: &Fleet, since: usize| fleet.told(since).iter().filter(|(name, _)| *name == "permitted").count();
+    fleet.set(&salma(), TURTLEBOT, 0, 1, 1).unwrap();
+    let first: Permitted = fleet.newest("permitted");
+    assert_eq!((first.publisher.as_str(), first.policy_version), ("Org1/Salma", 0));
+    assert!(!first.policies.is_empty() && first.policies.iter().all(|id| id.starts_with("default")), "{first:?}");
+    fleet.set(&salma(), TURTLEBOT, 0, 2, 1).unwrap();
+    fleet.set(&farhad(), TURTLEBOT, 0, 1, 1).unwrap();
+    fleet.set(&salma(), TURTLEBOT, 0, 3, 1).unwrap();
+    assert_eq!(told(&fleet, 0), 2, "each of both once");
+    let named = |fleet: &mut Fleet, ids: &[&str]| {
+        let policies = ids.iter().map(|id| policy(id, ALL)).collect();
+        fleet.ok(&owner(), "policy", &["apply", &json(&PolicyDraft { policies: Some(policies), ..set("") })]);
+    };
+    named(&mut fleet, &["all"]);
+    fleet.set(&salma(), TURTLEBOT, 0, 4, 1).unwrap();
+    let permitted: Permitted = fleet.newest("permitted");
+    assert_eq!((permitted.policy_version, permitted.policies), (1, vec!["all".to_owned()]));
+    named(&mut fleet, &["all", "also"]);
+    fleet.set(&salma(), TURTLEBOT, 0, 5, 1).unwrap();
+    fleet.set(&salma(), TURTLEBOT, 0, 6, 1).unwrap();
+    let permitted: Permitted = fleet.newest("permitted");
+    assert_eq!((permitted.policy_version, permitted.policies), (2, vec!["all".to_owned(), "also".to_owned()]));
+    assert_eq!(told(&fleet, 0), 4);
+    let mut before = Fleet::of_the_paper_under(Rules::find(2).unwrap());
+    before.ok(&owner(), "replace", &[&robot("Turtlebot4", "open")]);
+    before.set(&salma(), TURTLEBOT, 0, 1, 1).unwrap();
+    assert_eq!(told(&before, 0), 0, "older rules tell nothing");
 }
 
 #[test]

@@ -49,6 +49,18 @@ fn a_refusal_says_what_it_rests_on() {
 }
 
 #[test]
+fn a_call_is_judged_as_in_the_next_block_and_not_as_in_the_last_one() {
+    let world = World::new();
+    let ledger = world.ledger();
+    let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
+    for height in 1..=3 {
+        let call = call(&world, &salma, "once-a-block", &["a"]);
+        assert!(matches!(ledger.admit(call.encoded().clone(), NOW), Ok(Admission::New(_))), "{height}");
+        block(&ledger, NOW + height, &[&call]);
+    }
+}
+
+#[test]
 fn a_clock_that_is_ahead_refuses_nothing_that_a_block_may_still_allow() {
     let world = World::new();
     let ledger = world.ledger();

@@ -98,6 +98,14 @@ impl Chaincode for Notes {
                 assert_eq!(inner.unwrap_err().code, Code::Refused);
                 Ok(Bytes::new())
             }
+            ("once-a-block", [key]) => {
+                let here = Bytes::copy_from_slice(&ctx.height().to_be_bytes());
+                if ctx.get(key).as_ref() == Some(&here) {
+                    return Err(Rejection::new(Code::Refused, "once in a block"));
+                }
+                ctx.put(key, here);
+                Ok(Bytes::new())
+            }
             ("until", [time]) => match std::str::from_utf8(time).unwrap().parse::<u64>().unwrap() {
                 until if ctx.block_time() <= until => Ok(Bytes::new()),
                 _ => Err(Rejection::new(Code::Refused, "it is later than that")),

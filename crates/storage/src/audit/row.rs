@@ -10,6 +10,8 @@ pub const FOLDED_US: u64 = 60_000_000;
 
 /// Commands under a grant, or in open mode.
 const USED: &str = "used";
+/// The policies that permit commands without a grant, from now on.
+const PERMITTED: &str = "permitted";
 /// Calls that a block holds and that were refused.
 const REFUSED: &str = "refused";
 
@@ -90,6 +92,16 @@ impl Row {
         self.decision == USED
     }
 
+    /// A row about commands without a grant: it is made without its policies, which an earlier row tells.
+    pub(super) fn is_use_without_grant(&self) -> bool {
+        self.is_use() && self.epoch == 0
+    }
+
+    /// A row that tells which policies permit commands without a grant.
+    pub(super) fn tells_permission(&self) -> bool {
+        self.decision == PERMITTED
+    }
+
     /// A row about refusals.
     pub fn is_refusal(&self) -> bool {
         self.decision == REFUSED
@@ -109,9 +121,11 @@ impl Row {
 
     /// Rows of one minute with the same name are one row. None if the row stays alone.
     pub(super) fn folds_as(&self) -> Option<String> {
-        let Self { decision, who, subject, epoch, code, told_by, .. } = self;
+        let Self { decision, who, subject, epoch, code, told_by, policy_version, .. } = self;
+        let policies = self.policies.join(",");
+        let decided = if self.is_use() { format!("{policy_version}\0{policies}") } else { String::new() };
         let folds = (self.is_use() || self.is_refusal()) && told_by.is_empty();
-        folds.then(|| format!("{decision}\0{who}\0{subject}\0{epoch}\0{code}"))
+        folds.then(|| format!("{decision}\0{who}\0{subject}\0{epoch}\0{code}\0{decided}"))
     }
 
     /// The same row before anything is folded into it.

@@ -164,6 +164,44 @@ fn a_grant_names_the_policies_of_its_commands_and_old_rows_are_dropped_with_thei
 }
 
 #[test]
+fn commands_without_a_grant_name_the_policies_that_permitted_them_also_after_a_start() {
+    let place = tempfile::tempdir().unwrap();
+    let row = |who: &str, decision: &str, policies: &[&str]| Row {
+        decision: decision.into(),
+        who: who.into(),
+        robot: "T".into(),
+        subject: "T/c".into(),
+        policy_version: policies.len() as u64,
+        policies: policies.iter().map(|id| (*id).to_owned()).collect(),
+        count: 1,
+        ..Row::default()
+    };
+    let used = |who: &str| row(who, "used", &[]);
+    // All within a minute, and written in two turns.
+    let turns = [
+        vec![row("Org1/Salma", "permitted", &["day"]), used("Org1/Salma"), used("Org1/Farhad"), used("Org1/Salma")],
+        vec![used("Org1/Salma"), row("Org1/Salma", "permitted", &["day", "rain"]), used("Org1/Salma")],
+    ];
+    for (height, rows) in (1u64..).zip(turns) {
+        let time = 1_800_000_000_000_000 + height;
+        let at = |row: Row| Row { time, height, first: time, last: time, last_height: height, ..row };
+        open(place.path()).add(&[Block { height, time, rows: rows.into_iter().map(at).collect() }]).unwrap();
+    }
+    let found = all(&open(place.path()), &Question::default());
+    let used: Vec<_> = found
+        .iter()
+        .filter(|row| row.decision == "used")
+        .map(|row| (row.who.as_str(), row.policies.join(" "), row.policy_version, row.count))
+        .collect();
+    let wanted = [
+        ("Org1/Salma", "day".to_owned(), 1, 3),
+        ("Org1/Farhad", String::new(), 0, 1),
+        ("Org1/Salma", "day rain".to_owned(), 2, 1),
+    ];
+    assert_eq!(used, wanted);
+}
+
+#[test]
 fn an_index_of_another_form_is_refused() {
     let place = tempfile::tempdir().unwrap();
     let store = SledStore::open(place.path()).unwrap();

@@ -1,6 +1,7 @@
 //! Nobody in line is overtaken (docs/conflict.md, "The line"). A holder that is granted a service goes before all who wait for
 //! it: with a higher priority, or an equal one and an earlier arrival. Those whom policies permit no more leave before that. Where waiting
-//! raises priorities, the oracle judges alone. Tasks wait like contenders. A holder of the service is passed over.
+//! raises priorities, the oracle judges alone. Tasks wait like contenders. A holder of the service is passed over, also by the one who
+//! takes its place.
 //!
 //! Told by the events, and by the settings that owners chose.
 
@@ -24,6 +25,8 @@ pub struct NobodyIsOvertaken {
     lines: BTreeMap<String, Vec<Waits>>,
     /// Those who hold services: they are passed over in line.
     holders: BTreeMap<String, BTreeSet<(String, u64)>>,
+    /// Services and their holders whose place the next grant takes.
+    replaced: BTreeSet<(String, String)>,
     /// Open tasks that wait and are in no line yet: they join it with the next block.
     joining: BTreeMap<u64, (String, Waits)>,
     /// Priorities of tasks.
@@ -54,6 +57,7 @@ struct Told {
     #[serde(default)]
     epoch: u64,
     task: Option<u64>,
+    by: Option<String>,
 }
 
 /// The fields that are read of a task.
@@ -83,6 +87,7 @@ impl NobodyIsOvertaken {
             people,
             lines: BTreeMap::new(),
             holders: BTreeMap::new(),
+            replaced: BTreeSet::new(),
             joining: BTreeMap::new(),
             tasks: BTreeMap::new(),
             settings: BTreeMap::new(),
@@ -127,7 +132,7 @@ impl NobodyIsOvertaken {
         if !matches!(&*event.name, "queued" | "left" | "granted" | "released" | "pending") {
             return Ok(());
         }
-        let Told { holder, contender, priority, mode, epoch, task } = told(event);
+        let Told { holder, contender, priority, mode, epoch, task, by } = told(event);
         let (service, who) = (&event.subject, holder.or(contender).unwrap_or_default());
         if event.name == "pending" {
             self.asking.extend(call.map(|call| ((service.clone(), who), call.clone())));
@@ -146,8 +151,12 @@ impl NobodyIsOvertaken {
             "granted" => {
                 line.retain(|waits| !is_place(waits));
                 holders.insert((who, epoch));
+                self.replaced.retain(|(of, _)| of != service);
             }
-            "released" => drop(holders.remove(&(who, epoch))),
+            "released" => {
+                holders.remove(&(who.clone(), epoch));
+                self.replaced.extend(by.map(|_| (service.clone(), who)));
+            }
             _ => line.retain(|waits| !is_place(waits)),
         }
         Ok(())
@@ -193,6 +202,7 @@ impl NobodyIsOvertaken {
         let ages = self.settings(service).is_some_and(|settings| settings.contains_key("aging_ms"));
         let holds = |waits: &&Waits| {
             self.holders.get(service).is_some_and(|holders| holders.iter().any(|(holder, _)| *holder == waits.who))
+                || self.replaced.contains(&(service.to_owned(), waits.who.clone()))
         };
         let line: Vec<&Waits> = self.lines.get(service).into_iter().flatten().filter(|waits| !holds(waits)).collect();
         if taken || ages || line.is_empty() {

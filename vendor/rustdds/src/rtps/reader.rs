@@ -136,6 +136,9 @@ pub(crate) struct Reader {
   fragment_assemblers: BTreeMap<GUID, FragmentAssembler>,
   last_fragment_garbage_collect: Timestamp,
   matched_writers: BTreeMap<GUID, RtpsWriterProxy>,
+  // Counts of ACKNACKs begin here for writers that are matched from now on. One that
+  // was lost and comes back may remember ours, and ignore lower ones (Fast DDS).
+  first_ack_nack_count: i32,
   writer_match_count_total: i32, // total count, never decreases
 
   requested_deadline_missed_count: i32,
@@ -203,6 +206,7 @@ impl Reader {
       fragment_assemblers: BTreeMap::new(),
       last_fragment_garbage_collect: Timestamp::now(),
       matched_writers: BTreeMap::new(),
+      first_ack_nack_count: 0,
       writer_match_count_total: 0,
       requested_deadline_missed_count: 0,
       offered_incompatible_qos_count: 0,
@@ -455,19 +459,20 @@ impl Reader {
   }
 
   // return value counts how many new proxies were added
-  fn matched_writer_update(&mut self, proxy: RtpsWriterProxy) -> i32 {
+  fn matched_writer_update(&mut self, mut proxy: RtpsWriterProxy) -> i32 {
     if let Some(op) = self.matched_writer_mut(proxy.remote_writer_guid) {
       op.update_contents(proxy);
       0
     } else {
+      proxy.sent_ack_nack_count = self.first_ack_nack_count;
       self.matched_writers.insert(proxy.remote_writer_guid, proxy);
       1
     }
   }
 
   pub fn remove_writer_proxy(&mut self, writer_guid: GUID) {
-    if self.matched_writers.contains_key(&writer_guid) {
-      self.matched_writers.remove(&writer_guid);
+    if let Some(removed) = self.matched_writers.remove(&writer_guid) {
+      self.first_ack_nack_count = self.first_ack_nack_count.max(removed.sent_ack_nack_count);
       self
         .acquire_the_topic_cache_guard()
         .forget_reliable_writer(writer_guid);

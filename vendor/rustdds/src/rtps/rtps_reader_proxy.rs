@@ -454,7 +454,13 @@ impl RtpsReaderProxy {
         // RTPS ack state is monotonic for a matched reader. Other implementations
         // (e.g. FastDDS) may send preemptive or reordered ACKNACK on discovery with
         // a lower readerSNState.base — ignore rather than regress all_acked_before.
-        if new_all_acked_before < self.all_acked_before {
+        // But a reader that requests what it had acknowledged has given us up in the
+        // meantime, as after SIGSTOP, and has forgotten it.
+        let has_forgotten = acknack.reader_sn_state.iter().next().is_some()
+          && self
+            .last_acknack_count
+            .is_none_or(|last| acknack.count.wrapping_sub(last) > 0);
+        if new_all_acked_before < self.all_acked_before && !has_forgotten {
           debug!(
             "Ignoring ACKNACK that would move all_acked_before backwards: old={:?} new={:?} \
              reader={:x?} count={}",

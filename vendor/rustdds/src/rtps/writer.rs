@@ -1243,12 +1243,11 @@ impl Writer {
             );
             return;
           }
-          reader_proxy.last_acknack_count = Some(an.count);
-
           // Mark requested SNs as "unsent changes"
 
           //TODO: We should drop SNs in "pending gap" from unsent changes
           reader_proxy.handle_ack_nack(ack_submessage, last_seq);
+          reader_proxy.last_acknack_count = Some(an.count);
 
           // Sanity Check: if the reader asked for something we did not even advertise
           // yet. TODO: This
