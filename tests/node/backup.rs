@@ -3,14 +3,14 @@
 use crate::support::ctl::verify;
 use crate::support::network::{NodeWish, free_address, message, now, register_robots};
 use crate::support::process::Process;
-use crate::support::{Ctl, Fleet, connect, eventually, programs};
+use crate::support::programs::{refused, run_ledgerd as ledgerd, said};
+use crate::support::{Ctl, Fleet, connect, eventually};
 use ledger_api::Context;
 use ledger_identity::Role;
 use serde_json::{Value, json};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
 
 /// Voters of Org1, and an admin with a context for each: `Admin1`, `Admin2` and so on.
 fn voters(count: usize) -> Fleet {
@@ -31,27 +31,6 @@ fn voters(count: usize) -> Fleet {
 
 fn admin(fleet: &Fleet, node: usize) -> Ctl {
     fleet.ctl().as_(&format!("Admin{node}"))
-}
-
-fn ledgerd(arguments: &[&str], config: &Path) -> Output {
-    let mut command = Command::new(programs::ledgerd());
-    command.args(arguments).arg("--config").arg(config).stdin(Stdio::null()).output().unwrap()
-}
-
-#[track_caller]
-fn said(output: &Output) -> String {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).into_owned()
-}
-
-#[track_caller]
-fn refused(output: &Output, words: &[&str]) -> String {
-    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    for word in words {
-        assert!(told.contains(word), "{word:?} is missing in {told}");
-    }
-    told
 }
 
 /// A robot that only this call registers: what must be there afterwards.
@@ -282,6 +261,13 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
         (ran.code == 0 && ran.stdout.contains("New")).then_some(())
     });
     first.run(&["network", "remove", "node3", "--i-mean-it"]).ok();
+    // Two votes, as many as it takes to lose one again.
+    first.run(&["network", "promote", "node2"]).ok();
+    eventually("node2 votes again", || {
+        let status = first.json(&["network", "status"]);
+        let nodes = status["nodes"].as_array().unwrap().clone();
+        nodes.iter().any(|node| node["name"] == "node2" && node["role"] == "voter").then_some(())
+    });
     order(&admin(&fleet, 2), "Both");
 }
 

@@ -1,15 +1,15 @@
 //! The CA of an organisation: carried by several nodes, backed up, and never in the way of registering or revoking.
 
 use crate::support::network::{NodePlace, NodeWish, free_address, now};
+use crate::support::programs::{run_ledgerd as ledgerd, said};
 use crate::support::small_disk::{SmallDisk, fill};
-use crate::support::{Ctl, Fleet, Process, eventually, programs};
+use crate::support::{Ctl, Fleet, Process, eventually};
 use ledger_api::Context;
 use ledger_identity::Role;
 use serde_json::Value;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Stdio;
 
 /// Three voters of Org1; the first one carries the CA. An admin with a context for each node, `Admin1` to `Admin3`.
 fn three() -> (Fleet, Vec<Process>) {
@@ -46,17 +46,6 @@ fn carriers(ctl: &Ctl) -> Vec<String> {
 
 fn carried(ctl: &Ctl, count: usize) -> Vec<String> {
     eventually("the ledger knows who carries the CA", || Some(carriers(ctl)).filter(|known| known.len() == count))
-}
-
-fn ledgerd(arguments: &[&str], config: &Path) -> Output {
-    let mut command = Command::new(programs::ledgerd());
-    command.args(arguments).arg("--config").arg(config).stdin(Stdio::null()).output().unwrap()
-}
-
-#[track_caller]
-fn said(output: &Output) -> String {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
 /// Registers a name; answers with the words behind `ledgerctl` that enrol it.

@@ -1,7 +1,7 @@
 //! Where the programs are that the tests start.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
 /// The node, built for this test.
@@ -40,6 +40,31 @@ pub fn ran(command: &mut Command) -> Output {
     let [said, told] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
     assert!(output.status.success(), "{command:?} (./test installs what it needs): {}\n{said}\n{told}", output.status);
     output
+}
+
+/// A run of `ledgerd` beside a node, or in its place, with the node's configuration.
+pub fn run_ledgerd(arguments: &[&str], config: &Path) -> Output {
+    let mut command = Command::new(ledgerd());
+    let command = command.args(arguments).arg("--config").arg(config).stdin(Stdio::null());
+    command.output().expect("ledgerd starts")
+}
+
+/// What a program said that must have succeeded.
+#[track_caller]
+pub fn said(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// What a program reported that must have failed, with these words.
+#[track_caller]
+pub fn refused(output: &Output, words: &[&str]) -> String {
+    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    for word in words {
+        assert!(told.contains(word), "{word:?} is missing in {told}");
+    }
+    told
 }
 
 /// Builds `ledgerctl` into the directory of a profile (`target/debug`, `target/release`).

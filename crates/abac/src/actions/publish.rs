@@ -150,7 +150,11 @@ pub(crate) fn may_publish(
     if by_policy {
         let permit = decider.decide(ctx, principal, target, Action::Publish)?;
         emergency::check_goes(ctx, target)?;
-        return if permit.limits.is_none() { Ok(Right::Policies(permit)) } else { Err(limited(target, &principal.id())) };
+        return if permit.limits.is_none() {
+            Ok(Right::Policies(permit))
+        } else {
+            Err(limited(target, &principal.id()))
+        };
     }
     emergency::check_goes(ctx, target)?;
     let newest = grant::newest_epoch(ctx, &target.id)?;

@@ -35,18 +35,8 @@ Example:
   ledgerctl audit --user Org1/Farhad --code LGR-3001 --since 7d --csv
   ledgerctl audit --organisation Org1 --follow -o json")]
 pub(crate) struct Audit {
-    /// Only about this robot
-    #[arg(long, value_name = "ROBOT")]
-    robot: Option<String>,
-    /// Only what this identity did, or what was done to it; without an organisation one of your own
-    #[arg(long, value_name = "[ORG/]NAME")]
-    user: Option<String>,
-    /// Only what concerns identities of this organisation
-    #[arg(long, value_name = "ORG")]
-    organisation: Option<String>,
-    /// Only refusals with this code
-    #[arg(long, value_name = "LGR-NNNN", value_parser = code)]
-    code: Option<Code>,
+    #[command(flatten)]
+    about: About,
     /// From this moment on: a span ago such as 10m, a time of today, a time, or a height; one day ago by default
     #[arg(long, value_name = "MOMENT", default_value = "1d")]
     since: Moment,
@@ -67,8 +57,25 @@ pub(crate) struct Audit {
     from_now: bool,
 }
 
+/// The rows that are wanted: all that are named must fit.
+#[derive(Debug, clap::Args)]
+pub(super) struct About {
+    /// Only about this robot
+    #[arg(long, value_name = "ROBOT")]
+    robot: Option<String>,
+    /// Only what this identity did, or what was done to it; without an organisation one of your own
+    #[arg(long, value_name = "[ORG/]NAME")]
+    user: Option<String>,
+    /// Only what concerns identities of this organisation
+    #[arg(long, value_name = "ORG")]
+    organisation: Option<String>,
+    /// Only refusals with this code
+    #[arg(long, value_name = "LGR-NNNN", value_parser = code)]
+    code: Option<Code>,
+}
+
 /// A code as `LGR-3001` or `3001`.
-pub(super) fn code(text: &str) -> Result<Code, String> {
+fn code(text: &str) -> Result<Code, String> {
     let number = text.strip_prefix("LGR-").unwrap_or(text).parse::<u16>().ok();
     let known = number.and_then(Code::from_number).filter(|code| *code != Code::Ok);
     known.ok_or_else(|| "wanted the code of a refusal, such as LGR-3001".to_owned())
@@ -76,15 +83,9 @@ pub(super) fn code(text: &str) -> Result<Code, String> {
 
 impl Audit {
     /// The changes from now on.
-    pub(super) fn from_now(
-        robot: Option<String>,
-        user: Option<String>,
-        organisation: Option<String>,
-        code: Option<Code>,
-    ) -> Self {
-        let since = Moment::At(0);
-        let (until, limit, csv) = (None, None, false);
-        Self { robot, user, organisation, code, since, until, limit, follow: true, csv, from_now: true }
+    pub(super) fn from_now(about: About) -> Self {
+        let (since, until, limit, csv) = (Moment::At(0), None, None, false);
+        Self { about, since, until, limit, follow: true, csv, from_now: true }
     }
 
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
@@ -129,7 +130,7 @@ impl Audit {
 
     async fn request(&self, session: &Session) -> Result<AuditRequest, Rejection> {
         let own = &session.context().organisation;
-        let user = self.user.as_ref().map(|user| match user.contains('/') {
+        let user = self.about.user.as_ref().map(|user| match user.contains('/') {
             true => user.clone(),
             false => format!("{own}/{user}"),
         });
@@ -138,10 +139,10 @@ impl Audit {
             None => 0,
         };
         Ok(AuditRequest {
-            robot: self.robot.clone().unwrap_or_default(),
+            robot: self.about.robot.clone().unwrap_or_default(),
             user: user.unwrap_or_default(),
-            organisation: self.organisation.clone().unwrap_or_default(),
-            code: self.code.map(|code| code.number().into()).unwrap_or_default(),
+            organisation: self.about.organisation.clone().unwrap_or_default(),
+            code: self.about.code.map(|code| code.number().into()).unwrap_or_default(),
             since: if self.from_now { session.client.now() } else { moment(session, self.since).await? },
             until,
             after: Bytes::new(),

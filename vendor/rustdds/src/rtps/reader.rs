@@ -100,6 +100,10 @@ impl fmt::Debug for ReaderIngredients {
   }
 }
 
+const FAST_DDS: VendorId = VendorId {
+  vendor_id: [0x01, 0x0f],
+};
+
 pub(crate) struct Reader {
   // Should the instant be sent?
   notification_sender: crate::mio_source::NotificationSender,
@@ -206,7 +210,8 @@ impl Reader {
       fragment_assemblers: BTreeMap::new(),
       last_fragment_garbage_collect: Timestamp::now(),
       matched_writers: BTreeMap::new(),
-      first_ack_nack_count: 0,
+      // Fast DDS ignores a first count of 0.
+      first_ack_nack_count: 1,
       writer_match_count_total: 0,
       requested_deadline_missed_count: 0,
       offered_incompatible_qos_count: 0,
@@ -1426,9 +1431,15 @@ impl Reader {
 
   // An ACKNACK without the final flag requests an immediate HEARTBEAT from the
   // writer.
+  //
+  // A base of 0 is no valid set (RTPS v2.5 Section 8.3.5.5), but it is how Fast DDS
+  // says that it has received nothing, and all that makes its writer forget what a
+  // reader, which had given it up, acknowledged before.
   fn send_preemptive_acknack_to(&self, writer_proxy: &mut RtpsWriterProxy) {
     let flags = BitFlags::<ACKNACK_Flags>::from_flag(ACKNACK_Flags::Endianness);
     let acknack_count = writer_proxy.next_ack_nack_sequence_number();
+    let vendor = &writer_proxy.remote_writer_guid.prefix.bytes[..2];
+    let base = SequenceNumber::new(i64::from(vendor != FAST_DDS.vendor_id));
     let RtpsWriterProxy {
       remote_writer_guid,
       unicast_locator_list,
@@ -1439,7 +1450,7 @@ impl Reader {
       AckNack {
         reader_id: self.entity_id(),
         writer_id: remote_writer_guid.entity_id,
-        reader_sn_state: SequenceNumberSet::new_empty(SequenceNumber::new(1)),
+        reader_sn_state: SequenceNumberSet::new_empty(base),
         count: acknack_count,
       },
       InfoDestination {

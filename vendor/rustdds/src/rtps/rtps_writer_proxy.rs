@@ -129,7 +129,7 @@ impl RtpsWriterProxy {
 
   // Check if we no samples in the received state.
   pub fn no_changes_received(&self) -> bool {
-    self.ack_base == SequenceNumber::new(0) && self.changes.is_empty()
+    self.ack_base <= SequenceNumber::new(1) && self.changes.is_empty()
   }
 
   // Given an availability range from a HEARTBEAT, find out what we are missing.
