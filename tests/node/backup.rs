@@ -261,8 +261,11 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
         (ran.code == 0 && ran.stdout.contains("New")).then_some(())
     });
     first.run(&["network", "remove", "node3", "--i-mean-it"]).ok();
-    // Two votes, as many as it takes to lose one again.
-    first.run(&["network", "promote", "node2"]).ok();
+    // It votes again when the organisations have agreed, as any other node.
+    let promoted = first.json(&["network", "promote", "node2"]);
+    let owner = Context { nodes: vec![survivor.address.clone()], ..fleet.owner() };
+    owner.save(&fleet.home()).unwrap();
+    fleet.ctl().as_(&owner.name).run(&["network", "approve", promoted["proposal"]["id"].as_str().unwrap()]).ok();
     eventually("node2 votes again", || {
         let status = first.json(&["network", "status"]);
         let nodes = status["nodes"].as_array().unwrap().clone();

@@ -49,14 +49,14 @@ pub fn run_ledgerd(arguments: &[&str], config: &Path) -> Output {
     command.output().expect("ledgerd starts")
 }
 
-/// What a program said that must have succeeded.
+/// The words of a program that must have succeeded.
 #[track_caller]
 pub fn said(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// What a program reported that must have failed, with these words.
+/// The report of a program that must have failed; it has these words.
 #[track_caller]
 pub fn refused(output: &Output, words: &[&str]) -> String {
     assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));

@@ -51,8 +51,8 @@ const OF_RULES_2: [&str; 2] = [
 /// Robots have an index by owner, versions of policies their steps, what is decided again is marked meanwhile, and grants name
 /// the policies that permitted them.
 const OF_RULES_3: [&str; 2] = [
-    "e6e2f7682084bf142dd21cbc0db4b81f26246ef5a427ff805357413a10abd1eb",
-    "8a0bf6aa39140c2bb52081778a5e5d83c8faa8cd6ccb97d957aa12f93eee9c17",
+    "dc5f4dd1742f772b0d9ea325a8c8255b1d5ff0f5851209b924ea28e600be4afb",
+    "3822d3f1034d8d2cd86e3282ebc4bdb318f94c1ab1fd061d94ea5438086ed2e7",
 ];
 
 #[test]
