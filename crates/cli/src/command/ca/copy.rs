@@ -162,11 +162,13 @@ impl Move {
         let lost =
             [format!("{from} gives up the key of the CA of {organisation}; {} carries it then", target.full_name())];
         confirm("the move of the CA", &lost, self.i_mean_it)?;
-        let there = carriers(session).await?;
-        if !there.iter().any(|c| c.organisation == organisation && c.full_name() == target.full_name()) {
+        let context = current(session).await?;
+        // The ledger still names a node whose disk is lost. So the node itself says whether it has the key.
+        let there = reach(&context, &target.address).await?;
+        if !there.network().await?.carries.contains(&organisation) {
             carry(session, &self.node).await?;
         }
-        reach(&current(session).await?, &source.address).await?.drop_ca(&organisation).await?;
+        reach(&context, &source.address).await?.drop_ca(&organisation).await?;
         output.show(&Moved { organisation, node: target.full_name(), from })
     }
 
