@@ -31,7 +31,7 @@ pub(crate) struct Backup {
     passphrase_file: Option<PathBuf>,
 }
 
-/// Put the CA of your organisation back from such a file; for admins.
+/// Put the CA of your organisation back from a file of `ca backup`; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca restore org1-ca.pem --node node2")]
 pub(crate) struct Restore {
@@ -47,7 +47,7 @@ pub(crate) struct Restore {
 
 /// Let another node carry the CA of your organisation, and remove the key from the one that does; for admins.
 ///
-/// The other one has it before the first one gives it up. Interrupted, it is finished by typing it again.
+/// The other one has it before the first one gives it up. If it was interrupted, type it again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca move node2")]
 pub(crate) struct Move {
