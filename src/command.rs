@@ -57,7 +57,7 @@ enum Command {
     Recover(recover::RecoverOptions),
     /// Writes a file with which gates and light clients begin anew after a recovery: they believe this node then.
     Checkpoint(recover::CheckpointOptions),
-    /// Makes a one-time secret for an admin, at a node that carries the CA: the way back for an admin who is locked out.
+    /// Makes a one-time secret for an admin, at a node that carries the CA: a way back for an admin who is locked out.
     AdminSecret(operator::AdminSecret),
     /// Copies, restores or gives up the CA that a node carries.
     #[command(subcommand)]

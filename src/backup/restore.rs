@@ -60,7 +60,10 @@ pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &
     {
         return Err(Rejection::new(Code::ChainInvalid, format!("{} is not as it was made", from.display()))
             .found(format!("block {} {}, state digest {}", report.height, report.block_hash, report.state_digest))
-            .wanted(format!("block {} {}, state digest {}", manifest.height, manifest.block_hash, manifest.state_digest))
+            .wanted(format!(
+                "block {} {}, state digest {}",
+                manifest.height, manifest.block_hash, manifest.state_digest
+            ))
             .next("take another backup"));
     }
     place(from, &config.data)?;

@@ -134,7 +134,9 @@ fn no_ca(node: impl std::fmt::Display, organisation: &str) -> Rejection {
     Rejection::new(Code::CaElsewhere, format!("the node of this console does not carry the CA of {organisation}"))
         .found(format!("node {node}"))
         .wanted("the console of a node that carries it: ledgerctl ca status shows which")
-        .next("let this node carry it, too: ledgerctl ca carry NODE, or name the console of one that does with --at URL")
+        .next(
+            "let this node carry it, too: ledgerctl ca carry NODE, or name the console of one that does with --at URL",
+        )
 }
 
 /// A name that is registered wants the word for it.
