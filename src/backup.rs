@@ -27,6 +27,7 @@ use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 use serde::{Deserialize, Serialize};
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// The file that makes a directory a backup; it is written last.
@@ -124,6 +125,10 @@ pub(crate) fn backup(builder: &NodeBuilder, options: &BackupOptions, config: &Co
         told += &format!(
             "CA       that of {organisation} is not in it: ledgerctl ca backup FILE makes a copy under a passphrase\n"
         );
+    }
+    // A directory that the operator has made keeps its mode.
+    if fs::metadata(to).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
+        told += &format!("warning  others may read it: chmod 700 {}\n", to.display());
     }
     Ok(format!("{told}\nto restore:\n  ledgerd restore {} --config {}", to.display(), config.file.display()))
 }

@@ -51,13 +51,13 @@ enum Command {
     Rejoin(join::RejoinOptions),
     /// Copies a node, which may run, into a directory, and verifies the copy.
     Backup(backup::BackupOptions),
-    /// Makes a data directory from such a copy. It starts after `rejoin` or `recover` only.
+    /// Makes a data directory from a backup. A node starts from it only after `rejoin` or `recover`.
     Restore(backup::RestoreOptions),
     /// Goes on with one node when most voters are lost for good. Blocks that only they had are gone.
     Recover(recover::RecoverOptions),
-    /// Says where gates and light clients begin anew after such a recovery: at this node, which they believe then.
+    /// Writes a file with which gates and light clients begin anew after a recovery: they believe this node then.
     Checkpoint(recover::CheckpointOptions),
-    /// Makes a one-time secret for an admin, at a node that carries the CA: the way back for who is locked out.
+    /// Makes a one-time secret for an admin, at a node that carries the CA: a way back for an admin who is locked out.
     AdminSecret(operator::AdminSecret),
     /// Copies, restores or gives up the CA that a node carries.
     #[command(subcommand)]

@@ -1,9 +1,10 @@
 //! A data directory from a backup, marked so that no voter comes back that has forgotten its votes.
 
-use super::{CONFIG_FILE, FILE_BYTES_MAX, Manifest, PAPERS};
+use super::{CONFIG_FILE, FILE_BYTES_MAX, Manifest, PAPERS, own};
 use crate::config::Config;
-use crate::host::NodeBuilder;
+use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
 use ledger::verify::verify_directory;
+use ledger_api::tls::TlsIdentity;
 use ledger_durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, SNAPSHOTS_DIRECTORY};
@@ -35,6 +36,8 @@ impl RestoreOptions {
         if fs::symlink_metadata(&self.config).is_ok() {
             return Ok(());
         }
+        // A directory without a manifest is no backup, whatever else is in it.
+        let _whole = Manifest::read(&self.directory)?;
         let text = read(&self.directory.join(CONFIG_FILE), FILE_BYTES_MAX)?;
         replace(&self.config, &text, PUBLIC_MODE)
     }
@@ -50,13 +53,17 @@ pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &
     let manifest = Manifest::read(from)?;
     check_node(config, &manifest)?;
     check_free(&config.data)?;
+    check_papers(from, &manifest)?;
     let report = verify_directory(from, &builder.registry()?)?;
     if (report.height, report.block_hash, report.state_digest)
         != (manifest.height, manifest.block_hash, manifest.state_digest)
     {
         return Err(Rejection::new(Code::ChainInvalid, format!("{} is not as it was made", from.display()))
-            .found(format!("blocks up to {}, state digest {}", report.height, report.state_digest))
-            .wanted(format!("blocks up to {}, state digest {}", manifest.height, manifest.state_digest))
+            .found(format!("block {} {}, state digest {}", report.height, report.block_hash, report.state_digest))
+            .wanted(format!(
+                "block {} {}, state digest {}",
+                manifest.height, manifest.block_hash, manifest.state_digest
+            ))
             .next("take another backup"));
     }
     place(from, &config.data)?;
@@ -87,6 +94,24 @@ fn check_node(config: &Config, manifest: &Manifest) -> Result<(), Rejection> {
             config.file.display()
         ))
         .next("give each node its own configuration, or name the right backup"))
+}
+
+/// The certificate and the key are whole, belong together, and are those of the node that the manifest names.
+fn check_papers(from: &Path, manifest: &Manifest) -> Result<(), Rejection> {
+    let bad = |found: String| {
+        Rejection::new(Code::BadFile, format!("{} is no usable backup", from.display()))
+            .found(found)
+            .wanted(format!("the certificate and the key of node {}", manifest.node))
+            .next("take another backup")
+    };
+    let (network, node) = own(from).map_err(|fault| bad(fault.to_string()))?;
+    if network != manifest.network || node != manifest.node {
+        return Err(bad(format!("those of node {node} of network {network}")));
+    }
+    match TlsIdentity::from_pem_files(&from.join(CERTIFICATE_FILE), &from.join(KEY_FILE)) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(bad(error.to_string())),
+    }
 }
 
 /// Nothing is ever overwritten.

@@ -30,6 +30,10 @@ const HEADERS: [(HeaderName, &str); 7] = [
     (HeaderName::from_static("permissions-policy"), "camera=(), microphone=(), geolocation=(), payment=(), usb=()"),
 ];
 
+/// The answer to a request that is not meant for this console.
+const FOREIGN: &str = "the host is no name of this console (see [console] name in ledgerd.toml), \
+                       or the request does not come from its page (Origin)\n";
+
 /// The names by which browsers may reach the console.
 pub(super) struct Names {
     scheme: &'static str,
@@ -99,8 +103,7 @@ pub(super) async fn guarded(State(shared): State<Arc<Shared>>, mut request: Requ
             request.extensions_mut().insert(origin);
             next.run(request).await
         }
-        None => (StatusCode::FORBIDDEN, "this console has another name: see [console] name in ledgerd.toml\n")
-            .into_response(),
+        None => (StatusCode::FORBIDDEN, FOREIGN).into_response(),
     };
     for (name, value) in HEADERS {
         answer.headers_mut().insert(name, HeaderValue::from_static(value));

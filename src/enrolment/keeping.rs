@@ -12,6 +12,7 @@ use ledger_api::v1;
 use ledger_durable::{SECRET_MODE, rename, replace};
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// In front of the name of a CA's directory that is about to be removed.
@@ -107,11 +108,21 @@ impl Shared {
         let authority = self.authority(organisation)?;
         let _quiet = lock(&authority);
         let directory = self.authorities.directory(organisation);
-        let dropped = directory.with_file_name(format!("{DROPPED}{organisation}"));
+        let dropped = self.dropped(organisation);
         replace(&given_up_file(self.authorities.data(), organisation), b"", SECRET_MODE)?;
         ca::remove(&dropped)?;
         rename(&directory, &dropped)?;
         self.authorities.forget(organisation);
         ca::remove(&dropped)
+    }
+
+    /// Removes the key that a crash has left of a CA that was given up.
+    pub(super) fn remove_dropped(&self, organisation: &str) -> Result<(), Rejection> {
+        ca::remove(&self.dropped(organisation))
+    }
+
+    /// The place of a CA's directory that is about to be removed.
+    fn dropped(&self, organisation: &str) -> PathBuf {
+        self.authorities.directory(organisation).with_file_name(format!("{DROPPED}{organisation}"))
     }
 }

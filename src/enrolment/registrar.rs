@@ -36,6 +36,8 @@ impl EnrolmentService {
             }
         }
         for organisation in self.shared.authorities.given_up() {
+            let owner = organisation.clone();
+            self.blocking(move |shared| shared.remove_dropped(&owner)).await?;
             if !self.carries(&organisation) && self.shared.is_carrier(&organisation)? {
                 let uncarry = UncarryCa { organisation: organisation.clone(), node: None };
                 (self.shared.voice.submit)("uncarry_ca", json(&uncarry)?).await?;

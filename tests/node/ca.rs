@@ -373,4 +373,7 @@ fn an_admin_copies_restores_and_moves_the_ca_with_a_passphrase_and_the_ledger_kn
     restore(words_text).refused(3, &["carries this CA already"]);
     carried(&third, 2);
     fleet.ctl().run(&invited(&admin(&fleet, 3), "Farhad")).ok();
+    // The ledger still names the second node, whose disk is lost. The last key is not given up to it.
+    third.run(&["ca", "move", "node2", "--i-mean-it"]).refused(4, &[]);
+    assert!(fleet.nodes[2].data.join("ca/Org1").exists());
 }

@@ -26,8 +26,8 @@ const CA_ENDING_US: u64 = 180 * 86_400_000_000;
 pub(crate) struct Check {
     /// For monitoring: end with 0 if all is well, with 1 if something needs attention
     ///
-    /// Attention need: a voter or node that is silent, a disk of which less than a tenth is free, a certificate near
-    /// its end, a node whose state differs. Without a quorum the exit code is 4 with and without this.
+    /// These need attention: a voter or node that is silent, a disk of which less than a tenth is free, a certificate
+    /// near its end, a node whose state differs. Without a quorum the exit code is 4 with and without this.
     #[arg(long)]
     check: bool,
 }

@@ -24,7 +24,7 @@ pub fn load(path: &Path) -> Result<String, Vec<Fault>> {
     let content = ledger_durable::read(path, FILE_BYTES_MAX).map_err(|mut rejection| {
         if rejection.code == Code::BadFile {
             rejection.next = "give the path of a configuration with --config; \
-                              docs/operations.md and docs/bridge.md list all settings"
+                              docs/configuration.md and docs/bridge.md list all settings"
                 .into();
         }
         whole(rejection)

@@ -232,8 +232,12 @@ fn permit_of_all(
 }
 
 fn not_passed_on(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
+    let found = match holders {
+        [own] if own.grant.holder == who => format!("held by {who}, until {}", hold::until(&own.grant)),
+        _ => hold::holders_of(who, holders),
+    };
     Rejection::new(Code::NotHolder, format!("{who} has passed on no grant of {} that is left", target.id))
-        .found(hold::holders_of(who, holders))
+        .found(found)
         .wanted("a grant that it delegated")
         .next(format!("to get it: ledgerctl acquire {}", target.id))
 }

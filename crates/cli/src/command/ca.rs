@@ -42,7 +42,7 @@ pub(crate) struct Status {}
 /// Let another node of your organisation carry its CA; for admins.
 ///
 /// The CA's key goes from a node that carries it to the other one, sealed for that node: this command cannot read it.
-/// Interrupted, it is finished by typing it again.
+/// If it was interrupted, type it again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca carry node2")]
 pub(crate) struct Carry {

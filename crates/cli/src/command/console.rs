@@ -82,6 +82,7 @@ impl Facts for Link {
 impl Console {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
+        let is_of_this_node = self.at.is_none();
         let at = match self.at {
             Some(at) => at,
             None => session.client.status().await?.console,
@@ -90,6 +91,10 @@ impl Console {
             return Err(no_console(session.client.node()).into());
         }
         let own = session.identity()?;
+        // A browser enrols at the node that serves the page, and cannot go on to another one.
+        if is_of_this_node && !session.client.network().await?.carries.contains(&own.organisation) {
+            return Err(no_ca(session.client.node(), &own.organisation).into());
+        }
         let asked = self.attributes.into_iter().map(|Attribute { key, value }| (key, value)).collect();
         let (role, attributes) = match (&self.name, self.role, self.reissue) {
             (None, None, false) if BTreeMap::is_empty(&asked) => (own.role, own.attributes),
@@ -123,6 +128,15 @@ fn no_console(node: impl std::fmt::Display) -> Rejection {
         .found(format!("node {node} without the setting console.listen"))
         .wanted("a node with a console")
         .next("set listen = \"127.0.0.1:7452\" in the section [console] of its ledgerd.toml, or name another one with --at URL")
+}
+
+fn no_ca(node: impl std::fmt::Display, organisation: &str) -> Rejection {
+    Rejection::new(Code::CaElsewhere, format!("the node of this console does not carry the CA of {organisation}"))
+        .found(format!("node {node}"))
+        .wanted("the console of a node that carries it: ledgerctl ca status shows which")
+        .next(
+            "let this node carry it, too: ledgerctl ca carry NODE, or name the console of one that does with --at URL",
+        )
 }
 
 /// A name that is registered wants the word for it.

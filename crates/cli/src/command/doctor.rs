@@ -21,7 +21,7 @@ use std::path::PathBuf;
 /// Exit code where something is wrong.
 const EXIT_WRONG: u8 = 1;
 
-/// Look for whatever keeps commands from robots, and say how each is repaired.
+/// Look for everything that keeps commands from robots, and say how to repair it.
 ///
 /// It looks at the context, the clocks, the certificates, the ports of nodes, the nodes themselves and their disks. It looks at the ROS
 /// domain of this machine, with its interfaces, multicast and receive buffers, and at side doors, stops and policies. A line is `ok`,

@@ -15,7 +15,7 @@ use std::io::{self, Write};
 /// Stop a robot: whoever commands it loses it, and nobody gets it until it is resumed.
 ///
 /// For admins of the robot's owner, for identities with the attribute safety=true of organisations that the owner trusts,
-/// for the robot itself, and whom the owner's policies permit `stop`.
+/// for the robot itself, and those whom the owner's policies permit `stop`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -26,9 +26,9 @@ pub(crate) struct Stop {
     which: Which,
 }
 
-/// Let a stopped robot be commanded again; for admins of its owner and whom policies permit `resume`.
+/// Let a stopped robot be commanded again; for admins of its owner and those whom policies permit `resume`.
 ///
-/// Nobody has it then but whoever is next in line.
+/// The next one in line gets it, if anybody waits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl resume Turtlebot4 --reason 'cell is empty'")]
 pub(crate) struct Resume {

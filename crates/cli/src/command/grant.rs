@@ -63,7 +63,7 @@ pub(crate) struct Acquire {
 
 /// Take a service whatever its rule says, in an emergency: whoever holds it loses it.
 ///
-/// For admins of the robot's owner, and whom its policies permit `override`. The reason stays on the ledger.
+/// For admins of the robot's owner, and those whom its policies permit `override`. The reason stays on the ledger.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl take Turtlebot4/cmd_vel --reason 'person in the cell'")]
 pub(crate) struct Take {

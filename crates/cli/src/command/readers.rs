@@ -33,7 +33,7 @@ pub(crate) struct Readers {
     /// Enter as a reader
     #[arg(long, conflicts_with_all = ["leave", "remove"])]
     enter: bool,
-    /// Be a reader no more
+    /// Stop being a reader
     #[arg(long, conflicts_with = "remove")]
     leave: bool,
     /// Take this reader out; for admins of the owner

@@ -7,12 +7,14 @@ use serde_json::value::RawValue;
 use std::fmt::{self, Write};
 
 /// The fields that hold a time, microseconds since the UNIX epoch, 0 for none, wherever they stand.
-const TIMES: [&str; 20] = [
+const TIMES: [&str; 24] = [
     "acquired_at",
     "at",
     "block_time",
+    "break_glass_from",
     "certified_time",
     "clock",
+    "created",
     "deadline",
     "ends",
     "expires",
@@ -25,6 +27,8 @@ const TIMES: [&str; 20] = [
     "renewed_from",
     "secret_expires",
     "since",
+    "started",
+    "submitted",
     "time",
     "until",
     "waits_until",

@@ -310,7 +310,8 @@ fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role
     Ok(())
 }
 
-fn put_role(ctx: &mut Context<'_>, node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
+/// Wants another role of a node, and tells of it.
+pub(super) fn put_role(ctx: &mut Context<'_>, node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
     if node.role == role {
         return Ok(());
     }

@@ -3,6 +3,7 @@
 //! Nobody signs a change of members. So the node itself says in the context of the change what was done. Executing the change
 //! writes it down since rules 3: as a record for ever, and as an event.
 
+use super::nodes::{self, NodeRole};
 use super::store::{self, json, recovery_key};
 use crate::chaincode::Context;
 use crate::members::{Change, MembershipChange};
@@ -76,6 +77,16 @@ impl Recovery {
 pub(crate) fn note(ctx: &mut Context<'_>, recovery: &Recovery) -> Result<(), Rejection> {
     store::write(ctx, &recovery_key(ctx.height()), recovery)?;
     ctx.emit("members_forced", &recovery.node, json(recovery)?);
+    // From here on the ledger wants what was done. Otherwise a lost voter that starts as it was would vote again by itself,
+    // and a survivor that had no vote before would lose its vote to the first node that gets one.
+    for node in nodes::all(ctx)? {
+        let role = match node.role {
+            NodeRole::Removed => continue,
+            _ if node.id == recovery.id => NodeRole::Voter,
+            _ => NodeRole::Learner,
+        };
+        nodes::put_role(ctx, &node, role)?;
+    }
     Ok(())
 }
 

@@ -65,8 +65,6 @@ pub(super) struct Model {
     asking: confirm::Askings,
     /// Of each confidential service.
     circles: BTreeMap<String, Circle>,
-    /// A gateway judges, and no block is executed.
-    at_a_gateway: bool,
     /// Robots.
     stopped: BTreeSet<String>,
     /// Organisations with policies from before their steps were counted.
@@ -145,7 +143,6 @@ impl Model {
             tasks: Vec::new(),
             asking: confirm::Askings::new(),
             circles: BTreeMap::new(),
-            at_a_gateway: false,
             stopped: BTreeSet::new(),
             uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
@@ -199,9 +196,7 @@ impl Model {
         if self.done.contains(&transaction.id()) {
             return Code::Duplicate;
         }
-        let mut copy = self.clone();
-        copy.at_a_gateway = true;
-        copy.execute(Some(transaction), time).code
+        self.clone().execute(Some(transaction), time).code
     }
 
     /// The checks before any chaincode runs, in their order.

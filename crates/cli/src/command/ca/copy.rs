@@ -31,7 +31,7 @@ pub(crate) struct Backup {
     passphrase_file: Option<PathBuf>,
 }
 
-/// Put the CA of your organisation back from such a file; for admins.
+/// Put the CA of your organisation back from a file of `ca backup`; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca restore org1-ca.pem --node node2")]
 pub(crate) struct Restore {
@@ -47,7 +47,7 @@ pub(crate) struct Restore {
 
 /// Let another node carry the CA of your organisation, and remove the key from the one that does; for admins.
 ///
-/// The other one has it before the first one gives it up. Interrupted, it is finished by typing it again.
+/// The other one has it before the first one gives it up. If it was interrupted, type it again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca move node2")]
 pub(crate) struct Move {
@@ -162,11 +162,13 @@ impl Move {
         let lost =
             [format!("{from} gives up the key of the CA of {organisation}; {} carries it then", target.full_name())];
         confirm("the move of the CA", &lost, self.i_mean_it)?;
-        let there = carriers(session).await?;
-        if !there.iter().any(|c| c.organisation == organisation && c.full_name() == target.full_name()) {
+        let context = current(session).await?;
+        // The ledger still names a node whose disk is lost. So the node itself says whether it has the key.
+        let there = reach(&context, &target.address).await?;
+        if !there.network().await?.carries.contains(&organisation) {
             carry(session, &self.node).await?;
         }
-        reach(&current(session).await?, &source.address).await?.drop_ca(&organisation).await?;
+        reach(&context, &source.address).await?.drop_ca(&organisation).await?;
         output.show(&Moved { organisation, node: target.full_name(), from })
     }
 

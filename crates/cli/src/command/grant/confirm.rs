@@ -17,7 +17,7 @@ use std::io::{self, Write};
 /// Agree that somebody acquires a service whose owner wants several people to agree.
 ///
 /// For admins of the robot's owner, for identities with the attribute safety=true of organisations that the owner trusts,
-/// and whom its policies permit `confirm`. Nobody confirms itself.
+/// and those whom its policies permit `confirm`. Nobody confirms themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl confirm Turtlebot4/cmd_vel Org1/Salma")]
 pub(crate) struct Confirm {

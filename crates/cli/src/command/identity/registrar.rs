@@ -12,8 +12,8 @@ use std::io::{self, Write};
 /// Let a member register members of one department, with some attributes only; without a name, show the registrars.
 ///
 /// For admins. A registrar types `ledgerctl identity register NAME --affiliation DEPARTMENT`, and cancels what it has
-/// registered. It gives nobody another role, and no attribute that is not named here. A name that was revoked comes back
-/// by an admin's word alone.
+/// registered. It gives nobody another role, and no attribute that is not named here. Only an admin brings back a name
+/// that was revoked.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:

@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Tell which grants of today policies in files would end, before they are put.
+/// Tell which of today's grants policies in files would end.
 ///
 /// The files are taken as the whole set of your organisation, each with the name of its file. Nothing is changed. With
 /// `--decisions` it asks about decisions of the last week again, as `ledgerctl policy shadow` does.

@@ -19,8 +19,8 @@ const DIGITS_MIN: usize = 8;
 
 /// Propose a whole set of policies for your organisation; for admins.
 ///
-/// You agree to it thereby. It comes in force when an admin of your organisation applies it, once enough have approved. It
-/// replaces only the set that is in force now.
+/// This is your approval, too. It comes in force when an admin of your organisation applies it, once enough have
+/// approved. It replaces only the set that is in force now.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:

@@ -28,7 +28,7 @@ const DAY: u64 = 86_400_000_000;
 /// Time between two looks of who follows.
 const BETWEEN_LOOKS: Duration = Duration::from_secs(2);
 
-/// Tell which recorded decisions a set of policies would have changed, before it rules.
+/// Tell which recorded decisions a set of policies would have changed, before it is in force.
 ///
 /// The set is a proposed one (`ledgerctl policy propose --shadow`), from the block that proposed it on: it runs beside the set in
 /// force for as long as it stands. Without a proposal and without files, that is each proposed set of your organisation. Files
