@@ -32,7 +32,7 @@ pub struct InitOptions {
     /// Where clients and other nodes reach the node; the setting `listen` if left out.
     #[arg(long, value_name = "HOST:PORT")]
     pub address: Option<String>,
-    /// Kind of the key of the organisation's CA: ed25519 or p256.
+    /// Kind of the key of the organisation's CA: ed25519, p256 or p384.
     #[arg(long, value_name = "KIND", default_value_t = KeyKind::Ed25519)]
     pub key: KeyKind,
     /// Name of the first admin, who receives a one-time secret.

@@ -5,6 +5,7 @@ mod copy;
 use crate::answer;
 use crate::cli::Global;
 use crate::command::network::{current, find, nodes};
+use crate::confirm::confirm;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
@@ -56,6 +57,9 @@ pub(crate) struct Carry {
 pub(crate) struct Forget {
     /// The node: its name, or ORGANISATION/NAME
     node: String,
+    /// Do not ask when no other node carries the CA
+    #[arg(long)]
+    i_mean_it: bool,
 }
 
 impl Ca {
@@ -196,7 +200,9 @@ impl Carry {
 /// The node of the caller's organisation that is meant.
 async fn own_node(session: &Session, organisation: &str, node: &str) -> Result<NodeRecord, Failure> {
     let nodes = nodes(session).await?.nodes;
-    let target = find(&nodes, node)?;
+    // Another organisation may have a node of this name.
+    let own: Vec<_> = nodes.iter().filter(|node| node.organisation == organisation).cloned().collect();
+    let target = find(&own, node).or_else(|_| find(&nodes, node))?;
     if target.organisation == organisation {
         return Ok(target.clone());
     }
@@ -271,6 +277,13 @@ impl Forget {
     async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let organisation = session.identity()?.organisation;
         let node = if self.node.contains('/') { self.node } else { format!("{organisation}/{}", self.node) };
+        let mut own = carriers(session).await?;
+        own.retain(|carrier| carrier.organisation == organisation);
+        let is_last = own.len() == 1 && own.iter().all(|carrier| carrier.full_name() == node);
+        let lost = format!(
+            "no other node carries the CA of {organisation}: nobody enrols or renews until it is restored (ledgerctl ca restore FILE)"
+        );
+        confirm("forgetting the carrier", &Vec::from_iter(is_last.then_some(lost)), self.i_mean_it)?;
         let uncarry = UncarryCa { organisation: organisation.clone(), node: Some(node.clone()) };
         let argument = serde_json::to_vec(&uncarry).map_err(|error| {
             Rejection::new(Code::Internal, "an argument cannot be written").found(error.to_string())

@@ -12,6 +12,7 @@ use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::net::Ipv4Addr;
 use std::time::Duration;
 
 /// Added to the name of the caller for the name of its browser.
@@ -44,8 +45,21 @@ pub(crate) struct Console {
     #[arg(long = "for", value_name = "SPAN", default_value = "1h")]
     span: Milliseconds,
     /// Where the console is; otherwise where the node says
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = page)]
     at: Option<String>,
+}
+
+/// The address of a console. Browsers make keys on safe pages only: over TLS, or of their own machine.
+fn page(text: &str) -> Result<String, String> {
+    let host = text.strip_prefix("http://").map(|rest| rest.split(['/', '?', '#']).next().unwrap_or_default());
+    let name = host.map(|host| host.rsplit_once(':').map_or(host, |(name, _port)| name));
+    let is_of_this_machine =
+        |name: &str| matches!(name, "localhost" | "[::1]") || name.parse::<Ipv4Addr>().is_ok_and(|ip| ip.is_loopback());
+    match name {
+        Some(name) if is_of_this_machine(name) => Ok(text.to_owned()),
+        None if text.starts_with("https://") => Ok(text.to_owned()),
+        _ => Err("wanted https://…, or http:// with this machine: a browser makes no key on another page".to_owned()),
+    }
 }
 
 fn role(text: &str) -> Result<Role, String> {
@@ -165,5 +179,15 @@ mod tests {
     fn a_name_is_one_part_of_the_link_whatever_is_in_it() {
         assert_eq!(encoded("Salma-1_x.y~z"), "Salma-1_x.y~z");
         assert_eq!(encoded("a/b c#d%é"), "a%2Fb%20c%23d%25%C3%A9");
+    }
+
+    #[test]
+    fn a_page_without_tls_is_refused_unless_it_is_of_this_machine() {
+        for good in ["https://robots.example:7452", "http://localhost:7452", "http://127.0.0.1/x", "http://[::1]:7452/"] {
+            assert_eq!(page(good).as_deref(), Ok(good));
+        }
+        for bad in ["http://robots.example:7452", "http://10.0.0.1", "robots.example", "http://localhost.example:1", ""] {
+            assert!(page(bad).is_err(), "{bad}");
+        }
     }
 }
