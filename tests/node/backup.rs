@@ -133,7 +133,7 @@ fn a_damaged_backup_is_refused_before_anything_is_written() {
     let mut node = place.start();
     order(&admin(&fleet, 1), "Robot");
     let backup = fleet.path().join("backup");
-    said(&ledgerd(&["backup", text(&backup)], &place.config));
+    back_up(&admin(&fleet, 1), &place.config, &backup);
     node.interrupt();
     let data = fleet.path().join("moved");
     fs::rename(&place.data, &data).unwrap();
