@@ -3,6 +3,7 @@
 use ledger_api::Client;
 use ledger_rejection::Rejection;
 use ros_bridge::Bridge;
+use ros_bridge::sight::Sight;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -18,8 +19,8 @@ pub(crate) struct NodeBridge {
 }
 
 impl NodeBridge {
-    /// Starts the bridge. `address` is the node's gateway.
-    pub(crate) fn start(settings: ros_bridge::Config, address: String) -> Self {
+    /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment.
+    pub(crate) fn start(settings: ros_bridge::Config, address: String, sight: Sight) -> Self {
         let (stop, mut stopping) = watch::channel(false);
         let (sender, mut changes) = watch::channel(settings);
         let task = tokio::spawn(async move {
@@ -38,6 +39,7 @@ impl NodeBridge {
                             false => tracing::info!("the bridge runs"),
                         }
                         told.clear();
+                        sight.runs(&bridge);
                         let mut renewed = std::pin::pin!(ros_bridge::keep_renewed(&settings, &client));
                         let lost = loop {
                             tokio::select! {
@@ -52,7 +54,10 @@ impl NodeBridge {
                         let summary = serde_json::to_string(&bridge.stop().await).unwrap_or_default();
                         tracing::info!(summary, "the bridge has stopped");
                         match lost {
-                            Some(reason) => tracing::warn!(%reason, "the bridge has failed; starting it again"),
+                            Some(reason) => {
+                                sight.waits(&reason);
+                                tracing::warn!(%reason, "the bridge has failed; starting it again");
+                            }
                             None => return,
                         }
                         down = true;
@@ -60,6 +65,7 @@ impl NodeBridge {
                     // The same reason once, not every two seconds.
                     Err(reason) if told == reason.message => {}
                     Err(reason) => {
+                        sight.waits(&reason);
                         tracing::warn!(%reason, "the bridge cannot start yet; trying again");
                         (told, down) = (reason.message, true);
                     }

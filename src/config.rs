@@ -284,10 +284,7 @@ impl Config {
             s.integer("secret_days", 1..=365, &mut ca.secret_days);
         });
         log.read(root);
-        root.section("admin", |s| {
-            let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
-            s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
-        });
+        read_admin(root, admin);
         console.read(root, directory);
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
@@ -346,6 +343,37 @@ impl Log {
             });
         });
     }
+}
+
+/// The settings of the process of a bridge, beside those of the bridge: they are a node's.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct OfBridge {
+    /// `[log]`
+    pub(crate) log: Log,
+    /// `[admin] listen`: `HOST:PORT` of the page for whoever watches the bridge; empty = none.
+    pub(crate) admin: String,
+}
+
+impl OfBridge {
+    /// Reads them, and those of the bridge.
+    ///
+    /// # Errors
+    /// Every fault of the file.
+    pub(crate) fn load(path: &Path) -> Result<(Self, ros_bridge::Config), Vec<Fault>> {
+        let mut program = Self::default();
+        let bridge = ros_bridge::Config::load(path, |root| {
+            program.log.read(root);
+            read_admin(root, &mut program.admin);
+        })?;
+        Ok((program, bridge))
+    }
+}
+
+fn read_admin(root: &mut Section<'_, '_>, admin: &mut String) {
+    root.section("admin", |s| {
+        let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
+        s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
+    });
 }
 
 fn level(text: &str) -> Option<LevelFilter> {

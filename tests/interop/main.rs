@@ -47,6 +47,7 @@ mod stop_early;
 mod support;
 mod tasks;
 mod telling;
+mod watched;
 mod world;
 
 use ledger_api::Client;

@@ -38,7 +38,7 @@
 //! path_topic = "/task/path"    # from_ledger: all points that are left of it, as nav_msgs/msg/Path
 //! ```
 //! With a section `[discover]` ([`crate::discover`]) there are routes for what is on the ledger, too, and none need be set.
-//! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
+//! A bridge that is a process of its own has the sections `[log]` and `[admin]` like a node's, which the program reads.
 //! Everything has a default but `service`, `direction` and `type`. Every fault is reported, not only the first.
 
 #[cfg(test)]
@@ -66,6 +66,8 @@ use crate::{
     route::kind::{Given, KINDS, Kind, Plan},
 };
 
+/// The sections of the file of a bridge that the program which runs it reads.
+pub const PROGRAM_SECTIONS: [&str; 2] = ["admin", "log"];
 /// Most routes of one bridge.
 pub const ROUTES_MAX: usize = 128;
 /// How often the ledger gives a sign of life.

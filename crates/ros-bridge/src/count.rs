@@ -1,5 +1,9 @@
 //! The counters of a route: kept while it runs, summed up when it ends.
 
+mod spread;
+
+pub use self::spread::{BOUNDS_US, Spread};
+
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -84,6 +88,10 @@ pub(crate) struct Counts {
     pub(crate) summary: RouteSummary,
     pub(crate) live: Live,
     latency: Option<Histogram<u64>>,
+    /// From a sample taken in to its verdict.
+    pub(crate) commit: Spread,
+    /// From the signature of a message to its way to the local graph.
+    pub(crate) age: Spread,
     ends: Option<Ends>,
 }
 
@@ -138,7 +146,8 @@ impl Counters {
             commit_us: Latency::default(),
         };
         let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
-        let counts = Counts { summary, live: Live::default(), latency, ends: None };
+        let (commit, age) = (Spread::default(), Spread::default());
+        let counts = Counts { summary, live: Live::default(), latency, commit, age, ends: None };
         Self { counts: Arc::new(Mutex::new(counts)) }
     }
 
@@ -202,6 +211,7 @@ impl Counts {
         if let Some(latency) = &mut self.latency {
             latency.saturating_record(micros);
         }
+        self.commit.observe(micros);
     }
 }
 

@@ -12,6 +12,9 @@ impl FromLedger {
         if self.side_door.drops(&self.counters) {
             return;
         }
+        if let Some(age_us) = passed.age_us {
+            self.counters.lock().age.observe(age_us);
+        }
         if let Some(hand) = self.outlet.hand() {
             let mut counts = self.counters.lock();
             counts.live.came = Some(Instant::now());
