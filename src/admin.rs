@@ -40,7 +40,7 @@ const OPEN_MAX: usize = 32;
 /// Longest life of one. A program that watches connects again.
 const LIFE_MAX: Duration = Duration::from_secs(60);
 
-/// Whoever is watched through the page.
+/// A part of this program that is watched through the page.
 pub(crate) trait Watched: Send + Sync + 'static {
     /// The parts of readiness, as they are now.
     fn checks(&self) -> Vec<Check>;

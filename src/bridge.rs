@@ -56,7 +56,7 @@ impl NodeBridge {
                         match lost {
                             Some(reason) => {
                                 sight.waits(&reason);
-                                tracing::warn!(%reason, "the bridge has failed; starting it again");
+                                tracing::warn!(code = reason.code.name(), %reason, "the bridge has failed; starting it again");
                             }
                             None => return,
                         }
@@ -66,7 +66,7 @@ impl NodeBridge {
                     Err(reason) if told == reason.message => {}
                     Err(reason) => {
                         sight.waits(&reason);
-                        tracing::warn!(%reason, "the bridge cannot start yet; trying again");
+                        tracing::warn!(code = reason.code.name(), %reason, "the bridge cannot start yet; trying again");
                         (told, down) = (reason.message, true);
                     }
                 }

@@ -306,7 +306,7 @@ fn read_again<T>(read: impl Fn() -> Result<T, Vec<Fault>>) -> impl Stream<Item =
                 Ok(config) => return Some((config, (hang_ups, read))),
                 Err(faults) => {
                     for fault in faults {
-                        tracing::error!(%fault, "the configuration was not taken over, and everything goes on as before");
+                        tracing::error!(code = fault.rejection.code.name(), reason = %fault, "the configuration was not taken over, and everything goes on as before");
                     }
                 }
             }

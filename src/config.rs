@@ -147,6 +147,8 @@ pub struct Log {
 /// The form of log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
+    /// `auto`: text where somebody reads it on a terminal, JSON elsewhere.
+    Auto,
     /// `text`: one line for people.
     Text,
     /// `json`: one object a line.
@@ -205,7 +207,7 @@ impl Order {
 
 impl Default for Log {
     fn default() -> Self {
-        Self { level: LevelFilter::INFO, format: LogFormat::Text }
+        Self { level: LevelFilter::INFO, format: LogFormat::Auto }
     }
 }
 
@@ -331,16 +333,29 @@ impl Console {
     }
 }
 
+impl LogFormat {
+    /// The format of that name.
+    pub(crate) fn named(name: &str) -> Option<Self> {
+        match name {
+            "auto" => Some(Self::Auto),
+            "text" => Some(Self::Text),
+            "json" => Some(Self::Json),
+            _ => None,
+        }
+    }
+}
+
 impl Log {
+    /// The log of a command for people who try things: text also where it goes into a file, from this level on.
+    pub(crate) fn for_people(level: LevelFilter) -> Self {
+        Self { level, format: LogFormat::Text }
+    }
+
     /// Reads the section `[log]`, of a node or of a bridge that is a process of its own.
     pub(crate) fn read(&mut self, root: &mut Section<'_, '_>) {
         root.section("log", |s| {
             s.text("level", "off, error, warn, info, debug or trace", &mut self.level, level);
-            s.text("format", "text or json", &mut self.format, |text| match text {
-                "text" => Some(LogFormat::Text),
-                "json" => Some(LogFormat::Json),
-                _ => None,
-            });
+            s.text("format", "auto, text or json", &mut self.format, LogFormat::named);
         });
     }
 }

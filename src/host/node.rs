@@ -159,7 +159,9 @@ impl Node {
         match renewal::read_again(&config.data, &self.identity, &self.instance.ledger.msps()) {
             Ok(true) => tracing::info!("the node shows the certificate that lies in its data directory now"),
             Ok(false) => {}
-            Err(fault) => tracing::error!(%fault, "the node keeps the certificate that it has"),
+            Err(fault) => {
+                tracing::error!(code = fault.code.name(), reason = %fault, "the node keeps the certificate that it has")
+            }
         }
         match (&self.bridge, &config.bridge) {
             (Some(bridge), Some(settings)) => bridge.reload(settings.clone()),

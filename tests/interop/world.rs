@@ -1,6 +1,7 @@
 //! A real network for the tests of this folder: a `ledgerd` process, two users, a robot called Rover, and bridges as
 //! processes of their own.
 
+use crate::support::programs;
 use bytes::Bytes;
 use ledger_api::{Client, Context, Enrolment};
 use ledger_hash::Hash;
@@ -97,7 +98,7 @@ pub(crate) struct World {
 }
 
 fn ledgerd() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_ledgerd"))
+    programs::node()
 }
 
 impl World {

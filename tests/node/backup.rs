@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 /// Voters of Org1, and an admin with a context for each: `Admin1`, `Admin2` and so on.
 fn voters(count: usize) -> Fleet {
@@ -34,7 +34,7 @@ fn admin(fleet: &Fleet, node: usize) -> Ctl {
 }
 
 fn ledgerd(arguments: &[&str], config: &Path) -> Output {
-    let mut command = Command::new(programs::ledgerd());
+    let mut command = programs::node();
     command.args(arguments).arg("--config").arg(config).stdin(Stdio::null()).output().unwrap()
 }
 

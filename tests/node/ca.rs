@@ -9,7 +9,7 @@ use serde_json::Value;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 /// Three voters of Org1; the first one carries the CA. An admin with a context for each node, `Admin1` to `Admin3`.
 fn three() -> (Fleet, Vec<Process>) {
@@ -49,7 +49,7 @@ fn carried(ctl: &Ctl, count: usize) -> Vec<String> {
 }
 
 fn ledgerd(arguments: &[&str], config: &Path) -> Output {
-    let mut command = Command::new(programs::ledgerd());
+    let mut command = programs::node();
     command.args(arguments).arg("--config").arg(config).stdin(Stdio::null()).output().unwrap()
 }
 

@@ -118,7 +118,11 @@ impl Reporter {
         let (heard, every) = (Instant::now(), config.report_every);
         let diagnostics = if config.diagnostics {
             let opened = Diagnostics::open(local.participant(), &config.node_name, &identity);
-            opened.inspect_err(|refused| tracing::warn!(reason = line(refused), "there are no diagnostics")).ok()
+            opened
+                .inspect_err(|refused| {
+                    tracing::warn!(code = refused.code.name(), reason = line(refused), "there are no diagnostics")
+                })
+                .ok()
         } else {
             None
         };

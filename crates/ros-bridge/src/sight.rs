@@ -36,7 +36,7 @@ struct Running {
     statuses: Statuses,
 }
 
-/// What was seen.
+/// The bridge as it was seen.
 #[derive(Clone, Debug)]
 pub enum View {
     /// No bridge runs, for this reason; none has begun yet if there is none.

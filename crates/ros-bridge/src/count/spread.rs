@@ -1,6 +1,6 @@
 //! How long something took, in steps: what a histogram of Prometheus consists of.
 
-/// Upper bounds of the steps, in microseconds. What took longer is in a step of its own.
+/// Upper bounds of the steps, in microseconds. Longer durations have a step of their own.
 pub const BOUNDS_US: [u64; 9] = [1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000, 2_000_000];
 
 /// Durations that were observed, by step.

@@ -320,7 +320,12 @@ impl FromLedger {
             Ok(delivery) => delivery,
             Err(refused) => {
                 let reason = line(&refused);
-                tracing::error!(service = self.route.service, reason, "the ledger has ended the subscription");
+                tracing::error!(
+                    service = self.route.service,
+                    code = refused.code.name(),
+                    reason,
+                    "the ledger has ended the subscription"
+                );
                 self.counters.lock().live.waiting = Some(format!("the ledger has ended the subscription: {reason}"));
                 if self.guard.gate().is_moving() {
                     self.halt("refused").await;
@@ -394,7 +399,13 @@ impl FromLedger {
         self.counters.lock().live.waiting = Some(format!("the voters do not say how the robot stands: {reason}"));
         if let Some(not_logged) = self.complaint.worth("standing", Instant::now()) {
             let service = &self.route.service;
-            tracing::warn!(service, reason, not_logged, "the voters do not say how the robot stands");
+            tracing::warn!(
+                service,
+                code = refused.code.name(),
+                reason,
+                not_logged,
+                "the voters do not say how the robot stands"
+            );
         }
         if is_gone {
             self.points.clear();
