@@ -2,6 +2,7 @@
 
 use ledger_api::Client;
 use ledger_rejection::Rejection;
+use ledger_traces::Tracer;
 use ros_bridge::Bridge;
 use ros_bridge::sight::Sight;
 use std::time::Duration;
@@ -16,11 +17,14 @@ pub(crate) struct NodeBridge {
     stop: watch::Sender<bool>,
     settings: watch::Sender<ros_bridge::Config>,
     task: JoinHandle<()>,
+    tracer: Tracer,
 }
 
 impl NodeBridge {
-    /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment.
-    pub(crate) fn start(settings: ros_bridge::Config, address: String, sight: Sight) -> Self {
+    /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment, `tracer` hears
+    /// of messages.
+    pub(crate) fn start(settings: ros_bridge::Config, address: String, (sight, tracer): (Sight, Tracer)) -> Self {
+        let settings = ros_bridge::Config { tracer: tracer.clone(), ..settings };
         let (stop, mut stopping) = watch::channel(false);
         let (sender, mut changes) = watch::channel(settings);
         let task = tokio::spawn(async move {
@@ -76,11 +80,12 @@ impl NodeBridge {
                 }
             }
         });
-        Self { stop, settings: sender, task }
+        Self { stop, settings: sender, task, tracer }
     }
 
     /// Takes over the routes of these settings, as [`Bridge::reload`] does.
     pub(crate) fn reload(&self, settings: ros_bridge::Config) {
+        let settings = ros_bridge::Config { tracer: self.tracer.clone(), ..settings };
         self.settings.send_replace(settings);
     }
 

@@ -10,6 +10,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use futures::{FutureExt, Stream, StreamExt, future, stream};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
+use ledger_traces::Tracer;
 use ros_bridge::sight::Sight;
 use std::ffi::OsString;
 use std::future::Future;
@@ -226,12 +227,16 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
             "" => None,
             address => Some(Admin::serve(address, Arc::new(sight.clone()), None).await?),
         };
+        let who =
+            ros_bridge::context_of(&config).map(|who| format!("{}/{}", who.organisation, who.name)).unwrap_or_default();
+        let tracer = Tracer::start(&program.traces, "ledgerd-bridge", &who);
+        let traced = |config| ros_bridge::Config { tracer: tracer.clone(), ..config };
         let changes = read_again(|| {
             let (program, config) = OfBridge::load(path)?;
             telemetry::set_level(&program.log);
-            Ok(config)
+            Ok(traced(config))
         });
-        ros_bridge::run(config, changes, stop_signal(), &sight).await
+        ros_bridge::run(traced(config), changes, stop_signal(), &sight).await
     })
 }
 

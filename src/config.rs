@@ -15,6 +15,7 @@ use ledger_hash::Hash;
 use ledger_replica::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
 use ledger_settings::{Reader, Section};
 use ledger_storage::retention::Retention;
+use ledger_traces::Settings as Traces;
 use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
 
@@ -55,6 +56,8 @@ pub struct Config {
     pub admin: String,
     /// `[console]`
     pub console: Console,
+    /// `[traces]`
+    pub traces: Traces,
 }
 
 /// The console for browsers.
@@ -178,6 +181,7 @@ impl Default for Config {
             bridge: None,
             admin: String::new(),
             console: Console::default(),
+            traces: Traces::default(),
         }
     }
 }
@@ -238,8 +242,8 @@ impl Config {
 
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
-        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge, admin, console } =
-            self;
+        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, .. } = self;
+        let Self { bridge, admin, console, traces, .. } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
             is_address(text).then(|| text.to_owned())
@@ -288,6 +292,7 @@ impl Config {
         log.read(root);
         read_admin(root, admin);
         console.read(root, directory);
+        traces.read(root);
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
         let timing = order.timing();
@@ -367,6 +372,8 @@ pub(crate) struct OfBridge {
     pub(crate) log: Log,
     /// `[admin] listen`: `HOST:PORT` of the page for whoever watches the bridge; empty = none.
     pub(crate) admin: String,
+    /// `[traces]`
+    pub(crate) traces: Traces,
 }
 
 impl OfBridge {
@@ -379,6 +386,7 @@ impl OfBridge {
         let bridge = ros_bridge::Config::load(path, |root| {
             program.log.read(root);
             read_admin(root, &mut program.admin);
+            program.traces.read(root);
         })?;
         Ok((program, bridge))
     }

@@ -137,6 +137,7 @@ impl Node {
         let sight = config.bridge.as_ref().map(|_| Sight::default());
         let admin = admin(config, &identity, &services, sight.clone()).await?;
         let console = console(config, &host, &services).await?;
+        let tracer = services.gateway.description.tracer.clone();
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
@@ -148,7 +149,7 @@ impl Node {
         let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let settings = config.bridge.clone().zip(sight);
-        let bridge = settings.map(|(settings, sight)| NodeBridge::start(settings, host.own_gateway(), sight));
+        let bridge = settings.map(|(settings, sight)| NodeBridge::start(settings, host.own_gateway(), (sight, tracer)));
         Ok(Self { host, instance, identity, serving, bridge, admin, console })
     }
 

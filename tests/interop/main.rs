@@ -47,6 +47,7 @@ mod stop_early;
 mod support;
 mod tasks;
 mod telling;
+mod traces;
 mod watched;
 mod world;
 

@@ -209,7 +209,7 @@ impl Bridge {
         let checkpoint =
             config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
         let known = checkpoint.map(|checkpoint| checkpoint.governance);
-        let roster = Arc::new(Roster::default());
+        let roster = Arc::new(Roster::traced(config.tracer.clone()));
         let keeper = Arc::new(Keeper::new(Arc::clone(&gateway), context, local.clone(), known, Arc::clone(&roster)));
         let (ending, ended) = watch::channel(false);
         let table = Arc::new(Table::new(keeper, Arc::clone(&roster), ending));

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use ledger_invariant::costly_invariant;
 use ledger_rejection::{Code, Rejection};
+use ledger_traces::Tracer;
 use serde::Serialize;
 
 use crate::{config::RouteConfig, dds::Matched, door::Door, gateway::Tally};
@@ -80,6 +81,8 @@ pub struct Latency {
 #[derive(Clone, Debug)]
 pub(crate) struct Counters {
     counts: Arc<Mutex<Counts>>,
+    /// Where the steps of its messages are told.
+    pub(crate) tracer: Tracer,
 }
 
 /// The counters.
@@ -148,7 +151,12 @@ impl Counters {
         let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
         let (commit, age) = (Spread::default(), Spread::default());
         let counts = Counts { summary, live: Live::default(), latency, commit, age, ends: None };
-        Self { counts: Arc::new(Mutex::new(counts)) }
+        Self { counts: Arc::new(Mutex::new(counts)), tracer: Tracer::default() }
+    }
+
+    /// The same, with the steps of its messages told there.
+    pub(crate) fn traced(self, tracer: Tracer) -> Self {
+        Self { tracer, ..self }
     }
 
     /// The route has been opened.

@@ -136,6 +136,8 @@ struct FromLedger {
     pace: Pace<Sample>,
     /// The next height of the subscription.
     next_height: u64,
+    /// When the messages that are judged now could be: they came, or the answer did that they waited for.
+    judged: Instant,
     renewed: Instant,
     complaint: Complaint,
     /// Beside the other complaints: a holder may be slowed down and refused in turn.
@@ -177,6 +179,7 @@ impl FromLedger {
             context: context.clone(),
             reading: None,
             next_height: height.saturating_add(1),
+            judged: Instant::now(),
             renewed: Instant::now(),
             complaint: Complaint::default(),
             clamps: Complaint::default(),
@@ -316,6 +319,7 @@ impl FromLedger {
 
     /// Handles the events of a block in their order.
     async fn handle_all(&mut self, delivery: Result<Delivery, Rejection>) {
+        self.judged = Instant::now();
         let delivery = match delivery {
             Ok(delivery) => delivery,
             Err(refused) => {
@@ -352,6 +356,7 @@ impl FromLedger {
 
     /// Takes the answer of the voters, and judges the messages that waited for it.
     async fn answered(&mut self, answer: Answer) {
+        self.judged = Instant::now();
         let answered = match answer {
             Ok(answered) => answered,
             Err(refused) => return self.not_known(&refused, None).await,

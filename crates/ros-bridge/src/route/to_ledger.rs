@@ -42,7 +42,7 @@ use super::{
 };
 use crate::{
     config::HEARTBEAT_MS,
-    count::{Complaint, Counters, count, line},
+    count::{Complaint, Counters, line},
     dds::Role,
     door::Door,
     fit::Fit,
@@ -397,7 +397,8 @@ impl ToLedger {
         }
         self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
         let key = self.sealing.key();
-        verdict.map(move |verdict| Outcome { first: number, received, bytes, key, verdict }).boxed()
+        let submitted = (id, Instant::now());
+        verdict.map(move |verdict| Outcome { first: number, received, submitted, bytes, key, verdict }).boxed()
     }
 
     /// Tells the other half of a route of calls, if this is one.

@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
+use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use ledger_traces::{Step, wall};
 
 use super::{super::calls::Told, ToLedger};
 use crate::{
@@ -16,6 +18,8 @@ pub(super) struct Outcome {
     pub(super) first: u64,
     /// When each was taken in.
     pub(super) received: Vec<Instant>,
+    /// In which transaction, if it could be signed, and when it was on its way.
+    pub(super) submitted: (Option<Hash>, Instant),
     pub(super) bytes: usize,
     /// The content key under which they were encrypted.
     pub(super) key: Option<u64>,
@@ -23,6 +27,18 @@ pub(super) struct Outcome {
 }
 
 impl ToLedger {
+    /// Tells the whole way of a message, and its part in this process.
+    fn trace(&self, Outcome { received, submitted: (id, submitted), verdict, .. }: &Outcome) {
+        let (Some(id), Some(first)) = (id, received.first()) else { return };
+        let (service, tracer) = (&self.publishing.service, &self.counters.tracer);
+        tracer.tell(id, || Step {
+            is_whole: true,
+            failed: verdict.as_ref().err().map(|refused| refused.code.name()),
+            ..Step::since("message", wall(*first)).with("ledgerd.service", service)
+        });
+        tracer.tell(id, || Step { ended: wall(*submitted), ..Step::since("submit", wall(*first)) });
+    }
+
     /// Is a sample kept back, because the user holds no grant?
     pub(super) fn is_withheld(&mut self) -> bool {
         let withheld = self.withholds && self.publishing.epoch == 0;
@@ -62,7 +78,9 @@ impl ToLedger {
     }
 
     /// Counts an outcome. True if the own grant seems to be another than is known.
-    pub(super) fn note(&mut self, Outcome { first, received, bytes, key, verdict }: Outcome) -> bool {
+    pub(super) fn note(&mut self, outcome: Outcome) -> bool {
+        self.trace(&outcome);
+        let Outcome { first, received, bytes, key, verdict, .. } = outcome;
         self.under_way_bytes = self.under_way_bytes.saturating_sub(bytes);
         if verdict.is_err() {
             self.tell(Told::Refused(first));
