@@ -24,7 +24,7 @@ impl NodeBridge {
     /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment, `tracer` hears
     /// of messages.
     pub(crate) fn start(settings: ros_bridge::Config, address: String, (sight, tracer): (Sight, Tracer)) -> Self {
-        let settings = ros_bridge::Config { tracer: tracer.clone(), ..settings };
+        let settings = settings.traced(tracer.clone());
         let (stop, mut stopping) = watch::channel(false);
         let (sender, mut changes) = watch::channel(settings);
         let task = tokio::spawn(async move {
@@ -85,8 +85,7 @@ impl NodeBridge {
 
     /// Takes over the routes of these settings, as [`Bridge::reload`] does.
     pub(crate) fn reload(&self, settings: ros_bridge::Config) {
-        let settings = ros_bridge::Config { tracer: self.tracer.clone(), ..settings };
-        self.settings.send_replace(settings);
+        self.settings.send_replace(settings.traced(self.tracer.clone()));
     }
 
     /// Ends the bridge: what it has set in motion is stopped.

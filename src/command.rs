@@ -230,13 +230,12 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
         let who =
             ros_bridge::context_of(&config).map(|who| format!("{}/{}", who.organisation, who.name)).unwrap_or_default();
         let tracer = Tracer::start(&program.traces, "ledgerd-bridge", &who);
-        let traced = |config| ros_bridge::Config { tracer: tracer.clone(), ..config };
         let changes = read_again(|| {
             let (program, config) = OfBridge::load(path)?;
             telemetry::set_level(&program.log);
-            Ok(traced(config))
+            Ok(config.traced(tracer.clone()))
         });
-        ros_bridge::run(traced(config), changes, stop_signal(), &sight).await
+        ros_bridge::run(config.traced(tracer.clone()), changes, stop_signal(), &sight).await
     })
 }
 

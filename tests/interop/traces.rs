@@ -15,6 +15,7 @@ use ros_bridge::queue::Limits;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
+use tokio::runtime::{Builder, Runtime};
 use tonic::transport::Server;
 use tonic::{Request, Response, Status};
 
@@ -51,12 +52,14 @@ impl TraceService for Collector {
 }
 
 impl Collector {
-    /// Listens until the task is aborted.
-    fn listen(&self) -> tokio::task::JoinHandle<()> {
+    /// Listens until the runtime is shut down, which ends its connections, too.
+    fn listen(&self) -> Runtime {
         let service = TraceServiceServer::new(self.clone());
-        tokio::spawn(async move {
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        runtime.spawn(async move {
             Server::builder().add_service(service).serve(COLLECTOR.parse().unwrap()).await.unwrap();
-        })
+        });
+        runtime
     }
 
     /// The steps of a message of which all steps have come, by process and name.
@@ -138,7 +141,7 @@ fn one_message_has_one_trace_with_the_steps_of_all_processes_and_a_dead_collecto
             assert_eq!(text(&ordered.attributes, "ledgerd.height"), text(&applied.attributes, "ledgerd.height"));
 
             // The collector dies: messages go on as before.
-            listening.abort();
+            listening.shutdown_background();
             world.line("Salma", &["WARN", "the collector takes no steps of traces"]).await;
             while reader.try_next().is_some() {}
             for _ in 0..40 {
@@ -149,7 +152,7 @@ fn one_message_has_one_trace_with_the_steps_of_all_processes_and_a_dead_collecto
             collector.0.lock().unwrap().clear();
             let listening = collector.listen();
             until("the collector hears of messages again", || async { collector.whole() }).await;
-            listening.abort();
+            listening.shutdown_background();
         };
         tokio::select! {
             () = drive() => {}

@@ -104,8 +104,8 @@ pub struct Config {
     pub(crate) discover: Option<discover::Settings>,
     /// The routes that are set.
     pub routes: Vec<RouteConfig>,
-    /// Where the steps of messages are told: whoever runs the bridge says it, not its file.
-    pub tracer: Tracer,
+    /// Where the steps of messages are told.
+    pub(crate) tracer: Tracer,
 }
 
 /// Where the identity of a bridge comes from.
@@ -178,6 +178,12 @@ impl Config {
             config.read(root, path.parent().unwrap_or(Path::new("")));
         });
         reader.finish().map(|()| config)
+    }
+
+    /// The same, with the steps of messages told there: whoever runs the bridge says it, not its file.
+    #[must_use]
+    pub fn traced(self, tracer: Tracer) -> Self {
+        Self { tracer, ..self }
     }
 
     /// Are all settings the same, whatever the routes are?
