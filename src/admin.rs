@@ -1,29 +1,36 @@
-//! The page for whoever watches a node: is it alive, is it ready, and its figures. HTTP, read only.
+//! The page for whoever watches a node or a bridge: is it alive, is it ready, and its figures. HTTP, read only.
 //!
 //! ```text
 //! admin       the addresses: /livez, /readyz, /metrics
-//!   checks    what readiness consists of
-//!   metrics   the figures, as Prometheus and OpenMetrics read them
+//!   check     a part of readiness
+//!   figures   figures, as Prometheus and OpenMetrics read them
+//!   node      the checks and the figures of a node
+//!   bridge    those of a bridge
 //! ```
 
-mod checks;
-mod metrics;
+mod bridge;
+mod check;
+mod figures;
+mod node;
 
 use crate::doors::{Doors, Room};
-use crate::gateway::Description;
 use axum::Router;
 use axum::extract::{RawQuery, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use checks::Check;
+use check::Check;
 use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_rejection::{Code, Rejection};
+pub(crate) use node::{WatchedNode, is_ready};
+use prometheus_client::encoding::text::encode;
+use prometheus_client::registry::Registry;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinHandle;
+use tokio_rustls::rustls::ServerConfig;
 
 /// The form of `/metrics`: <https://prometheus.io/docs/specs/om/open_metrics_spec/>.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -33,6 +40,21 @@ const OPEN_MAX: usize = 32;
 /// Longest life of one. A program that watches connects again.
 const LIFE_MAX: Duration = Duration::from_secs(60);
 
+/// A part of this program that is watched through the page.
+pub(crate) trait Watched: Send + Sync + 'static {
+    /// The parts of readiness, as they are now.
+    fn checks(&self) -> Vec<Check>;
+
+    /// Registers the figures, as they are now.
+    ///
+    /// # Errors
+    /// The reason why they cannot be read.
+    fn register(&self, registry: &mut Registry) -> Result<(), Rejection>;
+}
+
+/// The certificate that the page shows, and the ones that it accepts.
+pub(crate) type Papers = (TlsIdentity, Arc<dyn TrustSource>);
+
 /// The page, as long as it is served. It ends when it is dropped.
 pub(crate) struct Admin {
     address: SocketAddr,
@@ -40,26 +62,22 @@ pub(crate) struct Admin {
 }
 
 impl Admin {
-    /// Serves the page of a node at `HOST:PORT`. An address of loopback is for everybody on this machine. Elsewhere the node shows its
-    /// certificate, and wants one of the network.
+    /// Serves the page at `HOST:PORT`. An address of loopback is for everybody on this machine. Elsewhere it shows its certificate, and
+    /// wants one of the network; without papers it is on loopback only.
     ///
     /// # Errors
-    /// [`Code::BadConfiguration`] if nothing can listen there; [`Code::BadFile`] if the certificate cannot be used.
+    /// [`Code::BadConfiguration`] if nothing can listen there, or may; [`Code::BadFile`] if the certificate cannot be used.
     pub(crate) async fn serve(
         address: &str,
-        node: Arc<Description>,
-        (identity, trust): (TlsIdentity, Arc<dyn TrustSource>),
+        watched: Arc<dyn Watched>,
+        papers: Option<Papers>,
     ) -> Result<Self, Rejection> {
         let listening = Doors::listen(address, "admin.listen").await?;
         let address = listening.1;
-        let tls = match address.ip().is_loopback() {
-            true => None,
-            false => {
-                let config = server_config(identity, trust);
-                let mut config = config.map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
-                config.alpn_protocols = vec![b"http/1.1".to_vec()];
-                Some(config)
-            }
+        let tls = match (address.ip().is_loopback(), papers) {
+            (true, _) => None,
+            (false, Some(papers)) => Some(secured(papers)?),
+            (false, None) => return Err(only_on_loopback(address)),
         };
         let room = Room { all_max: OPEN_MAX, each_max: OPEN_MAX, life_max: LIFE_MAX, tls, wants_certificate: true };
         let doors = Doors::open(listening, room);
@@ -67,7 +85,7 @@ impl Admin {
             .route("/livez", get(live))
             .route("/readyz", get(ready))
             .route("/metrics", get(figures))
-            .with_state(node);
+            .with_state(watched);
         let serving = tokio::spawn(async move {
             if let Err(error) = axum::serve(doors, page).await {
                 tracing::error!(%error, "the admin page ended");
@@ -89,24 +107,34 @@ impl Drop for Admin {
     }
 }
 
+fn secured((identity, trust): Papers) -> Result<ServerConfig, Rejection> {
+    let config = server_config(identity, trust);
+    let mut config = config.map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+    config.alpn_protocols = vec![b"http/1.1".to_vec()];
+    Ok(config)
+}
+
+fn only_on_loopback(address: SocketAddr) -> Rejection {
+    Rejection::new(Code::BadConfiguration, "the page of a bridge is for its own machine only")
+        .found(format!("admin.listen = {:?}", address.to_string()))
+        .wanted("an address of loopback, for example \"127.0.0.1:7453\"")
+        .next("run the bridge inside a node, whose page has its figures over TLS; or put a proxy with TLS in front")
+}
+
 /// Does the process answer? A supervisor that restarts it otherwise asks this, and nothing else.
 async fn live() -> &'static str {
     "ok\n"
 }
 
-/// Can the node do its work?
-pub(crate) fn is_ready(node: &Description) -> bool {
-    node.status().is_ok_and(|status| checks::all(&status).iter().all(Check::is_ok))
+fn is_well(checks: &[Check]) -> bool {
+    checks.iter().all(Check::is_ok)
 }
 
-/// Can the node do its work? With `?verbose` every check is told, otherwise only those that failed.
-async fn ready(State(node): State<Arc<Description>>, RawQuery(query): RawQuery) -> Response {
+/// Can it do its work? With `?verbose` every check is told, otherwise only those that failed.
+async fn ready(State(watched): State<Arc<dyn Watched>>, RawQuery(query): RawQuery) -> Response {
     let verbose = query.is_some_and(|query| query.split('&').any(|word| word.split('=').next() == Some("verbose")));
-    let checks = match node.status() {
-        Ok(status) => checks::all(&status),
-        Err(fault) => vec![Check::failed("state", fault.to_string())],
-    };
-    let is_ready = checks.iter().all(Check::is_ok);
+    let checks = watched.checks();
+    let is_ready = is_well(&checks);
     let shown = checks.iter().filter(|check| verbose || !check.is_ok());
     let mut text: String = shown.map(ToString::to_string).collect();
     text.push_str(if is_ready { "ready\n" } else { "not ready\n" });
@@ -114,9 +142,18 @@ async fn ready(State(node): State<Arc<Description>>, RawQuery(query): RawQuery) 
     (code, text).into_response()
 }
 
-async fn figures(State(node): State<Arc<Description>>) -> Response {
-    match node.status().and_then(|status| metrics::text(&status, node.meters())) {
+async fn figures(State(watched): State<Arc<dyn Watched>>) -> Response {
+    match text(&*watched) {
         Ok(text) => ([(CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
         Err(fault) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{fault}\n")).into_response(),
     }
+}
+
+/// The text of `/metrics`.
+fn text(watched: &dyn Watched) -> Result<String, Rejection> {
+    let mut registry = Registry::with_prefix("ledgerd");
+    watched.register(&mut registry)?;
+    let mut text = String::new();
+    encode(&mut text, &registry).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+    Ok(text)
 }

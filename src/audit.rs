@@ -75,7 +75,7 @@ impl Audit {
             // In turns, so that a long way does not keep the node from stopping.
             while self.is_behind() {
                 if let Err(fault) = self.follow(Instant::now() + TURN).await {
-                    tracing::warn!(%fault, "the index of the audit does not follow the blocks");
+                    tracing::warn!(code = fault.code.name(), reason = %fault, "the index of the audit does not follow the blocks");
                     break;
                 }
             }
@@ -188,7 +188,7 @@ fn open(directory: &Path) -> Result<Index, Rejection> {
         Err(fault) if fault.code == Code::Corrupt => fault,
         opened => return opened,
     };
-    tracing::warn!(%fault, "the index of the audit cannot be read; it is made again from the blocks");
+    tracing::warn!(code = fault.code.name(), reason = %fault, "the index of the audit cannot be read; it is made again from the blocks");
     std::fs::remove_dir_all(directory).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot delete {}: {error}", directory.display()))
             .next("delete it by hand; it is made again from the blocks")

@@ -58,7 +58,7 @@ impl Awake {
                             .found(format!("{DEVICE}: {error}"))
                             .wanted(format!("write access to {DEVICE}"))
                             .next("give the user of ledgerd write access to it, or use the profile balanced");
-                    tracing::warn!(%reason, "processors may sleep");
+                    tracing::warn!(code = reason.code.name(), %reason, "processors may sleep");
                     Ok(Self { wish: None, thread: None })
                 }
             },

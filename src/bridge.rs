@@ -2,7 +2,9 @@
 
 use ledger_api::Client;
 use ledger_rejection::Rejection;
+use ledger_traces::Tracer;
 use ros_bridge::Bridge;
+use ros_bridge::sight::Sight;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -15,11 +17,14 @@ pub(crate) struct NodeBridge {
     stop: watch::Sender<bool>,
     settings: watch::Sender<ros_bridge::Config>,
     task: JoinHandle<()>,
+    tracer: Tracer,
 }
 
 impl NodeBridge {
-    /// Starts the bridge. `address` is the node's gateway.
-    pub(crate) fn start(settings: ros_bridge::Config, address: String) -> Self {
+    /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment, `tracer` hears
+    /// of messages.
+    pub(crate) fn start(settings: ros_bridge::Config, address: String, (sight, tracer): (Sight, Tracer)) -> Self {
+        let settings = settings.traced(tracer.clone());
         let (stop, mut stopping) = watch::channel(false);
         let (sender, mut changes) = watch::channel(settings);
         let task = tokio::spawn(async move {
@@ -38,6 +43,7 @@ impl NodeBridge {
                             false => tracing::info!("the bridge runs"),
                         }
                         told.clear();
+                        sight.runs(&bridge);
                         let mut renewed = std::pin::pin!(ros_bridge::keep_renewed(&settings, &client));
                         let lost = loop {
                             tokio::select! {
@@ -52,7 +58,10 @@ impl NodeBridge {
                         let summary = serde_json::to_string(&bridge.stop().await).unwrap_or_default();
                         tracing::info!(summary, "the bridge has stopped");
                         match lost {
-                            Some(reason) => tracing::warn!(%reason, "the bridge has failed; starting it again"),
+                            Some(reason) => {
+                                sight.waits(&reason);
+                                tracing::warn!(code = reason.code.name(), %reason, "the bridge has failed; starting it again");
+                            }
                             None => return,
                         }
                         down = true;
@@ -60,7 +69,8 @@ impl NodeBridge {
                     // The same reason once, not every two seconds.
                     Err(reason) if told == reason.message => {}
                     Err(reason) => {
-                        tracing::warn!(%reason, "the bridge cannot start yet; trying again");
+                        sight.waits(&reason);
+                        tracing::warn!(code = reason.code.name(), %reason, "the bridge cannot start yet; trying again");
                         (told, down) = (reason.message, true);
                     }
                 }
@@ -70,12 +80,12 @@ impl NodeBridge {
                 }
             }
         });
-        Self { stop, settings: sender, task }
+        Self { stop, settings: sender, task, tracer }
     }
 
     /// Takes over the routes of these settings, as [`Bridge::reload`] does.
     pub(crate) fn reload(&self, settings: ros_bridge::Config) {
-        self.settings.send_replace(settings);
+        self.settings.send_replace(settings.traced(self.tracer.clone()));
     }
 
     /// Ends the bridge: what it has set in motion is stopped.

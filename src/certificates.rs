@@ -185,7 +185,9 @@ impl Observer for Certificates {
         if governs {
             match era(ledger) {
                 Ok(era) => drop(self.told.send(Told::Event(Event::Voters(era)))),
-                Err(fault) => tracing::error!(%fault, "cannot read the voters of the next block"),
+                Err(fault) => {
+                    tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the voters of the next block")
+                }
             }
         }
     }
@@ -246,7 +248,7 @@ impl Certifying {
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
                     Ok(signed) => Event::Heard { from, signed },
                     Err(reason) => {
-                        tracing::warn!(peer = self.directory.name(from), %reason, "a statement cannot be read");
+                        tracing::warn!(node = self.directory.name(from), code = reason.code.name(), %reason, "a statement cannot be read");
                         continue;
                     }
                 },
@@ -332,7 +334,7 @@ impl Certifying {
         let certificates = Arc::clone(&self.certificates);
         match tokio::task::spawn_blocking(move || write(&certificates.kept)).await {
             Ok(Ok(())) => {}
-            Ok(Err(fault)) => tracing::warn!(%fault, "a proof is not kept"),
+            Ok(Err(fault)) => tracing::warn!(code = fault.code.name(), reason = %fault, "a proof is not kept"),
             Err(_) => tracing::error!("a thread panicked while it wrote a proof"),
         }
     }

@@ -1,7 +1,8 @@
 //! The command line of `ledgerd`.
 
+use crate::admin::Admin;
 use crate::ca::operator;
-use crate::config::{Config, Fault, Log};
+use crate::config::{Config, Fault, OfBridge};
 use crate::host::NodeBuilder;
 use crate::instance::Ended;
 use crate::{backup, demo, dev, join, memory, recover, setup, telemetry, verify};
@@ -9,10 +10,13 @@ use clap::{CommandFactory, Parser, Subcommand};
 use futures::{FutureExt, Stream, StreamExt, future, stream};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
+use ledger_traces::Tracer;
+use ros_bridge::sight::Sight;
 use std::ffi::OsString;
 use std::future::Future;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 /// The exit code of a program that was interrupted, as shells have it: 128 and the number of SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -196,21 +200,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             let config = load(command.config())?;
             command.run(&config).map(|text| print_line(&text))
         }
-        Command::Bridge(WithConfig { config: path }) => {
-            let mut log = Log::default();
-            let config = parsed(ros_bridge::Config::load(&path, |root| log.read(root)))?;
-            telemetry::start(&log);
-            let _known = memory::keep();
-            block_on_with(1, async move {
-                let changes = read_again(|| {
-                    let mut log = Log::default();
-                    let config = ros_bridge::Config::load(&path, |root| log.read(root))?;
-                    telemetry::set_level(&log);
-                    Ok(config)
-                });
-                ros_bridge::run(config, changes, stop_signal()).await
-            })
-        }
+        Command::Bridge(WithConfig { config: path }) => run_bridge(&path),
         Command::Verify(options) => verify::run(builder, &options),
         Command::Completions { shell } => {
             let mut script = Vec::new();
@@ -224,6 +214,29 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
                 .next("name a directory that exists and that you may write to")
         }),
     }
+}
+
+/// Runs a bridge that is a process of its own, with its page.
+fn run_bridge(path: &Path) -> Result<(), Rejection> {
+    let (program, config) = parsed(OfBridge::load(path))?;
+    telemetry::start(&program.log);
+    let _known = memory::keep();
+    block_on_with(1, async move {
+        let sight = Sight::default();
+        let _page = match program.admin.as_str() {
+            "" => None,
+            address => Some(Admin::serve(address, Arc::new(sight.clone()), None).await?),
+        };
+        let who =
+            ros_bridge::context_of(&config).map(|who| format!("{}/{}", who.organisation, who.name)).unwrap_or_default();
+        let tracer = Tracer::start(&program.traces, "ledgerd-bridge", &who);
+        let changes = read_again(|| {
+            let (program, config) = OfBridge::load(path)?;
+            telemetry::set_level(&program.log);
+            Ok(config.traced(tracer.clone()))
+        });
+        ros_bridge::run(config.traced(tracer.clone()), changes, stop_signal(), &sight).await
+    })
 }
 
 /// Waits for a signal to stop, or for the node to end; ends the node in order either way. Meanwhile it takes over changed
@@ -297,7 +310,7 @@ fn read_again<T>(read: impl Fn() -> Result<T, Vec<Fault>>) -> impl Stream<Item =
                 Ok(config) => return Some((config, (hang_ups, read))),
                 Err(faults) => {
                     for fault in faults {
-                        tracing::error!(%fault, "the configuration was not taken over, and everything goes on as before");
+                        tracing::error!(code = fault.rejection.code.name(), reason = %fault, "the configuration was not taken over, and everything goes on as before");
                     }
                 }
             }
@@ -306,7 +319,7 @@ fn read_again<T>(read: impl Fn() -> Result<T, Vec<Fault>>) -> impl Stream<Item =
 }
 
 /// Every fault of a configuration, one below the other.
-fn load(path: &std::path::Path) -> Result<Config, Rejection> {
+fn load(path: &Path) -> Result<Config, Rejection> {
     parsed(Config::load(path))
 }
 

@@ -58,7 +58,7 @@ impl Company {
     /// A member told its chain.
     pub(crate) fn told(&self, member: &Member, point: Point) {
         if let Err(fault) = self.machine().told(member.id, &member.full_name(), point) {
-            tracing::warn!(%fault, "cannot compare the chain of another node");
+            tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chain of another node");
         }
     }
 
@@ -123,7 +123,9 @@ impl Asking {
                 match self.round(cut_off > PATIENCE).await {
                     Ok(Some(end)) => return self.stop(end).await,
                     Ok(None) => {}
-                    Err(fault) => tracing::warn!(%fault, "cannot compare the chains of the others"),
+                    Err(fault) => {
+                        tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chains of the others")
+                    }
                 }
                 self.company.keep();
             }

@@ -15,6 +15,7 @@ use ledger_hash::Hash;
 use ledger_replica::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
 use ledger_settings::{Reader, Section};
 use ledger_storage::retention::Retention;
+use ledger_traces::Settings as Traces;
 use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
 
@@ -55,6 +56,8 @@ pub struct Config {
     pub admin: String,
     /// `[console]`
     pub console: Console,
+    /// `[traces]`
+    pub traces: Traces,
 }
 
 /// The console for browsers.
@@ -147,6 +150,8 @@ pub struct Log {
 /// The form of log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
+    /// `auto`: text where somebody reads it on a terminal, JSON elsewhere.
+    Auto,
     /// `text`: one line for people.
     Text,
     /// `json`: one object a line.
@@ -176,6 +181,7 @@ impl Default for Config {
             bridge: None,
             admin: String::new(),
             console: Console::default(),
+            traces: Traces::default(),
         }
     }
 }
@@ -205,7 +211,7 @@ impl Order {
 
 impl Default for Log {
     fn default() -> Self {
-        Self { level: LevelFilter::INFO, format: LogFormat::Text }
+        Self { level: LevelFilter::INFO, format: LogFormat::Auto }
     }
 }
 
@@ -236,8 +242,8 @@ impl Config {
 
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
-        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge, admin, console } =
-            self;
+        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, .. } = self;
+        let Self { bridge, admin, console, traces, .. } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
             is_address(text).then(|| text.to_owned())
@@ -284,11 +290,9 @@ impl Config {
             s.integer("secret_days", 1..=365, &mut ca.secret_days);
         });
         log.read(root);
-        root.section("admin", |s| {
-            let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
-            s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
-        });
+        read_admin(root, admin);
         console.read(root, directory);
+        traces.read(root);
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
         let timing = order.timing();
@@ -334,18 +338,65 @@ impl Console {
     }
 }
 
+impl LogFormat {
+    /// The format of that name.
+    pub(crate) fn named(name: &str) -> Option<Self> {
+        match name {
+            "auto" => Some(Self::Auto),
+            "text" => Some(Self::Text),
+            "json" => Some(Self::Json),
+            _ => None,
+        }
+    }
+}
+
 impl Log {
+    /// The log of a command for people who try things: text also where it goes into a file, from this level on.
+    pub(crate) fn for_people(level: LevelFilter) -> Self {
+        Self { level, format: LogFormat::Text }
+    }
+
     /// Reads the section `[log]`, of a node or of a bridge that is a process of its own.
     pub(crate) fn read(&mut self, root: &mut Section<'_, '_>) {
         root.section("log", |s| {
             s.text("level", "off, error, warn, info, debug or trace", &mut self.level, level);
-            s.text("format", "text or json", &mut self.format, |text| match text {
-                "text" => Some(LogFormat::Text),
-                "json" => Some(LogFormat::Json),
-                _ => None,
-            });
+            s.text("format", "auto, text or json", &mut self.format, LogFormat::named);
         });
     }
+}
+
+/// The settings of the process of a bridge, beside those of the bridge: they are a node's.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct OfBridge {
+    /// `[log]`
+    pub(crate) log: Log,
+    /// `[admin] listen`: `HOST:PORT` of the page for whoever watches the bridge; empty = none.
+    pub(crate) admin: String,
+    /// `[traces]`
+    pub(crate) traces: Traces,
+}
+
+impl OfBridge {
+    /// Reads them, and those of the bridge.
+    ///
+    /// # Errors
+    /// Every fault of the file.
+    pub(crate) fn load(path: &Path) -> Result<(Self, ros_bridge::Config), Vec<Fault>> {
+        let mut program = Self::default();
+        let bridge = ros_bridge::Config::load(path, |root| {
+            program.log.read(root);
+            read_admin(root, &mut program.admin);
+            program.traces.read(root);
+        })?;
+        Ok((program, bridge))
+    }
+}
+
+fn read_admin(root: &mut Section<'_, '_>, admin: &mut String) {
+    root.section("admin", |s| {
+        let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
+        s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
+    });
 }
 
 fn level(text: &str) -> Option<LevelFilter> {

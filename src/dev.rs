@@ -68,7 +68,7 @@ struct Facts {
 /// Starts the network, prints what a player needs, and ends it on Ctrl-C. Every likely reason to fail is looked at
 /// before anything is made: another one may be running.
 pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
-    telemetry::start(&Log { level: LevelFilter::WARN, ..Config::default().log });
+    telemetry::start(&Log::for_people(LevelFilter::WARN));
     let home = home()?;
     let mut owned = Ownership::take(&home)?;
     let listen = free_port(&options.listen)?;
@@ -271,7 +271,7 @@ fn forget_contexts(home: &Path, written: &Written) {
         if Context::load(home, Some(name)).is_ok_and(|context| context.network == written.network)
             && let Err(rejection) = Context::remove(home, name)
         {
-            tracing::warn!(%rejection, "cannot remove a context of the old network");
+            tracing::warn!(code = rejection.code.name(), reason = %rejection, "cannot remove a context of the old network");
         }
     }
 }

@@ -161,7 +161,7 @@ impl Trouble {
             Err(fault) => {
                 let reason = fault.to_string();
                 if reason != self.reason {
-                    tracing::error!(%fault, "cannot {}; trying again", self.what);
+                    tracing::error!(code = fault.code.name(), reason = %fault, "cannot {}; trying again", self.what);
                     self.reason = reason;
                 }
             }

@@ -1,6 +1,10 @@
-//! The time that the steps of a command take: the histograms behind `/metrics`.
+//! The time that the steps of a command take: the histograms behind `/metrics`, and traces of single messages.
 
+use ledger::{Ledger, Outcome};
+use ledger_replica::Observer;
+use ledger_traces::{Step, Tracer, wall_at};
 use prometheus_client::metrics::histogram::Histogram;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Upper bounds of the buckets, in seconds.
@@ -27,4 +31,22 @@ impl Default for Meters {
 /// Takes down how much time has passed since then.
 pub(crate) fn observe(histogram: &Histogram, since: Instant) {
     histogram.observe(since.elapsed().as_secs_f64());
+}
+
+/// Tells the traces of messages when their block is executed here.
+pub(crate) struct Traced(pub(crate) Tracer);
+
+impl Observer for Traced {
+    fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
+        if self.0.is_off() {
+            return;
+        }
+        let (begun, height) = (wall_at(outcome.header.time), outcome.header.height);
+        for (id, result) in outcome.ids.iter().zip(&outcome.results) {
+            self.0.tell(id, || Step {
+                failed: result.outcome().err().map(|refused| refused.code.name()),
+                ..Step::since("block", begun).with("ledgerd.height", height)
+            });
+        }
+    }
 }

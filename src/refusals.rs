@@ -80,7 +80,7 @@ impl Refusing {
         let waiting = open.or_else(|| self.begin())?;
         // Perhaps the same bytes again: they are executed once.
         if let Err(reason) = self.author.order(&waiting.signed) {
-            tracing::debug!(%reason, "the ledger cannot be told now of refusals");
+            tracing::debug!(code = reason.code.name(), %reason, "the ledger cannot be told now of refusals");
         }
         Some(waiting)
     }
@@ -94,7 +94,7 @@ impl Refusing {
         match self.author.sign("tell_refusals", &told) {
             Ok(signed) => Some(Waiting { signed, told }),
             Err(reason) => {
-                tracing::warn!(%reason, "the refusals of this node cannot be signed");
+                tracing::warn!(code = reason.code.name(), %reason, "the refusals of this node cannot be signed");
                 self.denials.gathered().take_back(told);
                 None
             }
@@ -112,7 +112,7 @@ impl Refusing {
             Ok(None) if self.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => Fate::Lost,
             Ok(None) => Fate::Open,
             Err(reason) => {
-                tracing::warn!(%reason, "cannot find out whether the ledger knows the refusals");
+                tracing::warn!(code = reason.code.name(), %reason, "cannot find out whether the ledger knows the refusals");
                 Fate::Open
             }
         }

@@ -60,7 +60,7 @@ impl Renewer {
                     }
                 }
                 Err(reason) => {
-                    tracing::error!(%reason, "the node's certificate cannot be read");
+                    tracing::error!(code = reason.code.name(), %reason, "the node's certificate cannot be read");
                     LOOK_MAX
                 }
             };
@@ -83,7 +83,7 @@ impl Renewer {
             Err(reason) => {
                 *failed = true;
                 let days = left / DAY;
-                tracing::warn!(%reason, "the node's certificate cannot be renewed; it ends in {days} days; trying again");
+                tracing::warn!(code = reason.code.name(), %reason, "the node's certificate cannot be renewed; it ends in {days} days; trying again");
                 Duration::from_micros(left / 10).clamp(RETRY_PAUSE.0, RETRY_PAUSE.1)
             }
         }

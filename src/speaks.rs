@@ -27,7 +27,9 @@ impl Telling {
             match self.tell() {
                 Ok(true) => return,
                 Ok(false) => {}
-                Err(reason) => tracing::debug!(%reason, "cannot say now which rules this node speaks"),
+                Err(reason) => {
+                    tracing::debug!(code = reason.code.name(), %reason, "cannot say now which rules this node speaks")
+                }
             }
         }
     }

@@ -103,7 +103,7 @@ impl Testimony {
             };
             if let Err(reason) = told {
                 // The next one tells as much.
-                tracing::debug!(%reason, "cannot attest now");
+                tracing::debug!(code = reason.code.name(), %reason, "cannot attest now");
             }
         }
     }

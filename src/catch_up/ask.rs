@@ -116,7 +116,7 @@ impl Dialer {
                 match timeout(patience, dialer.ask_one(&member, network)).await {
                     Ok(Ok(offer)) => offer,
                     Ok(Err(reason)) => {
-                        tracing::debug!(peer = %member.full_name(), reason, "the peer does not tell what it holds");
+                        tracing::debug!(node = %member.full_name(), reason, "the peer does not tell what it holds");
                         None
                     }
                     Err(_) => None,

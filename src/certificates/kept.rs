@@ -102,7 +102,7 @@ impl Kept {
             return Ok(None);
         }
         Ok(Proof::from_bytes(&read(&path, PROOF_BYTES_MAX)?)
-            .inspect_err(|reason| tracing::warn!(path = %path.display(), %reason, "a kept proof is of no use"))
+            .inspect_err(|reason| tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "a kept proof is of no use"))
             .ok())
     }
 

@@ -1,5 +1,6 @@
 //! Child processes of the demo: started with a log file, stopped in order, never left behind.
 
+use crate::telemetry::LOG_FORMAT;
 use ledger_rejection::{Code, Rejection};
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -31,6 +32,8 @@ impl Process {
             .args(arguments)
             // The demo reads the logs: at the level that it asked for.
             .env_remove("RUST_LOG")
+            // And people read their ends.
+            .env(LOG_FORMAT, "text")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(File::create(&log).map_err(failed)?)

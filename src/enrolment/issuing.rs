@@ -190,7 +190,7 @@ impl EnrolmentService {
         match self.record_certificate(organisation, &der, Ground::Local(made)).await {
             Err(refused) if refused.code == Code::EnrolmentRefused => Err(CertificateAuthority::refusal()),
             Err(unreachable) if is_unreachable(&unreachable) => {
-                tracing::warn!(organisation, name, reason = %unreachable, "a certificate is issued from this machine's own registry; the ledger will record it later");
+                tracing::warn!(organisation, name, code = unreachable.code.name(), reason = %unreachable, "a certificate is issued from this machine's own registry; the ledger will record it later");
                 Ok(der.into())
             }
             done => done,

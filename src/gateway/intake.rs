@@ -14,6 +14,7 @@ use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::Input;
 use ledger_replica::gateway::{Admitting, Arrived, Call, Decision, Entrance, Item, Share, Ticket, Turned, id_of};
 use ledger_replica::{Answer, Executed, Retries, Waiter};
+use ledger_traces::{Step, Tracer, wall};
 use prometheus_client::metrics::histogram::Histogram;
 use std::sync::Arc;
 use std::time::Instant;
@@ -40,6 +41,8 @@ pub(crate) struct Intake {
     pub early: Arc<Early>,
     /// Takes down how long verdicts take.
     pub committed: Histogram,
+    /// Where the steps of messages are told.
+    pub tracer: Tracer,
 }
 
 /// The limits of what comes in.
@@ -109,14 +112,16 @@ impl Intake {
     /// Hands a transaction to the orderer. It is answered when it has a verdict.
     fn order(&self, arrived: Arrived<Client>) {
         self.awake.keep();
-        let foreseen = self.early.foresee(&arrived.transaction);
+        let (foreseen, transaction_id) = (self.early.foresee(&arrived.transaction), arrived.transaction.id());
         let Arrived { transaction, ticket: Ticket { lane, .. }, client } = arrived;
+        let since = client.since;
         self.waiters.add(self.clock.elapsed(), &transaction, lane, client);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
         if let Err(rejection) = self.seat.input(input) {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
             self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
         }
+        self.tracer.tell(&transaction_id, || Step::since("gateway", wall(since)));
         // Also if nobody can order it.
         if let Some(foreseen) = foreseen {
             self.early.announce(foreseen);

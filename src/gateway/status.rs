@@ -17,6 +17,7 @@ use ledger_api::v1::{CertificateStatus, PeerStatus, StatusResponse};
 use ledger_identity::certificate::Certificate;
 use ledger_rejection::Rejection;
 use ledger_replica::gateway::Shares;
+use ledger_traces::Tracer;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
@@ -40,6 +41,8 @@ pub(crate) struct Description {
     pub usage: Usage,
     /// How long the steps of a command take.
     pub meters: Meters,
+    /// Where the steps of messages are told.
+    pub tracer: Tracer,
     /// Where browsers find the console, once there is one.
     pub console: OnceLock<String>,
 }

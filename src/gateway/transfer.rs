@@ -44,7 +44,7 @@ impl Links {
                     return tracing::info!(leader, "handed over the leadership");
                 }
                 Err(reason) if deadline <= Instant::now() + HANDOVER_PAUSE => {
-                    return tracing::warn!(%reason, "could not hand over; the others elect a leader");
+                    return tracing::warn!(code = reason.code.name(), %reason, "could not hand over; the others elect a leader");
                 }
                 // Perhaps the others have just come back, and are heard of in a moment.
                 Err(_) => tokio::time::sleep(HANDOVER_PAUSE).await,

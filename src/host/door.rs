@@ -155,7 +155,7 @@ pub(super) async fn accept(listener: TcpListener, ledgers: Ledgers, most: Connec
                     };
                     let _closing = to.send(Ok(connection)).await;
                 }
-                Ok(Err(reason)) => tracing::info!(%address, %reason, "connection refused"),
+                Ok(Err(reason)) => tracing::info!(%address, reason, "connection refused"),
                 Err(_) => {
                     tracing::info!(%address, limit_s = HANDSHAKE_TIME_MAX.as_secs(), "the handshake took too long")
                 }

@@ -2,7 +2,7 @@
 
 use super::serve::Serving;
 use super::{Host, Papers, Services};
-use crate::admin::Admin;
+use crate::admin::{Admin, WatchedNode};
 use crate::backup::refuse_restored;
 use crate::bridge::NodeBridge;
 use crate::config::Config;
@@ -16,6 +16,7 @@ use ledger_abac::{AccessControl, Rule};
 use ledger_api::tls::TlsIdentity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
+use ros_bridge::sight::Sight;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
@@ -133,14 +134,10 @@ impl Node {
         };
         let host = if trusts_clock { host.trusting_its_clock() } else { host };
         let (prepared, services) = Prepared::new((&host, papers), config, (stores, genesis.into()), started)?;
-        let admin = match config.admin.as_str() {
-            "" => None,
-            address => {
-                let (node, trust) = (Arc::clone(&services.gateway.description), Arc::clone(&services.trust));
-                Some(Admin::serve(address, node, (identity.clone(), trust)).await?)
-            }
-        };
+        let sight = config.bridge.as_ref().map(|_| Sight::default());
+        let admin = admin(config, &identity, &services, sight.clone()).await?;
         let console = console(config, &host, &services).await?;
+        let tracer = services.gateway.description.tracer.clone();
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
@@ -151,7 +148,8 @@ impl Node {
         };
         let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
-        let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
+        let settings = config.bridge.clone().zip(sight);
+        let bridge = settings.map(|(settings, sight)| NodeBridge::start(settings, host.own_gateway(), (sight, tracer)));
         Ok(Self { host, instance, identity, serving, bridge, admin, console })
     }
 
@@ -162,7 +160,9 @@ impl Node {
         match renewal::read_again(&config.data, &self.identity, &self.instance.ledger.msps()) {
             Ok(true) => tracing::info!("the node shows the certificate that lies in its data directory now"),
             Ok(false) => {}
-            Err(fault) => tracing::error!(%fault, "the node keeps the certificate that it has"),
+            Err(fault) => {
+                tracing::error!(code = fault.code.name(), reason = %fault, "the node keeps the certificate that it has")
+            }
         }
         match (&self.bridge, &config.bridge) {
             (Some(bridge), Some(settings)) => bridge.reload(settings.clone()),
@@ -214,6 +214,21 @@ impl Node {
         self.host.leave().await;
         self.instance.stop().await;
     }
+}
+
+/// The page for whoever watches the node, if the configuration wants one.
+async fn admin(
+    config: &Config,
+    identity: &TlsIdentity,
+    services: &Services,
+    bridge: Option<Sight>,
+) -> Result<Option<Admin>, Rejection> {
+    if config.admin.is_empty() {
+        return Ok(None);
+    }
+    let node = Arc::clone(&services.gateway.description);
+    let papers = (identity.clone(), Arc::clone(&services.trust));
+    Admin::serve(&config.admin, Arc::new(WatchedNode { node, bridge }), Some(papers)).await.map(Some)
 }
 
 /// The console, if the configuration wants one; the node tells where it is.

@@ -17,7 +17,7 @@ use crate::gateway::{
 };
 use crate::host::{Deliver, Host, Members, Papers};
 use crate::housekeeping::Housekeeping;
-use crate::meters::Meters;
+use crate::meters::{Meters, Traced};
 use crate::orderer::{Engines, Executed, Log, Outside, Pace, Seat};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::refusals::Refusing;
@@ -36,6 +36,7 @@ use ledger_replica::catch_up::Ballot;
 use ledger_replica::certifier::Certifier;
 use ledger_replica::gateway::Shares;
 use ledger_replica::{Executor, Observer, Retries, Voting};
+use ledger_traces::Tracer;
 use std::io;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -65,6 +66,8 @@ pub(super) struct Wired {
     pub members: Arc<Members>,
     /// The index of the audit.
     pub audit: Arc<Audit>,
+    /// Where the steps of messages are told.
+    pub tracer: Tracer,
 }
 
 /// The parts that hear of each executed block.
@@ -105,7 +108,7 @@ impl Followers {
     }
 
     /// Executes blocks, and tells the followers. Clients that wait for a verdict are told first.
-    fn executor(&self, ledger: &Arc<Ledger>, members: &Arc<Members>) -> Arc<Executor> {
+    fn executor(&self, ledger: &Arc<Ledger>, members: &Arc<Members>, tracer: &Tracer) -> Arc<Executor> {
         let observers: Vec<Arc<dyn Observer>> = vec![
             Arc::new(self.clock.clone()),
             Arc::clone(&self.waiters) as _,
@@ -116,6 +119,7 @@ impl Followers {
             Arc::new(self.current.clone()),
             Arc::clone(&self.executed) as _,
             Arc::new(Revocations::new(members, ledger)),
+            Arc::new(Traced(tracer.clone())),
         ];
         Arc::new(Executor::new(Arc::clone(ledger), observers))
     }
@@ -166,9 +170,10 @@ impl Wired {
             fate: Fate::new(config),
         };
         let meters = Meters::default();
+        let tracer = Tracer::start(&config.traces, "ledgerd", &me.full_name());
         let keys = Keys::new(me.id, identity.clone(), Arc::clone(ledger));
         let engines = Engines {
-            executor: followers.executor(ledger, &members),
+            executor: followers.executor(ledger, &members, &tracer),
             ballots: Arc::new(Voting::new(Arc::clone(ledger), keys)),
             waiters: Arc::clone(&followers.waiters),
             clock,
@@ -182,7 +187,8 @@ impl Wired {
         let shares = Arc::new(Shares::new(super::count(config.limits.in_flight_max)));
         let stores = stores.clone();
         let audit = Audit::open(&config.data, ledger, (&followers.blocks, &links.space))?;
-        let wired = Self { me, identity, stores, followers, early, links, engines, dialer, shares, members, audit };
+        let wired =
+            Self { me, identity, stores, followers, early, links, engines, dialer, shares, members, audit, tracer };
         Ok((wired, seen, stated))
     }
 
@@ -255,6 +261,7 @@ impl Wired {
             denials: Arc::clone(&self.engines.outside.denials),
             early: Arc::clone(&self.early),
             committed: self.engines.meters.commit.clone(),
+            tracer: self.tracer.clone(),
         };
         let looks = Looks::new(tokio::runtime::Handle::current().metrics().num_workers());
         Submissions { intake, shares: Arc::clone(&self.shares), looks, current: current.clone(), turns: *turns }
@@ -286,6 +293,7 @@ impl Wired {
             links: self.links.clone(),
             usage,
             meters: self.engines.meters.clone(),
+            tracer: self.tracer.clone(),
             console: OnceLock::new(),
         }
     }

@@ -167,7 +167,7 @@ impl Order {
             Effect::Read { context, answer } => self.outside.current.answered(context, answer),
             Effect::Denied(refusal) => self.outside.denials.record(self.clock.now(), &refusal),
             Effect::Refused { input, reason } => {
-                tracing::warn!(request = self.described(&input), %reason, "ordering refused a request");
+                tracing::warn!(request = self.described(&input), code = reason.code.name(), %reason, "ordering refused a request");
             }
             Effect::Behind { from, first_index } => {
                 let leader = self.outside.directory.name(from);
@@ -179,7 +179,7 @@ impl Order {
                 let before = self.ignored.insert(from, reason);
                 if before != Some(reason) {
                     let peer = self.outside.directory.name(from);
-                    tracing::warn!(peer, reason, "ordering ignores messages of a peer");
+                    tracing::warn!(node = peer, reason, "ordering ignores messages of a peer");
                 }
             }
             Effect::VotedTwice(proof) => self.outside.certificates.voted_twice(proof),

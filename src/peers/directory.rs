@@ -79,11 +79,11 @@ impl Directory {
     fn refresh(&self, ledger: &Ledger) {
         let _one = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         let actual = ledger.members().unwrap_or_else(|fault| {
-            tracing::error!(%fault, "cannot read the members of the network");
+            tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the members of the network");
             Membership::default()
         });
         let records = msp::nodes(&**ledger.state()).unwrap_or_else(|fault| {
-            tracing::error!(%fault, "cannot read the wanted nodes of the network");
+            tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the wanted nodes of the network");
             Vec::new()
         });
         let mut members: Vec<Member> = records

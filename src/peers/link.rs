@@ -62,9 +62,9 @@ impl Way {
                     paces.answers(place);
                     // An outage and its end at the same level; without one this is of no interest.
                     match last_reason.is_empty() {
-                        true => tracing::debug!(peer = %member.full_name(), address = %member.address, "connected"),
+                        true => tracing::debug!(node = %member.full_name(), address = %member.address, "connected"),
                         false => {
-                            tracing::info!(peer = %member.full_name(), address = %member.address, "connected again")
+                            tracing::info!(node = %member.full_name(), address = %member.address, "connected again")
                         }
                     }
                     while messages.try_recv().is_ok() {}
@@ -87,7 +87,7 @@ impl Way {
             }
             // The same reason once, not twice a second.
             if reason != last_reason {
-                tracing::info!(peer = %member.full_name(), address = %member.address, %reason, "not connected; trying again");
+                tracing::info!(node = %member.full_name(), address = %member.address, reason, "not connected; trying again");
                 last_reason = reason;
             }
         }

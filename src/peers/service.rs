@@ -85,7 +85,7 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
             let frame = tokio::select! {
                 biased;
                 () = &mut removed => {
-                    tracing::info!(peer = %member.full_name(), "the peer is no longer a member; closing its stream");
+                    tracing::info!(node = %member.full_name(), "the peer is no longer a member; closing its stream");
                     return Err(Status::permission_denied("this node was removed from the network"));
                 }
                 frame = frames.message() => frame?,
@@ -93,7 +93,7 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
             let Some(PeerFrame { message }) = frame else { return Ok(Response::new(PeerClosed {})) };
             memory::has_carried(message.len());
             let message = PeerMessage::decode(message).map_err(|error| {
-                tracing::warn!(peer = %member.full_name(), %error, "the peer sent an unusable message; closing the stream");
+                tracing::warn!(node = %member.full_name(), %error, "the peer sent an unusable message; closing the stream");
                 Status::invalid_argument(error.to_string())
             })?;
             if !(self.deliver)(member.id, message) {

@@ -112,7 +112,7 @@ impl Cluster {
             process.interrupt();
         }
         for place in &self.fleet.nodes {
-            let done = Command::new(programs::ledgerd()).arg("verify").arg(&place.data).output().unwrap();
+            let done = programs::node().arg("verify").arg(&place.data).output().unwrap();
             assert!(done.status.success(), "{}: {}", place.name, String::from_utf8_lossy(&done.stderr));
         }
     }

@@ -1,7 +1,7 @@
 //! `ledgerd demo --arena` on a small course: real nodes, bridges and DDS, a simulated robot.
 
 use crate::network;
-use crate::support::wait;
+use crate::support::{programs, wait};
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -11,8 +11,8 @@ const IN_TURNS: [&str; 6] = ["A1", "A2", "A3", "B1", "B2", "B3"];
 const INTERRUPTED: [&str; 6] = ["A1", "B1", "B2", "B3", "A2", "A3"];
 
 fn demo(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
-    command.args(["demo", "--arena", "--scale", "0.3"]).args(arguments).env_remove("RUST_LOG");
+    let mut command = programs::node();
+    command.args(["demo", "--arena", "--scale", "0.3"]).args(arguments);
     command
 }
 

@@ -1,15 +1,15 @@
 //! `ledgerd demo`, for programs.
 
 use crate::network;
-use std::process::Command;
+use crate::support::programs;
 
 #[test]
 fn demo_json_is_alone_on_standard_output_and_the_story_beside_it() {
     if !network::isolated(&|| ()) {
         return;
     }
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
-    let played = command.args(["demo", "--json", "--seconds", "1"]).env_remove("RUST_LOG").output().unwrap();
+    let mut command = programs::node();
+    let played = command.args(["demo", "--json", "--seconds", "1"]).output().unwrap();
     let (line, story) = (String::from_utf8(played.stdout).unwrap(), String::from_utf8(played.stderr).unwrap());
     // Whether a machine with other work keeps the rates is not asked here.
     let result: serde_json::Value =

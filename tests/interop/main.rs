@@ -47,6 +47,8 @@ mod stop_early;
 mod support;
 mod tasks;
 mod telling;
+mod traces;
+mod watched;
 mod world;
 
 use ledger_api::Client;

@@ -80,7 +80,7 @@ impl Trio {
     pub(crate) fn start(&mut self, node: usize) {
         let config = self.directory.path().join(format!("node{node}.toml"));
         let log = File::options().create(true).append(true).open(self.directory.path().join(format!("node{node}.log")));
-        let mut command = Command::new(programs::ledgerd());
+        let mut command = programs::node();
         command.args(["run", "--config"]).arg(config).stderr(log.unwrap()).stdout(Stdio::null());
         self.nodes[node] = Some(Process::new(command.spawn().unwrap()));
     }
@@ -118,7 +118,7 @@ impl Trio {
         )
         .unwrap();
         let log = File::create(self.directory.path().join(format!("{name}.log"))).unwrap();
-        let mut command = Command::new(programs::ledgerd());
+        let mut command = programs::node();
         Process::new(
             command.args(["bridge", "--config"]).arg(config).stdout(Stdio::null()).stderr(log).spawn().unwrap(),
         )

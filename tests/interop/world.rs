@@ -1,6 +1,7 @@
 //! A real network for the tests of this folder: a `ledgerd` process, two users, a robot called Rover, and bridges as
 //! processes of their own.
 
+use crate::support::programs;
 use bytes::Bytes;
 use ledger_api::{Client, Context, Enrolment};
 use ledger_hash::Hash;
@@ -97,7 +98,7 @@ pub(crate) struct World {
 }
 
 fn ledgerd() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_ledgerd"))
+    programs::node()
 }
 
 impl World {
@@ -270,6 +271,23 @@ impl World {
     /// How often is this in the log of a process?
     pub(crate) fn said(&self, name: &str, words: &str) -> usize {
         fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap().matches(words).count()
+    }
+
+    /// Ends a node with a bridge inside, or beside it, and starts it with a changed configuration.
+    pub(crate) fn restart_node(&mut self, index: usize, name: &str, change: impl FnOnce(String) -> String) {
+        let config = self.directory.path().join(format!("{name}.toml"));
+        fs::write(&config, change(fs::read_to_string(&config).unwrap())).unwrap();
+        let log = File::options().append(true).open(self.directory.path().join(format!("{name}.log"))).unwrap();
+        self.nodes[index].send(rustix::process::Signal::TERM);
+        assert!(self.nodes[index].0.wait().unwrap().success());
+        self.nodes[index] = Process(ledgerd().args(["run", "--config"]).arg(config).stderr(log).spawn().unwrap());
+    }
+
+    /// The words of a bridge that refuses these settings.
+    pub(crate) fn bridge_refuses(&self, name: &str, settings: &str) -> String {
+        let output = ledgerd().args(["bridge", "--config"]).arg(self.config_of(name, settings)).output().unwrap();
+        assert_eq!(output.status.code(), Some(3));
+        String::from_utf8(output.stderr).unwrap()
     }
 
     /// The output of a bridge that cannot start.

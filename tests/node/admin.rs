@@ -2,13 +2,11 @@
 
 use crate::own_network::isolated;
 use crate::support::network::{free_address, register_robots};
+use crate::support::page::{documented, exposed, get, named, values};
 use crate::support::wait::{eventually, until};
 use crate::support::{Fleet, connect, programs, wire};
 use ledger_api::Context;
 use ledger_identity::Role;
-use std::collections::BTreeSet;
-use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::process::Command;
 use tonic::client::Grpc;
 use tonic::codegen::http::uri::PathAndQuery;
@@ -16,29 +14,6 @@ use tonic_prost::ProstCodec;
 
 /// An address that is not one of loopback, though nothing leaves the namespace.
 const ELSEWHERE: &str = "10.77.0.1";
-
-/// The status line and the body of an answer.
-fn get(address: &str, path: &str) -> (String, String) {
-    let mut stream = eventually("the page listens", || TcpStream::connect(address).ok());
-    write!(stream, "GET {path} HTTP/1.1\r\nhost: node\r\nconnection: close\r\n\r\n").unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    (head.lines().next().unwrap().to_owned(), body.to_owned())
-}
-
-/// The values of a figure, with its labels.
-fn values<'a>(metrics: &'a str, name: &str) -> Vec<(&'a str, f64)> {
-    let of = |line: &'a str| line.strip_prefix(name).filter(|rest| rest.starts_with([' ', '{']));
-    let parted = |rest: &'a str| rest.rsplit_once(' ').map(|(labels, value)| (labels, value.parse().unwrap()));
-    metrics.lines().filter_map(of).filter_map(parted).collect()
-}
-
-/// Names as the documentation and the rules of alerts have them.
-fn named(text: &str) -> BTreeSet<String> {
-    let is_part = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-    text.split(|c| !is_part(c)).filter(|word| word.starts_with("ledgerd_")).map(str::to_owned).collect()
-}
 
 /// The questions of a dashboard to Prometheus.
 fn expressions(part: &serde_json::Value) -> Vec<String> {
@@ -90,16 +65,9 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
     assert!(series <= 80, "{series} series:\n{metrics}");
 
     // Nothing is exposed that is not documented, and the other way round; alerts and the dashboard speak of nothing else.
-    let types: BTreeSet<_> = metrics
-        .lines()
-        .filter_map(|line| line.strip_prefix("# TYPE "))
-        .map(|line| match line.split_once(' ').unwrap() {
-            (name, "counter") => format!("{name}_total"),
-            (name, "info") => format!("{name}_info"),
-            (name, _) => name.to_owned(),
-        })
-        .collect();
-    assert_eq!(types, named(include_str!("../../docs/metrics.md")));
+    let (of_nodes, of_bridges) = documented();
+    assert_eq!(exposed(&metrics), of_nodes);
+    let types = &of_nodes | &of_bridges;
     let alerts = include_str!("../../packaging/prometheus/alerts.yml");
     let dashboard: serde_json::Value =
         serde_json::from_str(include_str!("../../packaging/grafana/ledgerd.json")).unwrap();

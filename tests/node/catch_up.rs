@@ -259,7 +259,7 @@ async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_
         let (one, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 2).await);
         agree(&one, &follower, last).await;
         let log = learner.stderr();
-        if log.contains("fetching blocks peer=\"Org2/node2\"") {
+        if log.contains("fetching blocks node=\"Org2/node2\"") {
             break log;
         }
         // On a busy machine the forger's answer came too late to be asked at all.

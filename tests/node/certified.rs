@@ -11,7 +11,6 @@ use ledger_identity::Role;
 use ledger_light::{Checkpoint, Proof};
 use ledger_rejection::Code;
 use serde_json::json;
-use std::process::Command;
 
 fn wish(name: &str, organisation: &str) -> NodeWish {
     NodeWish { name: name.into(), organisation: organisation.into(), voter: true, address: free_address() }
@@ -129,7 +128,7 @@ async fn a_reader_follows_who_governs_from_the_genesis_and_shows_how_a_robot_sta
     // An auditor compares a whole chain with what voters had signed.
     let audit = |checkpoint: &[u8]| {
         std::fs::write(&file, checkpoint).unwrap();
-        let mut command = Command::new(programs::ledgerd());
+        let mut command = programs::node();
         let done = command.arg("verify").arg(&fleet.nodes[0].data).args(["--against", &file]).output().unwrap();
         (done.status.code(), [done.stdout, done.stderr].map(|text| String::from_utf8(text).unwrap()).concat())
     };

@@ -4,12 +4,12 @@ use crate::support::network::free_address;
 use crate::support::{Ctl, Process, eventually, programs};
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 use tempfile::TempDir;
 
 fn ledgerd(arguments: &[&str], place: &Path) -> Output {
-    let mut command = Command::new(programs::ledgerd());
-    command.args(arguments).current_dir(place).env("LEDGERD_HOME", place).env_remove("RUST_LOG");
+    let mut command = programs::node();
+    command.args(arguments).current_dir(place).env("LEDGERD_HOME", place);
     command.output().unwrap()
 }
 
@@ -122,8 +122,8 @@ fn init_run_and_enrol_work_as_printed() {
             .map(str::to_owned)
             .collect()
     };
-    let mut node = Command::new(programs::ledgerd());
-    node.args(command("ledgerd", "run")).current_dir(place.path()).env_remove("RUST_LOG");
+    let mut node = programs::node();
+    node.args(command("ledgerd", "run")).current_dir(place.path());
     let mut node = Process::start("node1", place.path(), node);
 
     let home = place.path().join("home");

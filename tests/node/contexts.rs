@@ -16,9 +16,9 @@ const DAY: u64 = 24 * 3600 * 1_000_000;
 
 /// `ledgerd dev` in this home, at this address.
 fn dev(home: &Path, listen: &str) -> Command {
-    let mut command = Command::new(programs::ledgerd());
+    let mut command = programs::node();
     command.args(["dev", "--json", "--listen", listen]);
-    command.env("LEDGERD_HOME", home).env("TMPDIR", home).env_remove("RUST_LOG");
+    command.env("LEDGERD_HOME", home).env("TMPDIR", home);
     command
 }
 

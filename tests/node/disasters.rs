@@ -6,7 +6,6 @@ use crate::support::{Ctl, Fleet, Process, eventually, programs};
 use ledger_api::Context;
 use ledger_identity::Role;
 use serde_json::json;
-use std::process::Command;
 
 fn robot(name: &str) -> String {
     let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "exclusive"});
@@ -72,7 +71,7 @@ fn the_stolen_key_of_a_node_opens_nothing_once_its_certificate_is_revoked() {
         (boss.run(&["identity", "revoke", "node2", "--reason", "stolen disk"]).code == 0).then_some(())
     });
     // Whoever has the disk comes in no more, neither as a new node nor as the old one.
-    let mut command = Command::new(programs::ledgerd());
+    let mut command = programs::node();
     let address = fleet.nodes[0].address.as_str();
     let refused = command.args(["rejoin", "--node", address, "--config"]).arg(&fleet.nodes[1].config).output().unwrap();
     let told = String::from_utf8_lossy(&refused.stderr);

@@ -24,8 +24,8 @@ fn fixtures() -> PathBuf {
 }
 
 fn ledgerd(directory: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = Command::new(programs::ledgerd());
-    command.args(arguments).current_dir(directory).env("LEDGERD_PASSPHRASE", PASSPHRASE).env_remove("RUST_LOG");
+    let mut command = programs::node();
+    command.args(arguments).current_dir(directory).env("LEDGERD_PASSPHRASE", PASSPHRASE);
     ran(command.stdin(Stdio::null()))
 }
 

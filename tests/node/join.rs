@@ -12,7 +12,6 @@ use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 /// A machine on which a node joins.
 pub struct Newcomer {
@@ -41,7 +40,7 @@ impl Newcomer {
     }
 
     pub fn join(&self, token: &str) -> Ran {
-        let mut command = Command::new(programs::ledgerd());
+        let mut command = programs::node();
         command.args(["join", token, "--address", &self.address, "--config"]).arg(self.config());
         let done = command.output().unwrap();
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
@@ -49,8 +48,8 @@ impl Newcomer {
     }
 
     pub fn run(&self, name: &str, fleet: &Fleet) -> Process {
-        let mut command = Command::new(programs::ledgerd());
-        command.env_remove("RUST_LOG").args(["run", "--config"]).arg(self.config());
+        let mut command = programs::node();
+        command.args(["run", "--config"]).arg(self.config());
         Process::start(name, fleet.path(), command)
     }
 

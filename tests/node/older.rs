@@ -17,7 +17,11 @@ const CONFIG: &str = "LEDGERD_TEST_OLDER_RELEASE";
 fn start_older(place: &NodePlace) -> Process {
     let mut command = Command::new(std::env::current_exe().unwrap());
     let name = "older::a_node_that_does_not_speak_the_activated_rules_stops_before_them_and_comes_back_when_upgraded";
-    command.env_remove("RUST_LOG").args(["--exact", name, "--nocapture"]).env(CONFIG, &place.config);
+    command
+        .env_remove("RUST_LOG")
+        .env("LEDGERD_LOG_FORMAT", "text")
+        .args(["--exact", name, "--nocapture"])
+        .env(CONFIG, &place.config);
     place.start_as(command)
 }
 

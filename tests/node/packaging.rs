@@ -55,7 +55,7 @@ fn systemd_finds_each_unit_hardened() {
 #[test]
 fn the_configuration_of_the_example_robot_is_accepted() {
     let config = repository().join("examples/networks/robot/ledgerd.toml");
-    let told = text(&ran(Command::new(programs::ledgerd()).args(["check", "--config"]).arg(config)));
+    let told = text(&ran(programs::node().args(["check", "--config"]).arg(config)));
     assert!(told.contains("is fine"), "{told}");
 }
 

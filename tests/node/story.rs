@@ -218,7 +218,7 @@ fn a_kept_network_goes_on_where_it_was_even_after_kill_9() {
 fn a_network_for_playing_that_cannot_start_leaves_nothing_behind() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let home = tempfile::tempdir().unwrap();
-    let started = std::process::Command::new(env!("CARGO_BIN_EXE_ledgerd"))
+    let started = crate::support::programs::node()
         .args(["dev", "--listen", &taken.local_addr().unwrap().to_string()])
         .env("LEDGERD_HOME", home.path())
         .env("TMPDIR", home.path())

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 30] = [
+const LAYERS: [(&str, &[&str]); 31] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // The paper's experiment without its network: nothing of a ledger.
@@ -18,6 +18,8 @@ const LAYERS: [(&str, &[&str]); 30] = [
     // Files that survive a crash whole.
     ("ledger-durable", &["ledger-rejection"]),
     ("ledger-settings", &["ledger-durable", "ledger-rejection", "nearest"]),
+    // What each process tells a collector of its part in a message: nothing of a ledger but ids.
+    ("ledger-traces", &["ledger-hash", "ledger-settings"]),
     // The deliberate bugs of the mutation check.
     ("ledger-mutation", &[]),
     // What ends a process whose memory contradicts itself.
@@ -130,6 +132,7 @@ const LAYERS: [(&str, &[&str]); 30] = [
             "ledger-light",
             "ledger-rejection",
             "ledger-settings",
+            "ledger-traces",
             "ros-message",
         ],
     ),
@@ -194,6 +197,7 @@ const LAYERS: [(&str, &[&str]); 30] = [
             "ledger-rejection",
             "ledger-replica",
             "ledger-settings",
+            "ledger-traces",
             "ledger-storage",
             "ros-bridge",
             "ros-message",

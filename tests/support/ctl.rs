@@ -67,8 +67,8 @@ impl Ctl {
 
 /// `ledgerd verify DIR --json`, as an auditor runs it.
 pub fn verify(directory: &Path) -> Ran {
-    let mut command = Command::new(programs::ledgerd());
-    command.arg("verify").arg(directory).arg("--json").env_remove("RUST_LOG");
+    let mut command = programs::node();
+    command.arg("verify").arg(directory).arg("--json");
     run(command, format!("ledgerd verify {}", directory.display()), b"")
 }
 

@@ -3,7 +3,6 @@
 use super::{Ctl, Process, programs};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use tempfile::TempDir;
 
 /// A running network for playing, in a home of its own.
@@ -22,9 +21,9 @@ impl Dev {
 
     /// Starts one in this home; it goes on in `data` if given.
     pub fn start_in(home: TempDir, data: Option<&Path>) -> Self {
-        let mut command = Command::new(programs::ledgerd());
+        let mut command = programs::node();
         command.args(["dev", "--json", "--listen", "127.0.0.1:0"]);
-        command.env("LEDGERD_HOME", home.path()).env("TMPDIR", home.path()).env_remove("RUST_LOG");
+        command.env("LEDGERD_HOME", home.path()).env("TMPDIR", home.path());
         if let Some(data) = data {
             command.arg("--data").arg(data);
         }

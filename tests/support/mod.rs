@@ -10,6 +10,7 @@
 //! | `directory` | a copy of a stopped node's directory |
 //! | `small_disk` | a disk that can be full |
 //! | `dev` | `ledgerd dev` with its users |
+//! | `page` | the page for whoever watches a node or a bridge |
 //! | `ctl` | one run of `ledgerctl`, or of `ledgerd verify` |
 //! | `wire` | connections below the Rust client |
 //! | `wait` | conditions with a deadline, and a small source of random numbers |
@@ -21,6 +22,7 @@ pub mod ctl;
 pub mod dev;
 pub mod directory;
 pub mod network;
+pub mod page;
 pub mod process;
 pub mod programs;
 pub mod readme;

@@ -60,8 +60,8 @@ pub struct NodePlace {
 impl NodePlace {
     /// `ledgerd run` with its configuration.
     pub fn command(&self) -> Command {
-        let mut command = Command::new(programs::ledgerd());
-        command.env_remove("RUST_LOG").args(["run", "--config"]).arg(&self.config);
+        let mut command = programs::node();
+        command.args(["run", "--config"]).arg(&self.config);
         command
     }
 

@@ -9,6 +9,13 @@ pub fn ledgerd() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_ledgerd"))
 }
 
+/// A command of the node, whose log is text although no terminal is there, at the configured level.
+pub fn node() -> Command {
+    let mut command = Command::new(ledgerd());
+    command.env("LEDGERD_LOG_FORMAT", "text").env_remove("RUST_LOG");
+    command
+}
+
 /// The command line, which is another package's: `cargo test --workspace` puts it beside the node. Where somebody runs
 /// this test alone, it is built once.
 pub fn ledgerctl() -> &'static Path {
@@ -44,7 +51,7 @@ pub fn ran(command: &mut Command) -> Output {
 
 /// A run of `ledgerd` beside a node, or in its place, with the node's configuration.
 pub fn run_ledgerd(arguments: &[&str], config: &Path) -> Output {
-    let mut command = Command::new(ledgerd());
+    let mut command = node();
     let command = command.args(arguments).arg("--config").arg(config).stdin(Stdio::null());
     command.output().expect("ledgerd starts")
 }

@@ -107,7 +107,7 @@ impl Terminal {
             other => panic!("{other} is none of our programs"),
         });
         command.args(arguments).current_dir(&self.directory).env("LEDGERD_HOME", self.home());
-        command.env_remove("LEDGERCTL_CONTEXT").env_remove("RUST_LOG");
+        command.env_remove("LEDGERCTL_CONTEXT").env_remove("RUST_LOG").env("LEDGERD_LOG_FORMAT", "text");
         command
     }
 

@@ -127,7 +127,7 @@ impl Enrolment {
                 // The first node is the one that the caller named; of the others one may be down.
                 Err(unreachable) if next == 1 => return Err(unreachable),
                 Err(unreachable) => {
-                    tracing::debug!(door, reason = %unreachable, "a node that carries the CA does not answer");
+                    tracing::debug!(door, code = unreachable.code.name(), reason = %unreachable, "a node that carries the CA does not answer");
                 }
             }
         }

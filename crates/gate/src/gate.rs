@@ -95,6 +95,8 @@ pub struct Passed {
     pub samples: Vec<Sample>,
     /// How many of them asked for more speed than the grant allows, and ask for less now.
     pub clamped: usize,
+    /// Microseconds since it was signed, by the clocks of signer and gate. None if it was kept for those who come late.
+    pub age_us: Option<u64>,
 }
 
 /// The gate of one service.
@@ -341,8 +343,8 @@ impl Gate {
         if confidential {
             samples = self.open_samples(&name, &call)?;
         }
-        let age_us = if is_latched { 0 } else { self.age_us(&transaction, delivered.block_time, now) };
-        let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us, now)?;
+        let age_us = (!is_latched).then(|| self.age_us(&transaction, delivered.block_time, now));
+        let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us.unwrap_or_default(), now)?;
         let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
         if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
             return Err(Refused::TooManyPublishers);
@@ -368,7 +370,7 @@ impl Gate {
             let until = now.steady.saturating_add(lease_us);
             self.driver = Some(Driver::new(Arc::clone(&creator), call.epoch, (now.steady, until)));
         }
-        Ok(Passed { transaction: transaction.id(), creator, samples, clamped })
+        Ok(Passed { transaction: transaction.id(), creator, samples, clamped, age_us })
     }
 
     /// Keeps the samples of a publisher to the limits of its grant, if it has one: also where it publishes without naming it. Answers

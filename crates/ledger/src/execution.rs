@@ -203,7 +203,7 @@ impl Executor<'_> {
         if let Ok(msp) = self.registry.find(msp::NAME) {
             self.beside_transactions(header, msp, (overlay, events), |ctx| {
                 if let Err(fault) = msp::note_recovery(ctx, recovery) {
-                    tracing::error!(height = ctx.height(), %fault, "a recovery by force is not noted");
+                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "a recovery by force is not noted");
                 }
             });
         }
@@ -221,7 +221,7 @@ impl Executor<'_> {
         let meter = Meter::default();
         let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, body);
         if let Err(rejection) = hook {
-            tracing::error!(height = header.height, chaincode = chaincode.name(), %rejection, "work beside the transactions was undone");
+            tracing::error!(height = header.height, chaincode = chaincode.name(), code = rejection.code.name(), reason = %rejection, "work beside the transactions was undone");
         }
         events.extend(emitted.into_iter().map(|event| EmittedEvent { index: None, event }));
     }

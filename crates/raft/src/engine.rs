@@ -273,7 +273,7 @@ impl Engine {
 
     fn fail(&mut self, reason: Rejection, out: &mut Vec<Output>) {
         self.failed = true;
-        tracing::error!(%reason, "ordering stops");
+        tracing::error!(code = reason.code.name(), %reason, "ordering stops");
         out.push(Output::Failed(reason));
     }
 

@@ -231,11 +231,11 @@ impl<P: Clone> CatchUp<P> {
                 continue;
             }
             let Some(jury) = self.jury(&from, next) else {
-                tracing::info!(peer = from.who.name, "no other nodes confirm the blocks of this peer");
+                tracing::info!(node = from.who.name, "no other nodes confirm the blocks of this peer");
                 continue;
             };
             self.aim = self.offers.iter().map(|offer| offer.has.height).max().unwrap_or_default();
-            tracing::info!(peer = from.who.name, from = next, to = self.aim, "fetching blocks");
+            tracing::info!(node = from.who.name, from = next, to = self.aim, "fetching blocks");
             let limit = jury.limit();
             let (peer, batch) = (from.peer.clone(), Batch::after(End::of(&self.ledger.tip())));
             self.part = Part::Blocks(Some(Pull { from, jury, limit, batch, taken: None, ended: false }));
@@ -323,7 +323,7 @@ impl<P: Clone> CatchUp<P> {
         let Some(pull) = self.pull() else { return self.astray() };
         let end = pull.batch.end();
         let hash = answer.unwrap_or_else(|reason| {
-            tracing::debug!(peer = pull.jury.name(), %reason, "the peer does not confirm the blocks");
+            tracing::debug!(node = pull.jury.name(), code = reason.code.name(), %reason, "the peer does not confirm the blocks");
             None
         });
         match pull.jury.hear(end.hash, hash) {
@@ -396,7 +396,7 @@ impl<P: Clone> CatchUp<P> {
         match Trial::begin(&self.ledger, &manifest, attested, token) {
             Ok(trial) => {
                 tracing::info!(
-                    peer = offer.who.name, height = manifest.height, content = %manifest.content(),
+                    node = offer.who.name, height = manifest.height, content = %manifest.content(),
                     bytes = manifest.bytes(), "fetching a snapshot"
                 );
                 self.aim = manifest.height;
@@ -419,12 +419,12 @@ impl<P: Clone> CatchUp<P> {
         match &self.part {
             Part::Blocks(pull) => {
                 let peer = pull.as_ref().map(|pull| pull.from.who.name.clone()).unwrap_or_default();
-                tracing::warn!(peer, %fault, "cannot fetch more blocks from this peer");
+                tracing::warn!(node = peer, code = fault.code.name(), reason = %fault, "cannot fetch more blocks from this peer");
                 self.next_offer()
             }
             Part::Snapshots(offer) => {
                 let peer = offer.as_ref().map(|offer| offer.who.name.clone()).unwrap_or_default();
-                tracing::warn!(peer, %fault, "cannot use the snapshot of this peer");
+                tracing::warn!(node = peer, code = fault.code.name(), reason = %fault, "cannot use the snapshot of this peer");
                 self.next_snapshot()
             }
         }

@@ -207,7 +207,7 @@ impl<S: Signing> Certifier<S> {
                     out.push(Effect::Tell(signed.clone()));
                     self.newest = Some((signed, now + TELL_AGAIN_MIN, TELL_AGAIN_MIN));
                 }
-                Err(reason) => tracing::warn!(%reason, height, "a statement is not signed"),
+                Err(reason) => tracing::warn!(code = reason.code.name(), %reason, height, "a statement is not signed"),
             }
             self.count(height, out);
         }
@@ -295,7 +295,11 @@ impl<S: Signing> Certifier<S> {
             true => Ok(()),
             false => era.voters.check(statement, signature, &identity),
         });
-        checked.inspect_err(|reason| tracing::debug!(%reason, "a statement of a peer is not believed")).is_ok()
+        checked
+            .inspect_err(
+                |reason| tracing::debug!(code = reason.code.name(), %reason, "a statement of a peer is not believed"),
+            )
+            .is_ok()
     }
 
     /// Looks whether enough have signed what this node says about a height.

@@ -74,7 +74,7 @@ impl Opening<'_> {
         match self.open_once(kept) {
             Err(fault) if fault.code == Code::Corrupt => {
                 kept.set_aside()?;
-                tracing::warn!(reason = %fault, "world state and results are set aside and rebuilt from the blocks");
+                tracing::warn!(code = fault.code.name(), reason = %fault, "world state and results are set aside and rebuilt from the blocks");
                 self.open_once(kept)
             }
             opened => opened,

@@ -85,7 +85,7 @@ impl Claim {
         let identities = attested.iter().take(ATTESTED_MAX).filter_map(|one| match self.check(one, msps) {
             Ok(identity) => (!revoked(&identity)).then_some(identity.organisation),
             Err(reason) => {
-                tracing::debug!(%reason, "an attestation does not count");
+                tracing::debug!(code = reason.code.name(), %reason, "an attestation does not count");
                 None
             }
         });

@@ -28,10 +28,11 @@ use crate::{
     keeper::{Keeper, is_to_come},
     reach::Reach,
     renewal::keep_renewed,
-    report::Reporter,
+    report::{Reporter, Statuses},
     roster::Roster,
     route::local::Local,
     service::{ask_service, topic_for},
+    sight::Sight,
     table::{Changed, Table},
 };
 
@@ -58,6 +59,10 @@ pub struct Bridge {
     watch: Option<Watching>,
     grants: Option<JoinHandle<()>>,
     reporter: JoinHandle<()>,
+    /// The identity towards the ledger, `Org2/Rover`.
+    identity: String,
+    /// How the ledger and the routes do, as the reporter says it.
+    statuses: Statuses,
     stop_reporter: watch::Sender<bool>,
     /// Has a route ended that nobody stopped?
     ended: watch::Receiver<bool>,
@@ -99,7 +104,7 @@ impl fmt::Debug for Bridge {
 /// Runs a bridge by itself until `stop` is ready, and then prints one line of JSON on standard output: the
 /// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered. If it loses the local graph, it
 /// joins it again; the summary counts from there. `changes` brings configurations that are to count from now on, as
-/// [`Bridge::reload`] takes them.
+/// [`Bridge::reload`] takes them. `sight` shows the bridge of each moment.
 ///
 /// # Errors
 /// As [`Client::connect`] and [`Bridge::start`] at the first start, where waiting cannot help.
@@ -107,8 +112,9 @@ pub async fn run(
     config: Config,
     changes: impl Stream<Item = Config>,
     stop: impl Future<Output = ()>,
+    sight: &Sight,
 ) -> Result<(), Rejection> {
-    match keep_running(config, changes, stop, start).await? {
+    match keep_running(config, changes, stop, start, sight).await? {
         Some(summary) => print(&summary),
         None => Ok(()),
     }
@@ -124,6 +130,7 @@ async fn keep_running(
     changes: impl Stream<Item = Config>,
     stop: impl Future<Output = ()>,
     start: impl AsyncFn(&Config) -> Result<Started, Rejection>,
+    sight: &Sight,
 ) -> Result<Option<Summary>, Rejection> {
     let (mut stop, mut changes) = (std::pin::pin!(stop), std::pin::pin!(changes));
     let (mut told, mut last) = (String::new(), None);
@@ -133,6 +140,7 @@ async fn keep_running(
             started = start(&config) => match started {
                 Ok((mut bridge, mut renewed)) => {
                     told.clear();
+                    sight.runs(&bridge);
                     let lost = loop {
                         tokio::select! {
                             () = &mut stop => break None,
@@ -155,6 +163,7 @@ async fn keep_running(
                 Err(refused) => return Err(refused),
             },
         };
+        sight.waits(&refused);
         // The same reason once, not every two seconds.
         if told != refused.message {
             let (code, reason) = (refused.code.name(), line(&refused));
@@ -200,7 +209,7 @@ impl Bridge {
         let checkpoint =
             config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
         let known = checkpoint.map(|checkpoint| checkpoint.governance);
-        let roster = Arc::new(Roster::default());
+        let roster = Arc::new(Roster::traced(config.tracer.clone()));
         let keeper = Arc::new(Keeper::new(Arc::clone(&gateway), context, local.clone(), known, Arc::clone(&roster)));
         let (ending, ended) = watch::channel(false);
         let table = Arc::new(Table::new(keeper, Arc::clone(&roster), ending));
@@ -218,6 +227,7 @@ impl Bridge {
         let kept = local.clone();
         let reporter =
             Reporter::ready(&config, context, (domain, &reach), Arc::clone(&gateway), local, Arc::clone(&roster));
+        let statuses = reporter.statuses().clone();
         let reporter = tokio::spawn(reporter.run(told));
         let watch = Watching::start(&config, &gateway, &table);
         let (tell, outdated) = watch::channel(None);
@@ -234,6 +244,8 @@ impl Bridge {
             watch,
             grants,
             reporter,
+            identity: format!("{}/{}", context.organisation, context.name),
+            statuses,
             stop_reporter,
             ended,
             outdated,
@@ -292,6 +304,26 @@ impl Bridge {
     /// The counters of the routes so far.
     pub fn summary(&self) -> Summary {
         Summary { domain: self.domain, routes: self.roster.summaries() }
+    }
+
+    /// The identity towards the ledger, `Org2/Rover`.
+    pub(crate) fn identity(&self) -> &str {
+        &self.identity
+    }
+
+    /// The ROS domain that it has joined.
+    pub(crate) fn domain(&self) -> u16 {
+        self.domain
+    }
+
+    /// Its routes.
+    pub(crate) fn roster(&self) -> &Arc<Roster> {
+        &self.roster
+    }
+
+    /// How the ledger and its routes do.
+    pub(crate) fn statuses(&self) -> &Statuses {
+        &self.statuses
     }
 
     /// Stops what robots are moving, ends all routes, and leaves the graph.

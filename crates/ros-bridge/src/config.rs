@@ -38,7 +38,7 @@
 //! path_topic = "/task/path"    # from_ledger: all points that are left of it, as nav_msgs/msg/Path
 //! ```
 //! With a section `[discover]` ([`crate::discover`]) there are routes for what is on the ledger, too, and none need be set.
-//! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
+//! A bridge that is a process of its own has the sections `[log]`, `[admin]` and `[traces]` like a node's, which the program reads.
 //! Everything has a default but `service`, `direction` and `type`. Every fault is reported, not only the first.
 
 #[cfg(test)]
@@ -55,6 +55,7 @@ use bytes::Bytes;
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::{Fault, Reader, Section, Spot};
+use ledger_traces::Tracer;
 
 use crate::{
     dds::DOMAIN_MAX,
@@ -66,6 +67,8 @@ use crate::{
     route::kind::{Given, KINDS, Kind, Plan},
 };
 
+/// The sections of the file of a bridge that the program which runs it reads.
+pub const PROGRAM_SECTIONS: [&str; 3] = ["admin", "log", "traces"];
 /// Most routes of one bridge.
 pub const ROUTES_MAX: usize = 128;
 /// How often the ledger gives a sign of life.
@@ -101,6 +104,8 @@ pub struct Config {
     pub(crate) discover: Option<discover::Settings>,
     /// The routes that are set.
     pub routes: Vec<RouteConfig>,
+    /// Where the steps of messages are told.
+    pub(crate) tracer: Tracer,
 }
 
 /// Where the identity of a bridge comes from.
@@ -175,6 +180,12 @@ impl Config {
         reader.finish().map(|()| config)
     }
 
+    /// The same, with the steps of messages told there: whoever runs the bridge says it, not its file.
+    #[must_use]
+    pub fn traced(self, tracer: Tracer) -> Self {
+        Self { tracer, ..self }
+    }
+
     /// Are all settings the same, whatever the routes are?
     pub(crate) fn is_same_beside_routes(&self, other: &Self) -> bool {
         let text = |config: &Self| format!("{:?}", Self { discover: None, routes: Vec::new(), ..config.clone() });
@@ -245,6 +256,7 @@ impl Default for Config {
             report_every: Duration::from_secs(REPORT_S_DEFAULT),
             discover: None,
             routes: Vec::new(),
+            tracer: Tracer::default(),
         }
     }
 }

@@ -1,11 +1,16 @@
 //! The counters of a route: kept while it runs, summed up when it ends.
 
+mod spread;
+
+pub use self::spread::{BOUNDS_US, Spread};
+
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use ledger_invariant::costly_invariant;
 use ledger_rejection::{Code, Rejection};
+use ledger_traces::Tracer;
 use serde::Serialize;
 
 use crate::{config::RouteConfig, dds::Matched, door::Door, gateway::Tally};
@@ -76,6 +81,8 @@ pub struct Latency {
 #[derive(Clone, Debug)]
 pub(crate) struct Counters {
     counts: Arc<Mutex<Counts>>,
+    /// Where the steps of its messages are told.
+    pub(crate) tracer: Tracer,
 }
 
 /// The counters.
@@ -84,6 +91,10 @@ pub(crate) struct Counts {
     pub(crate) summary: RouteSummary,
     pub(crate) live: Live,
     latency: Option<Histogram<u64>>,
+    /// From a sample taken in to its verdict.
+    pub(crate) commit: Spread,
+    /// From the signature of a message to its way to the local graph.
+    pub(crate) age: Spread,
     ends: Option<Ends>,
 }
 
@@ -138,8 +149,14 @@ impl Counters {
             commit_us: Latency::default(),
         };
         let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
-        let counts = Counts { summary, live: Live::default(), latency, ends: None };
-        Self { counts: Arc::new(Mutex::new(counts)) }
+        let (commit, age) = (Spread::default(), Spread::default());
+        let counts = Counts { summary, live: Live::default(), latency, commit, age, ends: None };
+        Self { counts: Arc::new(Mutex::new(counts)), tracer: Tracer::default() }
+    }
+
+    /// The same, with the steps of its messages told there.
+    pub(crate) fn traced(self, tracer: Tracer) -> Self {
+        Self { tracer, ..self }
     }
 
     /// The route has been opened.
@@ -202,6 +219,7 @@ impl Counts {
         if let Some(latency) = &mut self.latency {
             latency.saturating_record(micros);
         }
+        self.commit.observe(micros);
     }
 }
 

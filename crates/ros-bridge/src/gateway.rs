@@ -149,4 +149,4 @@ pub(crate) fn read<T: DeserializeOwned>(function: &str, answer: &[u8]) -> Result
 }
 
 /// How often something happened, by its name.
-pub(crate) type Tally = BTreeMap<&'static str, u64>;
+pub type Tally = BTreeMap<&'static str, u64>;

@@ -20,6 +20,7 @@
 //! | `gateway`, `service` | what is asked of the ledger, and what it answers |
 //! | `standing` | asks how a robot stands |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |
+//! | [`sight`] | the bridge as whoever watches it sees it |
 //! | [`domain`], [`reach`], `addresses` | which ROS domain it joins, with which hosts, and when it must do so anew |
 //! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
 //! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
@@ -75,6 +76,7 @@ mod roster;
 mod route;
 mod service;
 pub mod shm;
+pub mod sight;
 mod standing;
 pub mod stop;
 mod table;
@@ -82,6 +84,8 @@ mod typed;
 
 pub use bridge::{Bridge, Summary, context_of, run};
 pub use config::{Config, IdentitySource};
-pub use count::{Latency, RouteSummary};
+pub use count::{BOUNDS_US, Latency, RouteSummary, Spread};
+pub use gateway::Tally;
 pub use guarded::Guarded;
 pub use renewal::keep_renewed;
+pub use report::{Level, Status};

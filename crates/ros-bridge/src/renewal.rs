@@ -16,7 +16,7 @@ const DAY: u64 = 24 * 3600 * 1_000_000;
 pub async fn keep_renewed(config: &Config, client: &Client) {
     loop {
         if let Err(reason) = look(config, client).await {
-            tracing::warn!(%reason, "the bridge's certificate cannot be renewed; trying again");
+            tracing::warn!(code = reason.code.name(), %reason, "the bridge's certificate cannot be renewed; trying again");
         }
         tokio::time::sleep(LOOK).await;
     }

@@ -11,7 +11,7 @@ mod silent;
 
 use std::{
     collections::BTreeMap,
-    sync::Arc,
+    sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant, SystemTime},
 };
 
@@ -21,8 +21,9 @@ use tokio::{
     time::{MissedTickBehavior, interval},
 };
 
+pub use self::diagnostics::{Level, Status};
 use self::{
-    diagnostics::{Diagnostics, Level, State, Status},
+    diagnostics::{Diagnostics, State},
     neighbourhood::Neighbourhood,
     side_doors::SideDoors,
     silent::Teller,
@@ -47,6 +48,21 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Silence of the ledger after which the node counts as lost: it gives a sign of life four times a second.
 const LOST_AFTER: Duration = Duration::from_secs(2);
 
+/// How the ledger and each route do, as it was at the last look. Clones share it.
+#[derive(Clone, Default)]
+pub(crate) struct Statuses(Arc<Mutex<Vec<Status>>>);
+
+impl Statuses {
+    /// As it was at the last look.
+    pub(crate) fn now(&self) -> Vec<Status> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn set(&self, statuses: Vec<Status>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = statuses;
+    }
+}
+
 /// Reports on a running bridge until it ends.
 pub(crate) struct Reporter {
     gateway: Arc<dyn Gateway>,
@@ -62,6 +78,7 @@ pub(crate) struct Reporter {
     /// The counters at the last look, by the numbers of the routes.
     counted: BTreeMap<usize, RouteSummary>,
     diagnostics: Option<Diagnostics>,
+    statuses: Statuses,
 }
 
 impl Reporter {
@@ -101,7 +118,11 @@ impl Reporter {
         let (heard, every) = (Instant::now(), config.report_every);
         let diagnostics = if config.diagnostics {
             let opened = Diagnostics::open(local.participant(), &config.node_name, &identity);
-            opened.inspect_err(|refused| tracing::warn!(reason = line(refused), "there are no diagnostics")).ok()
+            opened
+                .inspect_err(|refused| {
+                    tracing::warn!(code = refused.code.name(), reason = line(refused), "there are no diagnostics")
+                })
+                .ok()
         } else {
             None
         };
@@ -116,7 +137,13 @@ impl Reporter {
             is_lost: false,
             counted,
             diagnostics,
+            statuses: Statuses::default(),
         }
+    }
+
+    /// Where it says how the ledger and the routes do.
+    pub(crate) fn statuses(&self) -> &Statuses {
+        &self.statuses
     }
 
     /// Runs until it is told to end.
@@ -214,6 +241,7 @@ impl Reporter {
         if let Some(diagnostics) = &self.diagnostics {
             diagnostics.publish(&statuses, SystemTime::now());
         }
+        self.statuses.set(statuses);
     }
 
     fn look_at_route(&mut self, watched: &Watched, neighbourhood: &Neighbourhood, now: Instant) -> Option<Silence> {

@@ -11,6 +11,7 @@ use std::{
 };
 
 use ledger_rejection::Rejection;
+use ledger_traces::Tracer;
 use rustdds::QosPolicies;
 use tokio::sync::watch;
 
@@ -62,8 +63,8 @@ pub(crate) struct Watched {
 
 impl Slot {
     /// A route that nobody has tried to open.
-    pub(crate) fn new(number: usize, route: RouteConfig, mark: Mark) -> Self {
-        let counters = Counters::new(&route);
+    pub(crate) fn new(number: usize, route: RouteConfig, mark: Mark, tracer: Tracer) -> Self {
+        let counters = Counters::new(&route).traced(tracer);
         let qos = watch::Sender::new(route.qos);
         Self { number, route, mark, counters, qos, state: Mutex::new(State::Waits(None)) }
     }
@@ -155,13 +156,20 @@ pub(crate) struct Roster {
     topics: watch::Sender<BTreeSet<String>>,
     /// When the ledger was last heard beside the routes.
     heard: Mutex<Option<Instant>>,
+    /// Where the steps of messages are told.
+    tracer: Tracer,
 }
 
 impl Roster {
+    /// No route yet; the steps of messages are told there.
+    pub(crate) fn traced(tracer: Tracer) -> Self {
+        Self { tracer, ..Self::default() }
+    }
+
     /// Takes a route in, with the next number.
     pub(crate) fn add(&self, route: RouteConfig, mark: Mark) -> Arc<Slot> {
         let number = self.numbered.fetch_add(1, Ordering::Relaxed).saturating_add(1);
-        let slot = Arc::new(Slot::new(number, route, mark));
+        let slot = Arc::new(Slot::new(number, route, mark, self.tracer.clone()));
         self.lock().push(Arc::clone(&slot));
         slot
     }

@@ -74,7 +74,9 @@ impl Snapshots {
                     kept.push(Arc::new(found));
                 }
                 Ok(_) => tracing::warn!(%name, "a snapshot of another kind or network is left alone"),
-                Err(fault) if fault.code == Code::Corrupt => tracing::warn!(%fault, "a damaged snapshot is left alone"),
+                Err(fault) if fault.code == Code::Corrupt => {
+                    tracing::warn!(code = fault.code.name(), reason = %fault, "a damaged snapshot is left alone")
+                }
                 Err(fault) => return Err(fault),
             }
         }

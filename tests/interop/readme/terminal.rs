@@ -105,6 +105,8 @@ impl Terminal {
         for unwanted in ["LEDGERD_HOME", "LEDGERCTL_CONTEXT", "RUST_LOG", "ROS_DOMAIN_ID", "XDG_CONFIG_HOME"] {
             command.env_remove(unwanted);
         }
+        // As for a person with a terminal.
+        command.env("LEDGERD_LOG_FORMAT", "text");
         command
     }
 

@@ -90,7 +90,7 @@ impl EventStream {
                     Ok(open) => self.open = Some(open),
                     Err(refused) if is_final(&refused) => return Err(refused),
                     Err(refused) => {
-                        tracing::debug!(reason = %refused.message, "subscription is tried again");
+                        tracing::debug!(code = refused.code.name(), reason = %refused.message, "subscription is tried again");
                         sleep(RETRY_AFTER).await;
                         continue;
                     }
@@ -163,7 +163,7 @@ impl EventStream {
                 Ok(Err(refused)) => last.insert(refused),
                 Err(_) => return Err(last.unwrap_or_else(|| self.client.session.no_connection())),
             };
-            tracing::debug!(reason = %refused.message, "subscription is tried again");
+            tracing::debug!(code = refused.code.name(), reason = %refused.message, "subscription is tried again");
             sleep(RETRY_AFTER).await;
         }
         Ok(())

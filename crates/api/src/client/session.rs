@@ -242,7 +242,7 @@ impl Session {
 
     /// The connection broke.
     fn uninstall(&self, reason: Rejection) {
-        tracing::debug!(reason = %reason.message, found = %reason.found, "connection lost");
+        tracing::debug!(code = reason.code.name(), reason = %reason.message, found = %reason.found, "connection lost");
         self.link.send_modify(|link| link.broken = Some(reason));
         self.in_flight.detach();
     }

@@ -71,7 +71,7 @@ impl ClientCertVerifier for ClientVerifier {
         match client_identity(Some(&chain), self.trust.as_ref()) {
             Ok(_) => Ok(ClientCertVerified::assertion()),
             Err(refusal) => {
-                tracing::info!(reason = %refusal, "a client's certificate is refused");
+                tracing::info!(error = %refusal, "a client's certificate is refused");
                 Err(told(refusal))
             }
         }

@@ -37,7 +37,7 @@ impl Ledger {
         *self.schedule.write().unwrap_or_else(PoisonError::into_inner) = schedule;
         if let Some(pending) = self.pending_rules().filter(|pending| self.registry.speaks(pending.number).is_none()) {
             let reason = self.unknown(pending);
-            tracing::warn!(%reason, "this node is going to stop");
+            tracing::warn!(code = reason.code.name(), %reason, "this node is going to stop");
         }
         Ok(())
     }

@@ -64,7 +64,7 @@ impl Ledger {
         let mut complete = |height, result| completing.complete(height, result);
         if let Err(fault) = snapshots.make(stored, &self.state, (&self.results, since), &mut complete) {
             // The next one may succeed; blocks are kept until one does.
-            tracing::error!(height = stored.height, %fault, "cannot make a snapshot");
+            tracing::error!(height = stored.height, code = fault.code.name(), reason = %fault, "cannot make a snapshot");
         }
     }
 
@@ -81,7 +81,7 @@ impl Ledger {
             // What is not kept any more is older than the longest period.
             Ok(None) => true,
             Err(fault) => {
-                tracing::error!(height = tip.height, %fault, "no snapshot is made: cannot compute whether one is due");
+                tracing::error!(height = tip.height, code = fault.code.name(), reason = %fault, "no snapshot is made: cannot compute whether one is due");
                 false
             }
         }

@@ -37,7 +37,8 @@ impl Engine {
         if self.doubt.is_none()
             && let Some(doubt) = doubt.filter(|_| self.membership.is_alone(self.config.id))
         {
-            tracing::error!(reason = %doubt.refusal(), "ordering waits for the clock");
+            let refusal = doubt.refusal();
+            tracing::error!(code = refusal.code.name(), reason = %refusal, "ordering waits for the clock");
         }
         self.doubt = doubt;
     }

@@ -112,7 +112,9 @@ impl Mandates {
         }
         match self.ballots.sign(Ballot { term: message.term, candidate, voter }) {
             Ok(signed) => message.vote = signed,
-            Err(reason) => tracing::warn!(%reason, candidate, "a vote is not signed, so it does not count"),
+            Err(reason) => {
+                tracing::warn!(code = reason.code.name(), %reason, candidate, "a vote is not signed, so it does not count")
+            }
         }
     }
 
@@ -169,7 +171,7 @@ impl Engine {
                 Ok(())
             }
             Err(reason) => {
-                tracing::warn!(voter, term, %reason, "a vote for this node does not count");
+                tracing::warn!(voter, term, code = reason.code.name(), %reason, "a vote for this node does not count");
                 self.mandates.doubted.begin(voter, self.ticks);
                 Err("it votes for this node without its signature")
             }
@@ -189,7 +191,7 @@ impl Engine {
         let me = self.config.id;
         match self.mandates.ballots.sign(Ballot { term, candidate: me, voter: me }) {
             Ok(signed) => self.mandates.keep_vote(term, me, signed),
-            Err(reason) => tracing::warn!(%reason, "this node cannot sign its own vote"),
+            Err(reason) => tracing::warn!(code = reason.code.name(), %reason, "this node cannot sign its own vote"),
         }
         let mandate = self.mandates.mandate();
         for to in self.membership.nodes().into_iter().filter(|node| *node != me) {
@@ -249,7 +251,7 @@ impl Engine {
             }
             let ballot = Ballot { term, candidate: leader, voter: vote.node };
             let checked = self.mandates.ballots.check(ballot, &vote.signed, self.now);
-            checked.inspect_err(|reason| tracing::debug!(leader, %reason, "a vote in a mandate does not count")).is_ok()
+            checked.inspect_err(|reason| tracing::debug!(leader, code = reason.code.name(), %reason, "a vote in a mandate does not count")).is_ok()
         };
         let enough = |voters: &BTreeSet<u64>| electorates.iter().any(|members| elect(voters, members));
         // Counting is cheap, so it comes first.

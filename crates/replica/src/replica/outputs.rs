@@ -62,7 +62,9 @@ impl<W: Waiter> Replica<W> {
             Output::Ignored { from, reason } => out.push(Effect::Ignored { from, reason }),
             Output::VotedTwice(found) => match self.proof(now, &found) {
                 Ok(proof) => out.push(Effect::VotedTwice(Box::new(proof))),
-                Err(reason) => tracing::warn!(voter = found.voter, %reason, "two votes of one voter cannot be read"),
+                Err(reason) => {
+                    tracing::warn!(voter = found.voter, code = reason.code.name(), %reason, "two votes of one voter cannot be read")
+                }
             },
             Output::Failed(reason) => out.push(Effect::Failed(reason)),
         }

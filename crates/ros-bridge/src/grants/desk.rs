@@ -149,7 +149,12 @@ impl Desk {
                     Ok(grant) => self.renewed(&grant),
                     Err(refused) => {
                         if self.lock().failed(&service, refused.code == Code::NotHolder) {
-                            tracing::info!(service, reason = line(&refused), "the grant is kept no longer");
+                            tracing::info!(
+                                service,
+                                code = refused.code.name(),
+                                reason = line(&refused),
+                                "the grant is kept no longer"
+                            );
                         }
                     }
                 }

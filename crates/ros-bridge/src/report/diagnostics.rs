@@ -23,7 +23,7 @@ const DEPTH: u32 = 10;
 
 /// How a part of the bridge does, with the numbers of `diagnostic_msgs/msg/DiagnosticStatus`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Level {
+pub enum Level {
     /// It works, or has nothing to do.
     Ok = 0,
     /// It works not as it should.
@@ -34,13 +34,17 @@ pub(super) enum Level {
     Stale = 3,
 }
 
-/// A part of the bridge.
-pub(super) struct Status {
-    pub(super) level: Level,
-    /// After the name of the bridge.
-    pub(super) name: String,
-    pub(super) message: String,
-    pub(super) values: Vec<(String, String)>,
+/// A part of the bridge: `ledger`, or a route.
+#[derive(Debug, Clone)]
+pub struct Status {
+    /// How it does.
+    pub level: Level,
+    /// Its name; on `/diagnostics` after that of the bridge.
+    pub name: String,
+    /// The reason of the level, for people.
+    pub message: String,
+    /// Its counters, by name.
+    pub values: Vec<(String, String)>,
 }
 
 impl Status {

@@ -134,7 +134,8 @@ impl Settings {
         let (feedback, status) = (reader(feedback(topic, &route.message)?)?, reader(status(topic)?)?);
         counters.opened(clients.goals.matched(), None);
         let answers = Queue::new(&Limits { queue_samples_max: ANSWERS_MAX, ..route.limits() });
-        let (gateway, of_replies, answered) = (Arc::clone(gateway), Counters::new(route), replies(&route.service));
+        let (gateway, of_replies, answered) =
+            (Arc::clone(gateway), Counters::new(route).traced(counters.tracer.clone()), replies(&route.service));
         let to = kind::submitted(gateway, &answered, Arc::clone(&answers), None, of_replies).await?;
         let (hand, handed, rests) = Hand::until_rest(clients.goals.matched().clone(), self.stale_after);
         let from = kind::gated(&opening, service.clone(), hand, counters.clone()).await?;

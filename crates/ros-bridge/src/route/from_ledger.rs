@@ -136,6 +136,8 @@ struct FromLedger {
     pace: Pace<Sample>,
     /// The next height of the subscription.
     next_height: u64,
+    /// When the messages that are judged now could be: they came, or the answer did that they waited for.
+    judged: Instant,
     renewed: Instant,
     complaint: Complaint,
     /// Beside the other complaints: a holder may be slowed down and refused in turn.
@@ -177,6 +179,7 @@ impl FromLedger {
             context: context.clone(),
             reading: None,
             next_height: height.saturating_add(1),
+            judged: Instant::now(),
             renewed: Instant::now(),
             complaint: Complaint::default(),
             clamps: Complaint::default(),
@@ -316,11 +319,17 @@ impl FromLedger {
 
     /// Handles the events of a block in their order.
     async fn handle_all(&mut self, delivery: Result<Delivery, Rejection>) {
+        self.judged = Instant::now();
         let delivery = match delivery {
             Ok(delivery) => delivery,
             Err(refused) => {
                 let reason = line(&refused);
-                tracing::error!(service = self.route.service, reason, "the ledger has ended the subscription");
+                tracing::error!(
+                    service = self.route.service,
+                    code = refused.code.name(),
+                    reason,
+                    "the ledger has ended the subscription"
+                );
                 self.counters.lock().live.waiting = Some(format!("the ledger has ended the subscription: {reason}"));
                 if self.guard.gate().is_moving() {
                     self.halt("refused").await;
@@ -347,6 +356,7 @@ impl FromLedger {
 
     /// Takes the answer of the voters, and judges the messages that waited for it.
     async fn answered(&mut self, answer: Answer) {
+        self.judged = Instant::now();
         let answered = match answer {
             Ok(answered) => answered,
             Err(refused) => return self.not_known(&refused, None).await,
@@ -394,7 +404,13 @@ impl FromLedger {
         self.counters.lock().live.waiting = Some(format!("the voters do not say how the robot stands: {reason}"));
         if let Some(not_logged) = self.complaint.worth("standing", Instant::now()) {
             let service = &self.route.service;
-            tracing::warn!(service, reason, not_logged, "the voters do not say how the robot stands");
+            tracing::warn!(
+                service,
+                code = refused.code.name(),
+                reason,
+                not_logged,
+                "the voters do not say how the robot stands"
+            );
         }
         if is_gone {
             self.points.clear();

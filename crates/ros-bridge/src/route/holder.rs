@@ -57,7 +57,7 @@ impl Holder {
         match topic.write(&json!({ "data": now.to_string() })) {
             Ok(()) => self.shown = Some(now),
             // It is tried again with the next answer.
-            Err(fault) => tracing::warn!(service, fault, "the holder of the service was not published"),
+            Err(fault) => tracing::warn!(service, reason = fault, "the holder of the service was not published"),
         }
     }
 }

@@ -114,7 +114,7 @@ impl Points {
         // What failed is tried again with the next answer.
         self.shown = Some(now).filter(|_| goal.is_ok() && path.is_ok());
         for fault in [goal, path].into_iter().filter_map(Result::err) {
-            tracing::warn!(fault, "the points of the task were not published");
+            tracing::warn!(reason = fault, "the points of the task were not published");
         }
     }
 }

@@ -64,7 +64,8 @@ impl Settings {
         let client = local.participant().client(&exchange, *mark, route.sample_bytes_max)?;
         counters.opened(client.matched(), None);
         let answers = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
-        let (gateway, of_replies, answered) = (Arc::clone(gateway), Counters::new(route), replies(&route.service));
+        let (gateway, of_replies, answered) =
+            (Arc::clone(gateway), Counters::new(route).traced(counters.tracer.clone()), replies(&route.service));
         let to = kind::submitted(gateway, &answered, Arc::clone(&answers), None, of_replies);
         let to = to.await?;
         let (hand, handed) = Hand::new(client.matched().clone());

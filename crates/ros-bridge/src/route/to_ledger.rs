@@ -4,6 +4,7 @@
 //! the newest samples replace the oldest that wait, and that is counted.
 
 mod latch;
+mod outcome;
 mod publishing;
 mod sealing;
 
@@ -20,12 +21,13 @@ use futures::{
 use ledger_api::Subscription;
 use ledger_gate::ABAC;
 use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_rejection::Rejection;
 use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
 
 use self::{
     latch::{KEYS as LATCH_KEYS, Latch},
+    outcome::Outcome,
     publishing::Publishing,
     sealing::Sealing,
 };
@@ -40,7 +42,7 @@ use super::{
 };
 use crate::{
     config::HEARTBEAT_MS,
-    count::{Complaint, Counters, count, line},
+    count::{Complaint, Counters, line},
     dds::Role,
     door::Door,
     fit::Fit,
@@ -192,18 +194,6 @@ struct ToLedger {
     told: Option<mpsc::UnboundedSender<Told>>,
 }
 
-/// The outcome of samples that were submitted together.
-struct Outcome {
-    /// The number of the first one.
-    first: u64,
-    /// When each was taken in.
-    received: Vec<Instant>,
-    bytes: usize,
-    /// The content key under which they were encrypted.
-    key: Option<u64>,
-    verdict: Result<(), Rejection>,
-}
-
 impl ToLedger {
     /// Learns who the bridge is and what it holds now.
     async fn open(
@@ -271,7 +261,7 @@ impl ToLedger {
                     }
                     Err(refused) => {
                         if let Some(not_logged) = self.no_news.worth(refused.code.name(), Instant::now()) {
-                            tracing::warn!(reason = line(&refused), not_logged, "cannot receive news about grants");
+                            tracing::warn!(code = refused.code.name(), reason = line(&refused), not_logged, "cannot receive news about grants");
                         }
                     }
                 },
@@ -282,7 +272,7 @@ impl ToLedger {
                             self.publishing.learn(height, now.epoch, now.next_seq);
                             self.tell_grant(None);
                         }
-                        Err(refused) => tracing::warn!(reason = line(&refused), "cannot read the bridge's own grant"),
+                        Err(refused) => tracing::warn!(code = refused.code.name(), reason = line(&refused), "cannot read the bridge's own grant"),
                     }
                 }
                 made = self.sealing.made() => self.shared(made),
@@ -407,7 +397,8 @@ impl ToLedger {
         }
         self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
         let key = self.sealing.key();
-        verdict.map(move |verdict| Outcome { first: number, received, bytes, key, verdict }).boxed()
+        let submitted = (id, Instant::now());
+        verdict.map(move |verdict| Outcome { first: number, received, submitted, bytes, key, verdict }).boxed()
     }
 
     /// Tells the other half of a route of calls, if this is one.
@@ -416,69 +407,6 @@ impl ToLedger {
             // An error means that the other half has ended, and this one will.
             drop(told.send(news));
         }
-    }
-
-    /// Is a sample kept back, because the user holds no grant?
-    fn is_withheld(&mut self) -> bool {
-        let withheld = self.withholds && self.publishing.epoch == 0;
-        if withheld {
-            let mut counts = self.counters.lock();
-            counts.summary.samples_in += 1;
-            counts.summary.withheld += 1;
-            counts.live.came = Some(Instant::now());
-        }
-        withheld
-    }
-
-    /// May the sample be submitted, and can it be a message of the route's type? One that cannot is counted as refused here.
-    fn fits(&mut self, incoming: &Incoming) -> bool {
-        if self.is_withheld() {
-            return false;
-        }
-        let Err(refused) = self.fit.check(&incoming.sample) else { return true };
-        let mut counts = self.counters.lock();
-        let now = Instant::now();
-        counts.summary.samples_in += 1;
-        count(&mut counts.summary.refused, refused.code.name(), 1);
-        counts.live.came = Some(now);
-        counts.live.refused = Some((refused.code.name(), line(&refused), now));
-        drop(counts);
-        if let Some(not_logged) = self.complaint.worth(refused.code.name(), now) {
-            let service = &self.publishing.service;
-            tracing::warn!(service, reason = line(&refused), not_logged, "samples do not fit the type");
-        }
-        false
-    }
-
-    /// Counts an outcome. True if the own grant seems to be another than is known.
-    fn note(&mut self, Outcome { first, received, bytes, key, verdict }: Outcome) -> bool {
-        self.under_way_bytes = self.under_way_bytes.saturating_sub(bytes);
-        if verdict.is_err() {
-            self.tell(Told::Refused(first));
-        }
-        let mut counts = self.counters.lock();
-        let now = Instant::now();
-        let refused = match verdict {
-            Ok(()) => {
-                for taken in received {
-                    counts.committed(now.saturating_duration_since(taken));
-                }
-                return false;
-            }
-            Err(refused) => refused,
-        };
-        if let Some(latch) = &mut self.latch {
-            latch.refused(now);
-        }
-        count(&mut counts.summary.refused, refused.code.name(), received.len() as u64);
-        counts.live.refused = Some((refused.code.name(), line(&refused), now));
-        drop(counts);
-        if let Some(silent) = self.complaint.worth(refused.code.name(), now) {
-            let service = &self.publishing.service;
-            tracing::warn!(service, reason = line(&refused), not_logged = silent, "the ledger refuses samples");
-        }
-        self.sealing.refused(&self.publishing, &refused, key);
-        matches!(refused.code, Code::NotHolder | Code::StaleEpoch | Code::StaleSequence)
     }
 }
 

@@ -55,7 +55,9 @@ impl SledStore {
         *slot = None;
         match open(&self.directory) {
             Ok(tree) => *slot = Some(tree),
-            Err(fault) => tracing::error!(%fault, "the state store cannot be opened again"),
+            Err(fault) => {
+                tracing::error!(code = fault.code.name(), reason = %fault, "the state store cannot be opened again")
+            }
         }
     }
 }

@@ -11,6 +11,7 @@ use crate::time;
 use chrono::{DateTime, TimeDelta};
 use ledger_contract::RobotAsset;
 use ledger_rejection::{Code, Rejection};
+use ros_bridge::config::PROGRAM_SECTIONS;
 use ros_bridge::names::Interface;
 use ros_bridge::{Config, Guarded, context_of};
 use serde::Serialize;
@@ -84,7 +85,7 @@ struct Door {
 
 impl ExportSros2 {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let config = Config::load(&self.config, |root| root.ignore(&["log"]));
+        let config = Config::load(&self.config, |root| root.ignore(&PROGRAM_SECTIONS));
         // The first fault names its line.
         let config = config.map_err(|faults| faults.into_iter().next().map_or_else(not_usable, Rejection::from))?;
         self.apart_from(&config)?;

@@ -4,6 +4,7 @@ use super::finding::Finding;
 use crate::health::size;
 use netdev::Interface;
 use ros_bridge::Config;
+use ros_bridge::config::PROGRAM_SECTIONS;
 use ros_bridge::domain::{Domain, ROS_DOMAIN_ID};
 use ros_bridge::reach::{Range, Reach, Settings};
 use std::fs;
@@ -49,7 +50,7 @@ pub(super) fn look(config: Option<&Path>, domain: Option<u16>, findings: &mut Ve
 
 /// The settings of a bridge, if they can be used.
 fn settings(path: &Path, findings: &mut Vec<Finding>) -> Option<Config> {
-    match Config::load(path, |root| root.ignore(&["log"])) {
+    match Config::load(path, |root| root.ignore(&PROGRAM_SECTIONS)) {
         Ok(config) => {
             findings.push(Finding::ok("bridge", format!("{} can be used", path.display())));
             Some(config)

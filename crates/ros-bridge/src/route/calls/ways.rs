@@ -67,7 +67,8 @@ impl Ways {
         let (gateway, calls) = (Arc::clone(gateway), Arc::clone(&requests));
         let to = kind::submitted(gateway, &route.service, calls, Some(tell), counters.clone()).await?;
         let (hand, handed) = Hand::new(callers.clone());
-        let from = kind::gated(opening, answers, hand, Counters::new(route)).await?;
+        let from =
+            kind::gated(opening, answers, hand, Counters::new(route).traced(opening.counters.tracer.clone())).await?;
         let carry = move |stop: Stop| join(to(stop.clone()), from(stop)).map(drop).boxed();
         Ok((Self { requests, told, handed }, carry))
     }

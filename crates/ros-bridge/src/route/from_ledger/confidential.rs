@@ -115,7 +115,13 @@ impl FromLedger {
                 let reason = line(&refused);
                 if let Some(not_logged) = self.complaint.worth("keys", Instant::now()) {
                     let service = &self.route.service;
-                    tracing::warn!(service, reason, not_logged, "the bridge cannot read this confidential service");
+                    tracing::warn!(
+                        service,
+                        code = refused.code.name(),
+                        reason,
+                        not_logged,
+                        "the bridge cannot read this confidential service"
+                    );
                 }
                 self.counters.lock().live.waiting = Some(format!("no content key of the service: {reason}"));
                 return;

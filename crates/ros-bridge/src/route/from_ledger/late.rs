@@ -35,7 +35,12 @@ impl FromLedger {
         let service = &self.route.service;
         let deliveries = fetched.inspect_err(|refused| {
             let reason = line(refused);
-            tracing::warn!(service, reason, "the last messages are not to be had: the next ones come as they are said");
+            tracing::warn!(
+                service,
+                code = refused.code.name(),
+                reason,
+                "the last messages are not to be had: the next ones come as they are said"
+            );
         });
         for delivery in deliveries.unwrap_or_default() {
             let mut block = Block::latched(delivery.height, delivery.time);

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use ledger_gate::{gate::Passed, sample::Sample};
+use ledger_traces::{Step, wall};
 
 use super::{super::calls::TOO_MANY, FromLedger};
 use crate::{count::count, qos::Durability};
@@ -12,6 +13,16 @@ impl FromLedger {
         if self.side_door.drops(&self.counters) {
             return;
         }
+        let transaction = passed.transaction;
+        if let Some(age_us) = passed.age_us {
+            self.counters.lock().age.observe(age_us);
+        }
+        self.hand_out(passed);
+        let step = || Step::since("deliver", wall(self.judged)).with("ledgerd.service", &self.route.service);
+        self.counters.tracer.tell(&transaction, step);
+    }
+
+    fn hand_out(&mut self, passed: Passed) {
         if let Some(hand) = self.outlet.hand() {
             let mut counts = self.counters.lock();
             counts.live.came = Some(Instant::now());

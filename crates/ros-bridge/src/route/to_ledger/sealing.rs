@@ -135,7 +135,13 @@ impl ToLedger {
             && let Some(not_logged) = self.complaint.worth("share", Instant::now())
         {
             let service = &self.publishing.service;
-            tracing::warn!(service, reason = line(&refused), not_logged, "no content key can be shared");
+            tracing::warn!(
+                service,
+                code = refused.code.name(),
+                reason = line(&refused),
+                not_logged,
+                "no content key can be shared"
+            );
         }
     }
 

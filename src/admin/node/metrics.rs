@@ -1,45 +1,29 @@
 //! The figures of a node: docs/metrics.md describes each.
 
+use crate::admin::figures::{Labels, Several, bytes, counts, number, seconds};
 use crate::meters::Meters;
 use ledger_api::v1::StatusResponse;
-use ledger_rejection::{Code, Rejection};
-use prometheus_client::encoding::text::encode;
-use prometheus_client::metrics::counter::Counter;
-use prometheus_client::metrics::family::Family;
-use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
+use ledger_rejection::Code;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 use std::collections::BTreeMap;
-use std::sync::atomic::AtomicU64;
-
-/// Labels with their values.
-type Labels = Vec<(&'static str, String)>;
-/// Figures of several things.
-type Several = Family<Labels, Gauge<f64, AtomicU64>>;
 
 const MICROS: f64 = 1_000_000.0;
 
-/// The text of `/metrics`.
-///
-/// # Errors
-/// [`Code::Internal`] if a figure cannot be written.
-pub(super) fn text(status: &StatusResponse, meters: &Meters) -> Result<String, Rejection> {
-    let mut registry = Registry::with_prefix("ledgerd");
-    about(&mut registry, status);
-    chain(&mut registry, status);
-    order(&mut registry, status);
-    calls(&mut registry, status);
-    machine(&mut registry, status);
+/// Registers the figures of a node.
+pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters: &Meters) {
+    about(registry, status);
+    chain(registry, status);
+    order(registry, status);
+    calls(registry, status);
+    machine(registry, status);
     let mut steps = |name: &str, help: &str, histogram: &Histogram| {
         registry.register_with_unit(name, help, Unit::Seconds, histogram.clone());
     };
     steps("commit", "From a transaction's arrival at this node to its verdict from a block", &meters.commit);
     steps("flush", "One flush of the log to the disk", &meters.flush);
     steps("execute", "Executing blocks that came together", &meters.execute);
-    let mut text = String::new();
-    encode(&mut text, &registry).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-    Ok(text)
 }
 
 fn about(registry: &mut Registry, status: &StatusResponse) {
@@ -119,25 +103,9 @@ fn machine(registry: &mut Registry, status: &StatusResponse) {
     registry.register_with_unit("certificate_remaining", help, Unit::Seconds, lives);
 }
 
-fn number(registry: &mut Registry, name: &str, help: &str, value: u64) {
-    registry.register(name, help, ConstGauge::new(value));
-}
-
-fn seconds(registry: &mut Registry, name: &str, help: &str, value: f64) {
-    registry.register_with_unit(name, help, Unit::Seconds, ConstGauge::new(value));
-}
-
-fn bytes(registry: &mut Registry, name: &str, help: &str, value: u64) {
-    registry.register_with_unit(name, help, Unit::Bytes, ConstGauge::new(value));
-}
-
 /// Counts by the names of codes.
-fn counted(registry: &mut Registry, name: &str, help: &str, counts: &BTreeMap<u32, u64>) {
-    let all = Family::<Labels, Counter>::default();
-    for (number, count) in counts {
-        let code = u16::try_from(*number).ok().and_then(Code::from_number);
-        let name = code.map_or_else(|| number.to_string(), |code| code.name().to_owned());
-        all.get_or_create(&vec![("code", name)]).inc_by(*count);
-    }
-    registry.register(name, help, all);
+fn counted(registry: &mut Registry, name: &str, help: &str, by_code: &BTreeMap<u32, u64>) {
+    let of = |number: &u32| u16::try_from(*number).ok().and_then(Code::from_number);
+    let name_of = |number: &u32| of(number).map_or_else(|| number.to_string(), |code| code.name().to_owned());
+    counts(registry, name, help, by_code.iter().map(|(number, count)| (vec![("code", name_of(number))], *count)));
 }

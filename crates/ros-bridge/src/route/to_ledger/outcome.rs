@@ -1,0 +1,118 @@
+//! Which samples go out, and how those did that went.
+
+use std::time::Instant;
+
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_traces::{Step, wall};
+
+use super::{super::calls::Told, ToLedger};
+use crate::{
+    count::{count, line},
+    queue::Incoming,
+};
+
+/// The outcome of samples that were submitted together.
+pub(super) struct Outcome {
+    /// The number of the first one.
+    pub(super) first: u64,
+    /// When each was taken in.
+    pub(super) received: Vec<Instant>,
+    /// In which transaction, if it could be signed, and when it was on its way.
+    pub(super) submitted: (Option<Hash>, Instant),
+    pub(super) bytes: usize,
+    /// The content key under which they were encrypted.
+    pub(super) key: Option<u64>,
+    pub(super) verdict: Result<(), Rejection>,
+}
+
+impl ToLedger {
+    /// Tells the whole way of a message, and its part in this process.
+    fn trace(&self, Outcome { received, submitted: (id, submitted), verdict, .. }: &Outcome) {
+        let (Some(id), Some(first)) = (id, received.first()) else { return };
+        let (service, tracer) = (&self.publishing.service, &self.counters.tracer);
+        tracer.tell(id, || Step {
+            is_whole: true,
+            failed: verdict.as_ref().err().map(|refused| refused.code.name()),
+            ..Step::since("message", wall(*first)).with("ledgerd.service", service)
+        });
+        tracer.tell(id, || Step { ended: wall(*submitted), ..Step::since("submit", wall(*first)) });
+    }
+
+    /// Is a sample kept back, because the user holds no grant?
+    pub(super) fn is_withheld(&mut self) -> bool {
+        let withheld = self.withholds && self.publishing.epoch == 0;
+        if withheld {
+            let mut counts = self.counters.lock();
+            counts.summary.samples_in += 1;
+            counts.summary.withheld += 1;
+            counts.live.came = Some(Instant::now());
+        }
+        withheld
+    }
+
+    /// May the sample be submitted, and can it be a message of the route's type? One that cannot is counted as refused here.
+    pub(super) fn fits(&mut self, incoming: &Incoming) -> bool {
+        if self.is_withheld() {
+            return false;
+        }
+        let Err(refused) = self.fit.check(&incoming.sample) else { return true };
+        let mut counts = self.counters.lock();
+        let now = Instant::now();
+        counts.summary.samples_in += 1;
+        count(&mut counts.summary.refused, refused.code.name(), 1);
+        counts.live.came = Some(now);
+        counts.live.refused = Some((refused.code.name(), line(&refused), now));
+        drop(counts);
+        if let Some(not_logged) = self.complaint.worth(refused.code.name(), now) {
+            let service = &self.publishing.service;
+            tracing::warn!(
+                service,
+                code = refused.code.name(),
+                reason = line(&refused),
+                not_logged,
+                "samples do not fit the type"
+            );
+        }
+        false
+    }
+
+    /// Counts an outcome. True if the own grant seems to be another than is known.
+    pub(super) fn note(&mut self, outcome: Outcome) -> bool {
+        self.trace(&outcome);
+        let Outcome { first, received, bytes, key, verdict, .. } = outcome;
+        self.under_way_bytes = self.under_way_bytes.saturating_sub(bytes);
+        if verdict.is_err() {
+            self.tell(Told::Refused(first));
+        }
+        let mut counts = self.counters.lock();
+        let now = Instant::now();
+        let refused = match verdict {
+            Ok(()) => {
+                for taken in received {
+                    counts.committed(now.saturating_duration_since(taken));
+                }
+                return false;
+            }
+            Err(refused) => refused,
+        };
+        if let Some(latch) = &mut self.latch {
+            latch.refused(now);
+        }
+        count(&mut counts.summary.refused, refused.code.name(), received.len() as u64);
+        counts.live.refused = Some((refused.code.name(), line(&refused), now));
+        drop(counts);
+        if let Some(silent) = self.complaint.worth(refused.code.name(), now) {
+            let service = &self.publishing.service;
+            tracing::warn!(
+                service,
+                code = refused.code.name(),
+                reason = line(&refused),
+                not_logged = silent,
+                "the ledger refuses samples"
+            );
+        }
+        self.sealing.refused(&self.publishing, &refused, key);
+        matches!(refused.code, Code::NotHolder | Code::StaleEpoch | Code::StaleSequence)
+    }
+}
