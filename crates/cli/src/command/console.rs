@@ -183,10 +183,12 @@ mod tests {
 
     #[test]
     fn a_page_without_tls_is_refused_unless_it_is_of_this_machine() {
-        for good in ["https://robots.example:7452", "http://localhost:7452", "http://127.0.0.1/x", "http://[::1]:7452/"] {
+        for good in ["https://robots.example:7452", "http://localhost:7452", "http://127.0.0.1/x", "http://[::1]:7452/"]
+        {
             assert_eq!(page(good).as_deref(), Ok(good));
         }
-        for bad in ["http://robots.example:7452", "http://10.0.0.1", "robots.example", "http://localhost.example:1", ""] {
+        for bad in ["http://robots.example:7452", "http://10.0.0.1", "robots.example", "http://localhost.example:1", ""]
+        {
             assert!(page(bad).is_err(), "{bad}");
         }
     }

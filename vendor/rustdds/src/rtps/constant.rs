@@ -131,7 +131,7 @@ pub const LOCAL_FRAGMENT_SIZE: u16 = 16_000;
 // a burst fits into the receive buffer that Linux gives a socket by default,
 // and other Writers get their turn.
 pub const PUSH_BURST_MAX_BYTES: usize = 256 * 1024;
-pub const PUSH_PAUSE: Duration = Duration::from_micros(200);
+pub const PUSH_PAUSE: Duration = Duration::from_micros(100);
 
 /// Convert an interface MTU into the RTPS-message (UDP payload) budget usable
 /// for submessage/fragment packing: `mtu - DATAGRAM_HEADER_OVERHEAD`, floored
