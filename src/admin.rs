@@ -117,7 +117,7 @@ fn secured((identity, trust): Papers) -> Result<ServerConfig, Rejection> {
 fn only_on_loopback(address: SocketAddr) -> Rejection {
     Rejection::new(Code::BadConfiguration, "the page of a bridge is for its own machine only")
         .found(format!("admin.listen = {:?}", address.to_string()))
-        .wanted("an address of loopback, for example \"127.0.0.1:7453\"")
+        .wanted("an address of loopback, for example \"127.0.0.1:9465\"")
         .next("run the bridge inside a node, whose page has its figures over TLS; or put a proxy with TLS in front")
 }
 

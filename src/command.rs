@@ -231,8 +231,11 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
             ros_bridge::context_of(&config).map(|who| format!("{}/{}", who.organisation, who.name)).unwrap_or_default();
         let tracer = Tracer::start(&program.traces, "ledgerd-bridge", &who);
         let changes = read_again(|| {
-            let (program, config) = OfBridge::load(path)?;
-            telemetry::set_level(&program.log);
+            let (changed, config) = OfBridge::load(path)?;
+            if (&changed.admin, &changed.traces) != (&program.admin, &program.traces) {
+                tracing::warn!("admin and traces change when the bridge starts again: they go on as they are");
+            }
+            telemetry::set_level(&changed.log);
             Ok(config.traced(tracer.clone()))
         });
         ros_bridge::run(config.traced(tracer.clone()), changes, stop_signal(), &sight).await

@@ -83,6 +83,37 @@ fn check_names_every_fault_of_a_bridge_of_a_node_and_of_one_by_itself() {
 }
 
 #[test]
+fn a_log_in_a_file_is_json_unless_somebody_wants_text() {
+    let place = TempDir::new().unwrap();
+    let route = "[[route]]\nservice = 'R/a'\ndirection = 'to_ledger'\ntype = 'geometry_msgs/msg/Twist'\n";
+    let said = |log: &str, wanted: Option<&str>| {
+        fs::write(place.path().join("bridge.toml"), format!("[admin]\nlisten = '127.0.0.1:0'\n{log}{route}")).unwrap();
+        let mut bridge = programs::node();
+        bridge.args(["bridge", "--config", "bridge.toml"]).current_dir(place.path()).env("LEDGERD_HOME", place.path());
+        match wanted {
+            Some(wanted) => bridge.env("LEDGERD_LOG_FORMAT", wanted),
+            None => bridge.env_remove("LEDGERD_LOG_FORMAT"),
+        };
+        // Without a context it ends at once, and says so in words: that is no log.
+        let done = bridge.output().unwrap();
+        let told = text(&done.stderr);
+        assert!(told.contains("\nerror: "), "{told}");
+        told.lines().next().unwrap().to_owned()
+    };
+    let is_json = |line: &str| {
+        let line = serde_json::from_str::<serde_json::Value>(line).ok()?;
+        line["fields"]["message"].as_str().map(|message| message.starts_with("admin page"))
+    };
+    assert_eq!(is_json(&said("", None)), Some(true));
+    assert_eq!(is_json(&said("", Some("json"))), Some(true));
+    assert_eq!(is_json(&said("[log]\nformat = 'json'\n", Some("text"))), Some(true));
+    for (log, wanted) in [("", Some("text")), ("[log]\nformat = 'text'\n", None)] {
+        let line = said(log, wanted);
+        assert!(line.contains("INFO admin page") && !line.contains('{') && !line.contains('\u{1b}'), "{line}");
+    }
+}
+
+#[test]
 fn what_is_no_configuration_is_refused_and_what_is_one_is_fine() {
     let place = TempDir::new().unwrap();
     let file = place.path().join("ledgerd.toml");

@@ -111,9 +111,9 @@ impl fmt::Debug for Tracer {
     }
 }
 
-/// Is this message traced? Whoever takes one in fewer takes all of those that others take.
+/// Is this message traced? With one in fewer, all those are taken that others take, too. Bytes that are no transaction have no id.
 fn takes(one_in: u64, transaction: &Hash) -> bool {
-    u64::from_be_bytes(part(transaction, 8)) <= u64::MAX / one_in.max(1)
+    *transaction != Hash::ZERO && u64::from_be_bytes(part(transaction, 8)) <= u64::MAX / one_in.max(1)
 }
 
 /// Eight bytes of an id, from this one on.
@@ -137,6 +137,7 @@ mod tests {
         assert_eq!(all.len(), 20_000);
         assert!((1700..2300).contains(&some.len()) && (130..280).contains(&few.len()), "{} {}", some.len(), few.len());
         assert!(few.iter().all(|number| some.contains(number)));
+        assert!(!takes(1, &Hash::ZERO), "bytes in a block that are no transaction");
     }
 
     #[test]

@@ -150,7 +150,7 @@ pub(crate) fn span(transaction: &Hash, instance: &str, step: Step) -> Span {
     }
 }
 
-/// What one process tells at a time.
+/// The steps that one process tells at a time.
 pub(crate) fn export(resource: &Resource, spans: Vec<Span>) -> Export {
     let scope_spans = vec![ScopeSpans { spans }];
     Export { resource_spans: vec![ResourceSpans { resource: Some(resource.clone()), scope_spans }] }
