@@ -121,6 +121,14 @@ fn line(process: &mut Python) -> Option<String> {
     }
 }
 
+/// A publisher that has found its reader. Two participants of Fast DDS now and then lose a message of their handshake for good,
+/// so it is started again.
+fn matched(start: impl Fn() -> Python) -> Python {
+    let found = |publisher: &mut Python| line(publisher).as_deref() == Some("matched");
+    let mut tries = (0..4).map(|_| start());
+    tries.find_map(|mut publisher| found(&mut publisher).then_some(publisher)).expect("a reader is found")
+}
+
 #[test]
 fn with_the_exported_policies_nobody_but_the_relay_publishes_to_the_robot() {
     if !network::isolated(&|| ()) {
@@ -156,8 +164,7 @@ fn with_the_exported_policies_nobody_but_the_relay_publishes_to_the_robot() {
         let _stranger = secured(None, "pub", DOMAIN, TOPIC, MANY);
         assert!(is_refused(secured(Some(&lidar), "pub", DOMAIN, TOPIC, MANY)), "the lidar may not publish any more");
         assert!(is_refused(secured(Some(&base), "pub", DOMAIN, TOPIC, MANY)), "nor may the base itself");
-        let mut bridge = secured(Some(&relay), "pub", DOMAIN, TOPIC, (200, 50));
-        assert_eq!(line(&mut bridge).as_deref(), Some("matched"));
+        let bridge = matched(|| secured(Some(&relay), "pub", DOMAIN, TOPIC, (200, 50)));
         // Numbers of somebody else would stand between these. A slow robot misses some.
         let mut last = None;
         while last < Some(150) {
