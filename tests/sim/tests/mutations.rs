@@ -121,17 +121,17 @@ fn a_preemption_that_gives_no_new_epoch_is_noticed() {
 
 #[test]
 fn a_grant_that_is_passed_on_without_a_new_epoch_is_noticed() {
-    caught(Mutation::PassOnWithoutANewEpoch, 6, &["epochs grow"]);
+    caught(Mutation::PassOnWithoutANewEpoch, 15, &["epochs grow"]);
 }
 
 #[test]
 fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
-    caught(Mutation::CountTheRequester, 168, &["the oracle agrees"]);
+    caught(Mutation::CountTheRequester, 192, &["the oracle agrees"]);
 }
 
 #[test]
 fn a_free_place_that_goes_to_somebody_before_the_line_is_noticed() {
-    caught(Mutation::SkipTheLine, 6, &["nobody is overtaken", "the oracle agrees"]);
+    caught(Mutation::SkipTheLine, 0, &["nobody is overtaken", "the oracle agrees"]);
 }
 
 #[test]
@@ -146,7 +146,7 @@ fn a_task_that_waits_again_although_its_submitter_did_not_want_that_is_noticed()
 
 #[test]
 fn one_reader_more_than_the_owner_allows_is_noticed() {
-    caught(Mutation::OnePlaceTooMany, 0, &["grant exclusivity", "the oracle agrees"]);
+    caught(Mutation::OnePlaceTooMany, 6, &["grant exclusivity", "the oracle agrees"]);
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn a_revoked_certificate_that_is_accepted_is_noticed() {
 
 #[test]
 fn a_forbid_that_errs_and_is_skipped_is_noticed() {
-    caught(Mutation::AcceptAnErringForbid, 6, &["the oracle agrees"]);
+    caught(Mutation::AcceptAnErringForbid, 0, &["the oracle agrees"]);
 }
 
 #[test]
@@ -191,7 +191,7 @@ fn a_digest_in_any_order_is_noticed() {
 
 #[test]
 fn damage_that_a_start_does_not_look_for_is_noticed() {
-    caught(Mutation::NoRecheckAfterRestart, 0, &["damage is refused", "log matching", "committed is immutable"]);
+    caught(Mutation::NoRecheckAfterRestart, 7, &["damage is refused", "log matching", "committed is immutable"]);
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn a_repetition_that_is_refused_for_good_is_noticed() {
 
 #[test]
 fn an_answer_with_the_verdict_on_a_forged_copy_is_noticed() {
-    caught(Mutation::AnswerWithAForgedCopy, 0, &["clients see one history"]);
+    caught(Mutation::AnswerWithAForgedCopy, 6, &["clients see one history"]);
 }
 
 #[test]
@@ -226,7 +226,7 @@ fn a_snapshot_that_one_organisation_attests_is_noticed_when_it_is_taken() {
 
 #[test]
 fn blocks_that_nobody_confirms_are_noticed_when_they_are_taken() {
-    caught(Mutation::TakeUnconfirmedBlocks, 0, &["committed is immutable", "chain agreement", "log matching"]);
+    caught(Mutation::TakeUnconfirmedBlocks, 3, &["committed is immutable", "chain agreement", "log matching"]);
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn a_vote_before_it_is_known_whether_blocks_were_lost_is_noticed() {
 
 #[test]
 fn a_removed_member_that_keeps_its_vote_is_noticed() {
-    caught(Mutation::KeepARemovedVoter, 0, &["members follow the ledger"]);
+    caught(Mutation::KeepARemovedVoter, 3, &["members follow the ledger"]);
 }
 
 #[test]
@@ -271,7 +271,7 @@ fn a_learner_whose_signature_counts_is_noticed() {
 
 #[test]
 fn a_voter_that_counts_twice_is_noticed() {
-    caught(Mutation::CountAVoterTwice, 0, &["certificates are true"]);
+    caught(Mutation::CountAVoterTwice, 1, &["certificates are true"]);
 }
 
 #[test]
@@ -286,7 +286,7 @@ fn a_block_that_is_executed_by_older_rules_is_noticed() {
 
 #[test]
 fn a_voter_that_acknowledges_any_time_is_noticed() {
-    caught(Mutation::AcknowledgeAnyTime, 0, &["block time keeps to the clocks"]);
+    caught(Mutation::AcknowledgeAnyTime, 1, &["block time keeps to the clocks"]);
 }
 
 #[test]
@@ -311,14 +311,14 @@ fn a_robot_that_compares_no_epochs_is_noticed() {
 
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
-    caught(Mutation::IgnoreStaleness, 262, &["gate"]);
+    caught(Mutation::IgnoreStaleness, 222, &["gate"]);
 }
 
 #[test]
 fn members_that_may_say_everything_are_noticed() {
     caught(
         Mutation::BelieveAnybody,
-        0,
+        2,
         &[
             "a node ends only for a reason",
             "committed is immutable",
