@@ -52,7 +52,8 @@ pub(crate) struct Console {
 /// The address of a console. Browsers make keys on safe pages only: over TLS, or of their own machine.
 fn page(text: &str) -> Result<String, String> {
     let host = text.strip_prefix("http://").map(|rest| rest.split(['/', '?', '#']).next().unwrap_or_default());
-    let name = host.map(|host| host.rsplit_once(':').map_or(host, |(name, _port)| name));
+    let port = |port: &str| port.parse::<u16>().is_ok();
+    let name = host.map(|host| host.rsplit_once(':').filter(|(_, rest)| port(rest)).map_or(host, |(name, _)| name));
     let is_of_this_machine =
         |name: &str| matches!(name, "localhost" | "[::1]") || name.parse::<Ipv4Addr>().is_ok_and(|ip| ip.is_loopback());
     match name {
@@ -183,8 +184,13 @@ mod tests {
 
     #[test]
     fn a_page_without_tls_is_refused_unless_it_is_of_this_machine() {
-        for good in ["https://robots.example:7452", "http://localhost:7452", "http://127.0.0.1/x", "http://[::1]:7452/"]
-        {
+        for good in [
+            "https://robots.example:7452",
+            "http://localhost:7452",
+            "http://127.0.0.1/x",
+            "http://[::1]:7452/",
+            "http://[::1]/",
+        ] {
             assert_eq!(page(good).as_deref(), Ok(good));
         }
         for bad in ["http://robots.example:7452", "http://10.0.0.1", "robots.example", "http://localhost.example:1", ""]
