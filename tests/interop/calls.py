@@ -2,6 +2,7 @@
 
 calls.py serve DOMAIN NAME KIND [silent]       prints each request; replies with what came, unless it is silent
 calls.py call DOMAIN NAME KIND WAIT_S VALUE…   calls once for each value, prints each reply, or "none" after the wait
+calls.py late DOMAIN NAME KIND WAIT_S VALUE…   as call, and hears replies only some time after it has called first
 """
 
 import sys
@@ -91,13 +92,18 @@ if role == "serve":
         time.sleep(0.002)
 
 writer = DataWriter(Publisher(participant), requests, qos=qos)
-reader = DataReader(Subscriber(participant), replies, qos=qos)
-wait_for(lambda: writer.get_matched_subscriptions() and reader.get_matched_publications(), "no server")
+reader = DataReader(Subscriber(participant), replies, qos=qos) if role == "call" else None
+wait_for(writer.get_matched_subscriptions, "no server")
+if reader:
+    wait_for(reader.get_matched_publications, "no server")
 print("matched", flush=True)
 patience = float(words[0])
 for number, value in enumerate(words[1:], 1):
     data = value == "true" if kind == "SetBool" else int(value)
     writer.write(request_type(own, number, data))
+    if reader is None:
+        time.sleep(0.3)
+        reader = DataReader(Subscriber(participant), replies, qos=qos)
     deadline, got = time.monotonic() + patience, None
     while got is None and time.monotonic() < deadline:
         mine = [reply for reply in valid(reader.take(N=10), reply_type) if (reply.client, reply.number) == (own, number)]

@@ -87,6 +87,20 @@ async fn a_client_on_cyclone_gets_the_replies_to_its_own_requests() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_waits_until_its_client_hears_replies() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    tokio::spawn(serve(bridge.server(&exchange(), mark(1), BYTES_MAX).unwrap()));
+    let mut client = Python::start("calls.py", &["late", "5", "/light", "SetBool", "20", "true", "false"]);
+    for expected in ["matched", "True ours", "False ours"] {
+        assert_eq!(client.line().unwrap(), expected);
+    }
+    assert!(client.finish());
+}
+
 #[tokio::test]
 async fn a_server_on_cyclone_replies_and_does_so_again_after_its_restart() {
     if !network::isolated(&|| ()) {

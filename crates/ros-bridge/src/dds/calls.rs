@@ -5,6 +5,7 @@
 //! client in the client's way, and a client calls in the way of the server that it finds.
 
 mod client;
+mod held;
 mod link;
 mod mapping;
 mod server;

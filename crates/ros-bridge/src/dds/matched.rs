@@ -20,18 +20,45 @@ pub struct Matching {
 
 /// Follows the matching of a reader or writer.
 #[derive(Debug, Clone)]
-pub struct Matched(watch::Receiver<Matching>);
+pub struct Matched(watch::Receiver<State>);
+
+#[derive(Debug, Default)]
+struct State {
+    matching: Matching,
+    /// The endpoints of others.
+    endpoints: BTreeSet<[u8; 16]>,
+    /// The endpoints of this participant.
+    own: BTreeSet<[u8; 16]>,
+}
 
 impl Matched {
     /// The state now.
     pub fn now(&self) -> Matching {
-        *self.0.borrow()
+        self.0.borrow().matching
+    }
+
+    /// Is this endpoint of another participant matched now?
+    pub(super) fn has(&self, guid: &[u8; 16]) -> bool {
+        self.0.borrow().endpoints.contains(guid)
+    }
+
+    /// The endpoints of one other participant that are matched now.
+    pub(super) fn of_participant(&self, prefix: &[u8]) -> usize {
+        self.0.borrow().endpoints.iter().filter(|guid| guid.starts_with(prefix)).count()
+    }
+
+    /// Waits for a change.
+    ///
+    /// # Errors
+    /// If the reader or writer was closed.
+    pub(super) async fn changed(&mut self) -> Result<(), watch::error::RecvError> {
+        self.0.changed().await
     }
 
     /// Waits until at least `count` endpoints of others are matched; `false` if the reader or writer was closed
     /// before. It waits as long as it takes: put a timeout around it.
     pub async fn at_least(&self, count: usize) -> bool {
-        self.0.clone().wait_for(|matching| matching.matched >= count).await.is_ok()
+        self.0.clone().wait_for(|state| state.matching.matched >= count).await.is_ok()
     }
 
     /// Has DDS ended? Then nothing passes any more.
@@ -49,36 +76,35 @@ impl Matched {
 /// The side that learns of changes.
 pub(super) struct Matches {
     own_prefix: [u8; 12],
-    endpoints: BTreeSet<[u8; 16]>,
-    own: BTreeSet<[u8; 16]>,
-    state: watch::Sender<Matching>,
+    state: watch::Sender<State>,
 }
 
 impl Matches {
     pub(super) fn new(own_prefix: [u8; 12]) -> (Self, Matched) {
-        let (state, receiver) = watch::channel(Matching::default());
-        (Self { own_prefix, endpoints: BTreeSet::new(), own: BTreeSet::new(), state }, Matched(receiver))
+        let (state, receiver) = watch::channel(State::default());
+        (Self { own_prefix, state }, Matched(receiver))
     }
 
     /// An endpoint came (`change` above zero) or left.
     pub(super) fn changed(&mut self, guid: rustdds::GUID, change: i32) {
-        let endpoints = if prefix(guid) == self.own_prefix { &mut self.own } else { &mut self.endpoints };
-        if change > 0 {
-            endpoints.insert(guid.to_bytes());
-        } else {
-            endpoints.remove(&guid.to_bytes());
-        }
-        self.state.send_modify(|state| {
-            state.matched = self.endpoints.len();
-            state.own = self.own.len();
+        let is_own = prefix(guid) == self.own_prefix;
+        self.state.send_modify(|State { matching, endpoints, own }| {
+            let side = if is_own { &mut *own } else { &mut *endpoints };
+            if change > 0 {
+                side.insert(guid.to_bytes());
+            } else {
+                side.remove(&guid.to_bytes());
+            }
+            (matching.matched, matching.own) = (endpoints.len(), own.len());
         });
     }
 
     pub(super) fn refused(&mut self) {
-        self.state.send_modify(|state| state.incompatible = state.incompatible.saturating_add(1));
+        self.state.send_modify(|state| state.matching.incompatible = state.matching.incompatible.saturating_add(1));
     }
 
-    pub(super) fn endpoints(&self) -> &BTreeSet<[u8; 16]> {
-        &self.endpoints
+    /// Calls with the endpoints of others that are matched now.
+    pub(super) fn with_endpoints<T>(&self, look: impl FnOnce(&BTreeSet<[u8; 16]>) -> T) -> T {
+        look(&self.state.borrow().endpoints)
     }
 }

@@ -144,7 +144,7 @@ impl Pump {
 
     fn take(&mut self, writer: GUID, sequence: i64, sample: Sample) {
         let source = writer.to_bytes();
-        if self.intake.judge(source, sequence, self.matches.endpoints()) != Verdict::Admit {
+        if self.matches.with_endpoints(|present| self.intake.judge(source, sequence, present)) != Verdict::Admit {
             return;
         }
         if sample.wire().len() > self.sample_bytes_max {

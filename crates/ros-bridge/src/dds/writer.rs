@@ -144,7 +144,7 @@ impl Writer {
             publisher.create_datawriter_no_key(&self.dds_topic, Some(policies)).map_err(failed)?;
         let writer = Arc::new(writer);
         self.participant.graph.add(Role::Writes, writer.guid());
-        let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.clone(), matches)).abort_handle();
+        let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.to_string(), matches)).abort_handle();
         Ok(Endpoint { output: writer, watcher })
     }
 }
@@ -180,7 +180,11 @@ impl<const ID: u8> Output for DataWriter<Payload, Raw<ID>> {
 }
 
 /// Follows the status of a DDS writer until it is dropped.
-async fn watch<const ID: u8>(writer: Arc<DataWriter<Payload, Raw<ID>>>, topic: TopicName, mut matches: Matches) {
+pub(super) async fn watch<const ID: u8>(
+    writer: Arc<DataWriter<Payload, Raw<ID>>>,
+    topic: String,
+    mut matches: Matches,
+) {
     let mut statuses = writer.as_async_status_stream();
     let mut alive = interval(ALIVE_EVERY);
     loop {
@@ -197,10 +201,10 @@ async fn watch<const ID: u8>(writer: Arc<DataWriter<Payload, Raw<ID>>>, topic: T
             DataWriterStatus::OfferedIncompatibleQos { last_policy_id, .. } => {
                 matches.refused();
                 let policy = format!("{last_policy_id:?}");
-                tracing::warn!(%topic, policy, "a subscriber requests more than this route offers");
+                tracing::warn!(topic, policy, "a subscriber requests more than this route offers");
             }
             _ => {}
         }
     }
-    tracing::error!(%topic, "DDS has ended: no sample is written any more");
+    tracing::error!(topic, "DDS has ended: no sample is written any more");
 }

@@ -7,7 +7,7 @@ use rustdds::{GUID, SequenceNumber, rpc::SampleIdentity};
 use super::{
     super::{Matched, Participant},
     Exchange,
-    link::{Arrival, Ends, Link},
+    link::{Arrival, Ends, Link, Of},
     mapping::{Header, Mapping, named},
 };
 use crate::{
@@ -44,7 +44,7 @@ impl Participant {
     pub fn client(&self, exchange: &Exchange, mark: Mark, bytes_max: usize) -> Result<Client> {
         let reads = (exchange.replies(), exchange.reply_type());
         let writes = (exchange.requests(), exchange.request_type());
-        let link = Link::open(self, Ends { reads, writes, key: "clientid" }, mark, bytes_max)?;
+        let link = Link::open(self, Ends { reads, writes, of: Of::Client }, mark, bytes_max)?;
         let [_, writer] = link.guids();
         let own = Hash::of(&[&writer.to_bytes()]).0.first_chunk().copied().map_or(0, u64::from_le_bytes);
         Ok(Client { link, exchange: exchange.clone(), mark, own, last: 0 })
@@ -88,12 +88,15 @@ impl Client {
         self.link.matched()
     }
 
-    /// The mapping of the server, if there is one.
+    /// The mapping of the server, if there is one that hears this client.
     fn server(&self) -> Option<Mapping> {
         let (topic, of) = (self.exchange.requests(), self.exchange.request_type().dds());
         let is_bridge = |mark: Option<Mark>| mark.is_some_and(|mark| mark.is_of_network_of(self.mark));
         let mut found = self.link.participant().subscribers();
-        let found = found.find(|other| other.topic == topic && other.type_name == of && !is_bridge(other.mark))?;
+        let found = found.find(|other| {
+            let serves = other.topic == topic && other.type_name == of;
+            serves && !is_bridge(other.mark) && self.link.hearers().has(&other.guid)
+        })?;
         Some(Mapping::of(found.guid))
     }
 

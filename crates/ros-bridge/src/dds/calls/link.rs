@@ -2,7 +2,10 @@
 
 use std::{
     collections::BTreeMap,
-    sync::atomic::{AtomicUsize, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -17,7 +20,11 @@ use rustdds::{
     rpc::SampleIdentity,
     with_key::WriteOptionsBuilder,
 };
-use tokio::{sync::mpsc, task::JoinHandle, time::interval};
+use tokio::{
+    sync::mpsc,
+    task::JoinHandle,
+    time::{interval, sleep_until},
+};
 
 use super::{
     super::{
@@ -26,8 +33,12 @@ use super::{
         graph::Role,
         intake::{Intake, Verdict},
         matched::Matches,
+        prefix,
+        writer::watch,
     },
     WAITING_MAX,
+    held::Held,
+    mapping::named,
 };
 use crate::{
     count::Complaint,
@@ -53,8 +64,24 @@ const QOS: Qos = Qos {
 pub(super) struct Ends {
     pub(super) reads: (String, TypeName),
     pub(super) writes: (String, TypeName),
-    /// The key under which `rmw_cyclonedds` announces that both ends are one: `serviceid` or `clientid`.
-    pub(super) key: &'static str,
+    pub(super) of: Of,
+}
+
+/// What the two ends are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Of {
+    Server,
+    Client,
+}
+
+impl Of {
+    /// The key under which `rmw_cyclonedds` announces that both ends are one.
+    fn key(self) -> &'static str {
+        match self {
+            Self::Server => "serviceid",
+            Self::Client => "clientid",
+        }
+    }
 }
 
 /// A message that came in.
@@ -72,12 +99,15 @@ pub(super) struct Link {
     participant: Participant,
     arrivals: mpsc::Receiver<Arrival>,
     reader: GUID,
-    writer: DataWriter<Payload, Raw<1>>,
+    writer: Arc<DataWriter<Payload, Raw<1>>>,
+    /// The writers of others that the reader hears.
     matched: Matched,
+    /// The readers of others that hear the writer.
+    hearers: Matched,
     unacknowledged: AtomicUsize,
     /// For messages.
     topic: String,
-    pump: JoinHandle<()>,
+    tasks: [JoinHandle<()>; 2],
 }
 
 impl Link {
@@ -86,11 +116,11 @@ impl Link {
         let (policies, dds) = (QOS.policies(), &participant.dds);
         let failed = |error| dds_error(&format!("cannot open {}", ends.reads.0), &error);
         // One text for both ends, by which their peers know that they belong together.
-        let id = Hash::of(&[&participant.guid(), ends.key.as_bytes(), ends.reads.0.as_bytes()]);
+        let id = Hash::of(&[&participant.guid(), ends.of.key().as_bytes(), ends.reads.0.as_bytes()]);
         let announced = |of: &TypeName| {
             let policies = mark.put_on(&participant.with_type_hash(policies.clone(), of));
             let known = policies.user_data().unwrap_or_default().to_vec();
-            policies.with_user_data([known, format!("{}={id};", ends.key).into_bytes()].concat())
+            policies.with_user_data([known, format!("{}={id};", ends.of.key()).into_bytes()].concat())
         };
         let topic = |(name, of): &(String, TypeName)| {
             dds.create_topic(name.clone(), of.dds(), &policies, TopicKind::NoKey).map_err(failed)
@@ -102,15 +132,21 @@ impl Link {
         let publisher = dds.create_publisher(&policies).map_err(failed)?;
         let writer: DataWriter<Payload, Raw<1>> =
             publisher.create_datawriter_no_key(&writes, Some(announced(&ends.writes.1))).map_err(failed)?;
+        let writer = Arc::new(writer);
         let (matches, matched) = Matches::new(participant.guid_prefix());
+        let (heard, hearers) = Matches::new(participant.guid_prefix());
         let (sender, arrivals) = mpsc::channel(WAITING_MAX);
         let reader = source.guid();
         participant.graph.add(Role::Reads, reader);
         participant.graph.add(Role::Writes, writer.guid());
         let pump = Pump {
             topic: ends.reads.0.clone(),
+            of: ends.of,
             intake: Intake::new(participant.guid_prefix()),
             matches,
+            matched: matched.clone(),
+            hearers: hearers.clone(),
+            held: Held::new(),
             bytes_max,
             arrivals: sender,
             participant: participant.clone(),
@@ -122,11 +158,12 @@ impl Link {
             participant: participant.clone(),
             arrivals,
             reader,
-            writer,
+            writer: Arc::clone(&writer),
             matched,
+            hearers,
             unacknowledged: AtomicUsize::new(0),
+            tasks: [tokio::spawn(pump.run(source)), tokio::spawn(watch(writer, ends.writes.0.clone(), heard))],
             topic: ends.writes.0,
-            pump: tokio::spawn(pump.run(source)),
         })
     }
 
@@ -183,21 +220,30 @@ impl Link {
     pub(super) fn matched(&self) -> &Matched {
         &self.matched
     }
+
+    /// The readers of others that hear the writer.
+    pub(super) fn hearers(&self) -> &Matched {
+        &self.hearers
+    }
 }
 
 impl Drop for Link {
     fn drop(&mut self) {
         self.participant.graph.remove(Role::Reads, self.reader);
         self.participant.graph.remove(Role::Writes, self.writer.guid());
-        self.pump.abort();
+        self.tasks.iter().for_each(JoinHandle::abort);
     }
 }
 
 /// The state of the task behind a link.
 struct Pump {
     topic: String,
+    of: Of,
     intake: Intake,
     matches: Matches,
+    matched: Matched,
+    hearers: Matched,
+    held: Held<Arrival>,
     bytes_max: usize,
     arrivals: mpsc::Sender<Arrival>,
     participant: Participant,
@@ -214,8 +260,15 @@ impl Pump {
         let mut samples = std::pin::pin!(samples);
         let mut statuses = source.as_async_status_stream();
         let mut alive = interval(ALIVE_EVERY);
+        let mut hearers = self.hearers.clone();
         loop {
+            let until = self.held.until();
             tokio::select! {
+                // A link that is dropped ends this task; the other task may have ended before.
+                Ok(()) = hearers.changed(), if until.is_some() => self.release(),
+                () = async { sleep_until(until.unwrap_or_else(Instant::now).into()).await }, if until.is_some() => {
+                    self.release();
+                }
                 sample = samples.next() => match sample {
                     Some(Ok(change)) => {
                         let related = change.related_sample_identity();
@@ -245,7 +298,9 @@ impl Pump {
 
     fn take(&mut self, writer: GUID, sequence: i64, related: Option<SampleIdentity>, sample: &Sample) {
         let source = writer.to_bytes();
-        if self.intake.judge(source, sequence, self.matches.endpoints()) != Verdict::Admit || self.is_bridge(source) {
+        if self.matches.with_endpoints(|present| self.intake.judge(source, sequence, present)) != Verdict::Admit
+            || self.is_bridge(source)
+        {
             return;
         }
         if sample.wire().len() > self.bytes_max {
@@ -256,8 +311,20 @@ impl Pump {
         }
         // A copy, so that it keeps nothing larger alive.
         let message = Bytes::copy_from_slice(sample.wire().get(HEADER_BYTES..).unwrap_or_default());
-        if self.arrivals.try_send(Arrival { message, writer, sequence, related }).is_err() {
-            self.drop_one("too many wait");
+        if !self.held.push(Arrival { message, writer, sequence, related }, Instant::now()) {
+            self.drop_one("too many wait for the reader of their replies");
+        }
+        self.release();
+    }
+
+    /// Gives out what waits no longer.
+    fn release(&mut self) {
+        let (of, matched, hearers) = (self.of, &self.matched, &self.hearers);
+        let is_heard = |arrival: &Arrival| of == Of::Client || is_heard(arrival, matched, hearers);
+        for arrival in self.held.release(Instant::now(), is_heard) {
+            if self.arrivals.try_send(arrival).is_err() {
+                self.drop_one("too many wait");
+            }
         }
     }
 
@@ -281,4 +348,14 @@ impl Pump {
         self.bridges.insert(writer, is_bridge);
         is_bridge
     }
+}
+
+/// Would the client of a request hear the reply? Its reader must be known. A request may name the reader. If not, as many
+/// readers as writers of its participant must be known: each client has one of both.
+fn is_heard(request: &Arrival, matched: &Matched, hearers: &Matched) -> bool {
+    if let Some(reader) = named(request.related).filter(|named| named.entity_id.kind().is_reader()) {
+        return hearers.has(&reader.to_bytes());
+    }
+    let participant = prefix(request.writer);
+    hearers.of_participant(&participant) >= matched.of_participant(&participant).max(1)
 }

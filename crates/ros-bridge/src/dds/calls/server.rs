@@ -6,7 +6,7 @@ use rustdds::rpc::SampleIdentity;
 use super::{
     super::{Matched, Participant},
     Exchange,
-    link::{Arrival, Ends, Link},
+    link::{Arrival, Ends, Link, Of},
     mapping::{Caller, Header, Mapping, named},
 };
 use crate::{error::Result, mark::Mark};
@@ -28,12 +28,13 @@ impl Participant {
     pub fn server(&self, exchange: &Exchange, mark: Mark, bytes_max: usize) -> Result<Server> {
         let reads = (exchange.requests(), exchange.request_type());
         let writes = (exchange.replies(), exchange.reply_type());
-        Ok(Server(Link::open(self, Ends { reads, writes, key: "serviceid" }, mark, bytes_max)?))
+        Ok(Server(Link::open(self, Ends { reads, writes, of: Of::Server }, mark, bytes_max)?))
     }
 }
 
 impl Server {
-    /// The next request; none if DDS ended. Cancelling it loses nothing.
+    /// The next request; none if DDS ended. It comes when its client can hear a reply, or after a second. Cancelling it
+    /// loses nothing.
     pub async fn next(&mut self) -> Option<Request> {
         loop {
             if let Some(request) = request(self.0.next().await?) {
