@@ -15,8 +15,9 @@ use crate::clock::wall;
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
 use crate::identity::{JOINED_FILE, Joined};
+use crate::verify::verified;
 use ledger::network::Genesis;
-use ledger::verify::{Report, verify_directory};
+use ledger::verify::Report;
 use ledger_durable::{PUBLIC_MODE, SECRET_MODE, create_directory, read, replace};
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
@@ -107,7 +108,7 @@ pub(crate) fn backup(builder: &NodeBuilder, options: &BackupOptions, config: &Co
         replace(&to.join(name), &read(&data.join(name), FILE_BYTES_MAX)?, mode)?;
     }
     replace(&to.join(CONFIG_FILE), &read(&config.file, FILE_BYTES_MAX)?, PUBLIC_MODE)?;
-    let Report { height, block_hash, state_digest, transactions, .. } = verify_directory(to, &builder.registry()?)?;
+    let Report { height, block_hash, state_digest, transactions, .. } = verified(builder, to, None, true)?;
     let program = env!("CARGO_PKG_VERSION").to_owned();
     let manifest =
         Manifest { version: VERSION, network, node, height, block_hash, state_digest, made: wall(), program };

@@ -162,14 +162,11 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
         Command::Join(options) => {
             block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
-            if options.run {
-                {
-                    let options = RunOptions { config: options.config, trust_clock: false };
-                    execute(Command::Run(options), builder)
-                }
-            } else {
-                Ok(())
+            if !options.run {
+                return Ok(());
             }
+            let options = RunOptions { config: options.config, trust_clock: false };
+            execute(Command::Run(options), builder)
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;

@@ -21,9 +21,9 @@ use tracing_subscriber::filter::LevelFilter;
 
 pub use ledger_settings::Fault;
 
-/// How `storage.retention` is written.
 /// Bytes of the unit of `storage.segment_mib`.
 const SEGMENT_UNIT: u64 = 1024 * 1024;
+/// How `storage.retention` is written.
 const RETENTION: &str =
     "forever, an age of at least 10min such as 30d or 12h, or a size of at least 64MiB such as 20GiB";
 

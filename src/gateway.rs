@@ -9,7 +9,7 @@
 //!     questions  turns to read for somebody who asks
 //!   current      makes the state as new as what was committed
 //!   subscribe    events as they happen; audience: their listeners
-//!   status       the description of the node; links: its ways to be ordered
+//!   status       the description of the node; links: its ways to be ordered; nodes: the descriptions of the others
 //!   proofs       proofs of what was certified; evidence: of one transaction
 //!   transfer     the leadership for another node
 //!   denied       the list of refusals; audited: who did what
@@ -25,6 +25,7 @@ mod evidence;
 mod intake;
 mod links;
 mod looks;
+mod nodes;
 mod proofs;
 mod questions;
 mod records;
@@ -45,14 +46,16 @@ pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
     AuditRequest, AuditResponse, Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest,
-    GetTransactionRequest, GovernanceRequest, GovernanceStep, ProveRequest, ProveResponse, ProveTransactionRequest,
-    ProveTransactionResponse, QueryRequest, QueryResponse, StatusRequest, StatusResponse, SubmitRequest,
-    SubmitResponse, SubscribeRequest, TransactionRecord, TransferLeadershipRequest, TransferLeadershipResponse,
+    GetTransactionRequest, GovernanceRequest, GovernanceStep, NodesRequest, NodesResponse, ProveRequest, ProveResponse,
+    ProveTransactionRequest, ProveTransactionResponse, QueryRequest, QueryResponse, StatusRequest, StatusResponse,
+    SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord, TransferLeadershipRequest,
+    TransferLeadershipResponse,
 };
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
 pub(crate) use links::Links;
 pub(crate) use looks::Looks;
+pub(crate) use nodes::Nodes;
 pub(crate) use proofs::Proofs;
 pub(crate) use questions::Questions;
 pub(crate) use records::Records;
@@ -83,6 +86,8 @@ pub(crate) struct GatewayService {
     pub subscriptions: Arc<Subscriptions>,
     /// The description of the node.
     pub description: Arc<Description>,
+    /// The other nodes.
+    pub nodes: Arc<Nodes>,
     /// Calls that were refused.
     pub denials: Arc<Denials>,
     /// Tells who did what.
@@ -152,6 +157,11 @@ impl Gateway for GatewayService {
     async fn status(&self, request: Request<StatusRequest>) -> Result<Response<StatusResponse>, Status> {
         self.caller(&request)?;
         answer(self.description.status())
+    }
+
+    async fn nodes(&self, request: Request<NodesRequest>) -> Result<Response<NodesResponse>, Status> {
+        self.caller(&request)?;
+        answer(self.nodes.all().await)
     }
 
     async fn get_block(&self, request: Request<GetBlockRequest>) -> Result<Response<Block>, Status> {

@@ -68,8 +68,8 @@ struct Survivor {
 /// Recovers; answers with what to tell the operator.
 ///
 /// # Errors
-/// [`Code::BadFile`] if the node runs or its directory cannot be used; [`Code::AlreadyExists`] if a majority lives, or another
-/// node that answers has more blocks; [`Code::BadArgument`] without the confirmation, with what would be lost.
+/// [`Code::BadFile`] if the node runs or its directory cannot be used; [`Code::AlreadyExists`] if no voter is lost, a majority
+/// lives, or another node that answers has more blocks; [`Code::BadArgument`] without the confirmation, with what would be lost.
 pub(crate) async fn recover(
     builder: &NodeBuilder,
     options: &RecoverOptions,
@@ -77,6 +77,7 @@ pub(crate) async fn recover(
 ) -> Result<String, Rejection> {
     let survivor = Survivor::open(builder, config)?;
     let answers = survey(&survivor.papers, &survivor.stores.ledger, &survivor.me, &survivor.members).await?;
+    survivor.check_lost(config)?;
     survivor.check_majority(&answers, config)?;
     survivor.check_newest(&answers)?;
     survivor.check_confirmed(options, config)?;
@@ -111,6 +112,17 @@ impl Survivor {
     fn name(&self, id: u64) -> String {
         let known = self.members.iter().find(|member| member.id == id);
         known.map_or_else(|| format!("node {id}"), Member::full_name)
+    }
+
+    /// A node that votes alone has lost nobody; but what a backup has restored waits for this.
+    fn check_lost(&self, config: &Config) -> Result<(), Rejection> {
+        if self.voters() != BTreeSet::from([self.me.id]) || config.data.join(RESTORED_FILE).exists() {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::AlreadyExists, "no voter is lost")
+            .found(format!("{}, the only voter", self.me.full_name()))
+            .wanted("a network in which other nodes vote, too, and most are lost for good")
+            .next(format!("ledgerd run --config {}", config.file.display())))
     }
 
     /// Those that answer and this one could order: then nothing is lost, and nothing is forced.

@@ -2,9 +2,10 @@
 
 use crate::command::print_line;
 use crate::host::NodeBuilder;
-use ledger::verify::{Dissent, Report, verify_against, verify_directory};
+use ledger::verify::{Dissent, Reached, Report, verify_directory};
 use ledger_durable::read;
 use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
+use ledger_progress::{Progress, Step};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::fmt::Write;
@@ -47,11 +48,8 @@ pub(crate) fn run(builder: &NodeBuilder, options: &Options) -> Result<(), Reject
             .wanted("the data directory of a node, or an archive")
             .next("look for `data` in the node's ledgerd.toml"));
     }
-    let registry = builder.registry()?;
-    let report = match &options.against {
-        Some(checkpoint) => verify_against(directory, &registry, &read(checkpoint, CHECKPOINT_BYTES_MAX)?)?,
-        None => verify_directory(directory, &registry)?,
-    };
+    let checkpoint = options.against.as_ref().map(|path| read(path, CHECKPOINT_BYTES_MAX)).transpose()?;
+    let report = verified(builder, directory, checkpoint.as_deref(), !options.json)?;
     let verified = Verified { ok: true, directory, report };
     if options.json {
         let line =
@@ -61,6 +59,28 @@ pub(crate) fn run(builder: &NodeBuilder, options: &Options) -> Result<(), Reject
         print_line(&text(&verified));
     }
     Ok(())
+}
+
+/// Verifies a directory; tells people how far it is.
+///
+/// # Errors
+/// As [`verify_directory`].
+pub(crate) fn verified(
+    builder: &NodeBuilder,
+    directory: &Path,
+    checkpoint: Option<&[u8]>,
+    for_people: bool,
+) -> Result<Report, Rejection> {
+    let mut progress = Progress::new(for_people);
+    let mut tell = |Reached { height, transactions, bytes, of_bytes }| {
+        let step = Step { count: transactions, at: bytes, of: Some(of_bytes) };
+        progress.tell(step, |rate| {
+            format!("verifying {}: block {height}, {rate:.0} transactions a second", directory.display())
+        });
+    };
+    let report = verify_directory(directory, &builder.registry()?, checkpoint, &mut tell);
+    progress.clear();
+    report
 }
 
 /// The report for people.

@@ -3,7 +3,7 @@
 use super::{CONFIG_FILE, FILE_BYTES_MAX, Manifest, PAPERS, own};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
-use ledger::verify::verify_directory;
+use crate::verify::verified;
 use ledger_api::tls::TlsIdentity;
 use ledger_durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
 use ledger_rejection::{Code, Rejection};
@@ -39,6 +39,9 @@ impl RestoreOptions {
         // A directory without a manifest is no backup, whatever else is in it.
         let _whole = Manifest::read(&self.directory)?;
         let text = read(&self.directory.join(CONFIG_FILE), FILE_BYTES_MAX)?;
+        if let Some(parent) = self.config.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            create_directory(parent)?;
+        }
         replace(&self.config, &text, PUBLIC_MODE)
     }
 }
@@ -54,7 +57,7 @@ pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &
     check_node(config, &manifest)?;
     check_free(&config.data)?;
     check_papers(from, &manifest)?;
-    let report = verify_directory(from, &builder.registry()?)?;
+    let report = verified(builder, from, None, true)?;
     if (report.height, report.block_hash, report.state_digest)
         != (manifest.height, manifest.block_hash, manifest.state_digest)
     {
@@ -167,7 +170,7 @@ impl<'a> CopiedBlocks<'a> {
                 .found("another genesis.json")
                 .wanted("a backup of a node of this network"));
         }
-        verify_directory(from, &builder.registry()?)?;
+        verified(builder, from, None, true)?;
         Ok(Self(from))
     }
 

@@ -25,12 +25,13 @@ const CALL_BYTES_MAX: usize = 1 << 20;
 const STRANGER_BYTES_MAX: usize = 32 << 10;
 
 /// The calls of a session.
-const CALLS: [&str; 11] = [
+const CALLS: [&str; 12] = [
     "/ledgerd.v1.Gateway/Audit",
     "/ledgerd.v1.Gateway/Denials",
     "/ledgerd.v1.Gateway/GetBlock",
     "/ledgerd.v1.Gateway/GetTransaction",
     "/ledgerd.v1.Gateway/Governance",
+    "/ledgerd.v1.Gateway/Nodes",
     "/ledgerd.v1.Gateway/Prove",
     "/ledgerd.v1.Gateway/ProveTransaction",
     "/ledgerd.v1.Gateway/Query",

@@ -12,8 +12,8 @@ use crate::config::Config;
 use crate::early::Early;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{
-    Answers, Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Proofs, Questions,
-    Records, Submissions, Subscriptions, Usage,
+    Answers, Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Nodes, Proofs,
+    Questions, Records, Submissions, Subscriptions, Usage,
 };
 use crate::host::{Deliver, Host, Members, Papers};
 use crate::housekeeping::Housekeeping;
@@ -229,14 +229,16 @@ impl Wired {
         };
         let audit =
             Answers { audit: Arc::clone(&self.audit), ledger: Arc::clone(ledger), current: current.clone(), questions };
+        let description = Arc::new(self.description(config, started, audience));
         GatewayService {
+            nodes: Arc::new(Nodes::new(Arc::clone(&description), self.dialer.clone())),
             proofs: Arc::new(proofs),
             ledger: Arc::clone(ledger),
             clock: clock.clone(),
             submissions: Arc::new(self.submissions(config)),
             records: Arc::new(records),
             subscriptions: Arc::new(subscriptions),
-            description: Arc::new(self.description(config, started, audience)),
+            description,
             denials: Arc::clone(denials),
             audit: Arc::new(audit),
         }

@@ -47,6 +47,7 @@ mod live;
 mod members;
 mod messages;
 mod network;
+mod nodes;
 mod older;
 mod output;
 mod overload;

@@ -6,13 +6,15 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 31] = [
+const LAYERS: [(&str, &[&str]); 32] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // The paper's experiment without its network: nothing of a ledger.
     ("arena", &[]),
     // "Did you mean": of names, not of a ledger.
     ("nearest", &[]),
+    // How far something is, on a screen.
+    ("ledger-progress", &[]),
     // Files of ROS 2: recordings.
     ("mcap", &[]),
     // Files that survive a crash whole.
@@ -151,6 +153,7 @@ const LAYERS: [(&str, &[&str]); 31] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-light",
+            "ledger-progress",
             "ledger-rejection",
             "ledger-storage",
             "mcap",
@@ -193,6 +196,7 @@ const LAYERS: [(&str, &[&str]); 31] = [
             "ledger-identity",
             "ledger-invariant",
             "ledger-light",
+            "ledger-progress",
             "ledger-raft",
             "ledger-rejection",
             "ledger-replica",

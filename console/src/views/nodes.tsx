@@ -1,22 +1,25 @@
-// The nodes of the network, as the node of this console sees them.
+// The nodes of the network: each as it describes itself to the node of this console, and its links as that node sees them.
 
 import type { JSX } from "preact";
 import { moment, size, span } from "../bytes";
+import type { NodeStatus, StatusResponse } from "../gen/ledgerd/v1/gateway_pb";
 import { status } from "../live";
 import { now } from "../ledger";
-import { useStore } from "../store";
+import { gateway } from "../session";
+import { useAnswer, useStore } from "../store";
 import { Empty, Fact, Facts, Page, Table } from "./parts";
 
+const NODES_MS = 5000;
 const SOON = 30 * 86400e6;
 const LOW_PART = 10n;
 
 export function Nodes(): JSX.Element {
   const told = useStore(status);
+  const { answer } = useAnswer(() => gateway.nodes({}), [], NODES_MS);
   if (!told) return <Page title="Nodes">{<Empty>Asking the node…</Empty>}</Page>;
   const own = told.certificates.filter((each) => each.kind !== "list").sort((one, other) => Number(one.notAfter - other.notAfter));
   const majority = Math.floor(told.voters / 2) + 1;
-  const isLeader = (id: bigint) => id === told.leaderId;
-  const isLow = told.diskFreeBytes * LOW_PART < told.diskTotalBytes;
+  const newest = (answer?.nodes ?? []).reduce((height, { status }) => (status && status.committed > height ? status.committed : height), told.committed);
   return (
     <Page title="Nodes" aside={<span class="dim">as {told.organisation}/{told.nodeName} sees them</span>}>
       {told.divergence && (
@@ -35,36 +38,12 @@ export function Nodes(): JSX.Element {
         </div>
       )}
       {told.votersConnected === majority && told.voters > 2 && <p class="warning">One voter less, and nothing is ordered.</p>}
-      <Table label="Nodes" head={["Node", "Role", "Address", "Connected", "Height on disk", "Lag"]}>
-        <tr>
-          <td>
-            <b>
-              {told.organisation}/{told.nodeName}
-            </b>
-          </td>
-          <td>{told.role}</td>
-          <td>this node</td>
-          <td>
-            <span class="what good">yes</span>
-          </td>
-          <td>{String(told.height)}</td>
-          <td>{told.catchingUpTo ? `${told.catchingUpTo - told.height} blocks, fetching` : `${told.committed - told.height}`}</td>
-        </tr>
-        {told.peers.map((peer) => (
-          <tr key={String(peer.nodeId)}>
-            <td>
-              {peer.organisation}/{peer.name}
-            </td>
-            <td>{isLeader(peer.nodeId) ? "leader" : peer.role}</td>
-            <td>{peer.address}</td>
-            <td>
-              <span class={`what ${peer.connected ? "good" : "bad"}`}>{peer.connected ? "yes" : "no"}</span>
-            </td>
-            <td>{peer.matched ? String(peer.matched) : ""}</td>
-            <td>{peer.matched ? String(told.lastIndex - peer.matched) : <span class="dim">the leader knows</span>}</td>
-          </tr>
+      <Table label="Nodes" head={["Node", "Role", "Address", "Connected", "Height", "Lag", "Disk free", "Certificate", "Version"]}>
+        {(answer?.nodes ?? []).map((node) => (
+          <Row key={String(node.nodeId)} node={node} told={told} newest={newest} />
         ))}
       </Table>
+      {!answer && <Empty>Asking the nodes…</Empty>}
       <h2>This node</h2>
       <Facts>
         <Fact name="Leader">{leader(told)}</Fact>
@@ -77,7 +56,7 @@ export function Nodes(): JSX.Element {
         </Fact>
         <Fact name="Divergence">{told.divergence || "none: all agree"}</Fact>
         <Fact name="Disk">
-          <span class={isLow || told.diskAccepts !== "all" ? "soon" : ""}>
+          <span class={isShort(told) ? "soon" : ""}>
             {size(told.diskFreeBytes)} free of {size(told.diskTotalBytes)}, accepts {told.diskAccepts}
           </span>
         </Fact>
@@ -103,6 +82,44 @@ export function Nodes(): JSX.Element {
         })}
       </Table>
     </Page>
+  );
+}
+
+const isShort = ({ diskFreeBytes, diskTotalBytes, diskAccepts }: StatusResponse): boolean => diskFreeBytes * LOW_PART < diskTotalBytes || diskAccepts !== "all";
+
+// A node: `told` is the node of this console, `newest` the newest block that any node knows.
+function Row({ node, told, newest }: { node: NodeStatus; told: StatusResponse; newest: bigint }): JSX.Element {
+  const peer = told.peers.find(({ nodeId }) => nodeId === node.nodeId);
+  const isHere = node.nodeId === told.nodeId;
+  const connected = isHere || peer?.connected === true;
+  const name = `${node.organisation}/${node.name}`;
+  return (
+    <tr>
+      <td>{isHere ? <b>{name}</b> : name}</td>
+      <td>{node.nodeId === told.leaderId ? "leader" : (node.status?.role ?? peer?.role)}</td>
+      <td>{isHere ? "this node" : peer?.address}</td>
+      <td>
+        <span class={`what ${connected ? "good" : "bad"}`}>{connected ? "yes" : "no"}</span>
+      </td>
+      {node.status ? <Words status={node.status} newest={newest} /> : <td colSpan={5} class="dim">{node.unreachable}</td>}
+    </tr>
+  );
+}
+
+// What a node says of itself.
+function Words({ status, newest }: { status: StatusResponse; newest: bigint }): JSX.Element {
+  const { height, catchingUpTo, certificates, diskFreeBytes, version } = status;
+  const behind = newest > height ? newest - height : 0n;
+  const certificate = certificates.find(({ kind }) => kind === "node");
+  const left = certificate && Number(certificate.notAfter) - now();
+  return (
+    <>
+      <td>{String(height)}</td>
+      <td>{catchingUpTo ? `${behind} blocks, fetching` : String(behind)}</td>
+      <td class={isShort(status) ? "soon" : ""}>{size(diskFreeBytes)}</td>
+      <td class={left !== undefined && left < SOON ? "soon" : ""}>{left !== undefined && `${span(left)} left`}</td>
+      <td>{version}</td>
+    </>
   );
 }
 

@@ -14,7 +14,6 @@ mod failure;
 mod health;
 mod json;
 mod output;
-mod progress;
 mod recording;
 mod session;
 mod time;

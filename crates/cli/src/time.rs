@@ -1,6 +1,7 @@
 //! Moments and spans for people. Everywhere else times are microseconds since the UNIX epoch.
 
 use chrono::{DateTime, Local};
+pub(crate) use ledger_progress::span;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// This machine's clock, microseconds since the UNIX epoch.
@@ -46,40 +47,9 @@ pub(crate) fn relative(micros: u64, from: u64) -> String {
     }
 }
 
-/// A span in the largest unit that keeps at least two of it, rounded down.
-pub(crate) fn span(micros: u64) -> String {
-    const UNITS: [(u64, &str); 5] =
-        [(86_400_000_000, "days"), (3_600_000_000, "h"), (60_000_000, "min"), (1_000_000, "s"), (1_000, "ms")];
-    for (size, name) in UNITS {
-        if micros >= 2 * size || (micros >= size && micros.is_multiple_of(size)) {
-            let count = micros / size;
-            return if count == 1 && name == "days" { "1 day".to_owned() } else { format!("{count} {name}") };
-        }
-    }
-    format!("{micros} µs")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn spans_use_the_largest_unit_that_says_enough() {
-        for (micros, wanted) in [
-            (0, "0 µs"),
-            (999, "999 µs"),
-            (1_000, "1 ms"),
-            (1_500, "1500 µs"),
-            (10_000_000, "10 s"),
-            (90_000_000, "90 s"),
-            (60_000_000, "1 min"),
-            (150_000_000, "2 min"),
-            (86_400_000_000, "1 day"),
-            (365 * 86_400_000_000, "365 days"),
-        ] {
-            assert_eq!(span(micros), wanted, "{micros}");
-        }
-    }
 
     #[test]
     fn relative_times_say_whether_they_are_past() {

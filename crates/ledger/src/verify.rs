@@ -16,7 +16,7 @@ use ledger_hash::Hash;
 use ledger_light::Checkpoint;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{StoreError, check_oldest};
-use ledger_storage::disk::RealDisk;
+use ledger_storage::disk::{Disk, DiskFile, RealDisk};
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, STATE_DIRECTORY};
 use ledger_storage::results::ResultStore;
 use ledger_storage::segment::{Found, Record, scan};
@@ -24,11 +24,15 @@ use ledger_storage::state::{SledStore, State};
 use replay::Verification;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
 pub use attested::Dissent;
 pub use begin::Begun;
+
+/// Bytes that are read at a time to find the end of what was written.
+const PIECE_BYTES: usize = 1 << 20;
 
 /// The report of a verification; only made if everything is right.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -66,27 +70,33 @@ pub struct Report {
     pub torn_bytes: u64,
 }
 
+/// How far a verification is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reached {
+    /// Height of the last block that was executed.
+    pub height: u64,
+    /// Transactions that were executed.
+    pub transactions: u64,
+    /// Bytes of blocks that were read.
+    pub bytes: u64,
+    /// Bytes of blocks in all.
+    pub of_bytes: u64,
+}
+
 /// Verifies the data directory of a stopped node, or an archive. `registry` holds the chaincodes of its network (`msp`
-/// is added).
+/// is added). With a `checkpoint` the blocks must give what voters have signed. `tell` is called after every commit.
 ///
 /// # Errors
 /// [`Code::ChainInvalid`] or [`Code::Corrupt`] naming file and byte of the first fault, or height and nodes of
 /// attestations that contradict the blocks; [`Code::BadFile`] if the directory is none or is in use, or if its blocks
-/// begin above 1 and there is no snapshot to begin from.
-pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report, Rejection> {
-    verify(directory, registry, None)
-}
-
-/// As [`verify_directory`], and compares with a checkpoint: these blocks must give what voters have signed.
-///
-/// # Errors
-/// As [`verify_directory`]; [`Code::ChainInvalid`] if the blocks give something else at that height, or do not reach it. Also
-/// [`Code::WrongNetwork`] and others if the bytes are no checkpoint of this network.
-pub fn verify_against(directory: &Path, registry: &Registry, checkpoint: &[u8]) -> Result<Report, Rejection> {
-    verify(directory, registry, Some(checkpoint))
-}
-
-fn verify(directory: &Path, registry: &Registry, checkpoint: Option<&[u8]>) -> Result<Report, Rejection> {
+/// begin above 1 and there is no snapshot to begin from. With a checkpoint also [`Code::ChainInvalid`] if the blocks give
+/// something else at its height or do not reach it, and [`Code::WrongNetwork`] and others if it is none of this network.
+pub fn verify_directory(
+    directory: &Path,
+    registry: &Registry,
+    checkpoint: Option<&[u8]>,
+    tell: &mut dyn FnMut(Reached),
+) -> Result<Report, Rejection> {
     let genesis_path = directory.join(GENESIS_FILE);
     let genesis = std::fs::read(&genesis_path).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot read {}: {error}", genesis_path.display()))
@@ -101,6 +111,10 @@ fn verify(directory: &Path, registry: &Registry, checkpoint: Option<&[u8]>) -> R
             .next("stop the node first, or verify a copy of its directory")
     })?;
     let kept = (stored_state(&directory.join(STATE_DIRECTORY))?, stored_results(directory, network)?);
+    let length = Length::of(&disk).map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot read {}: {error}", blocks.display()))
+            .wanted("files that may be read")
+    })?;
     let records = scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))?;
     check_oldest(&disk, &records).map_err(|error| in_directory(&error))?;
     let beginning = Beginning::find(directory, &genesis, registry, records.base())?;
@@ -112,7 +126,11 @@ fn verify(directory: &Path, registry: &Registry, checkpoint: Option<&[u8]>) -> R
             Found::Record { file, position, record: Record::Entry(entry), .. } => {
                 verification.entry(entry, &format!("{BLOCKS_DIRECTORY}/{file} byte {}", position.offset))?;
             }
-            Found::Record { record: Record::HardState(hard_state), .. } => verification.commit(hard_state.commit)?,
+            Found::Record { file, position, bytes, record: Record::HardState(hard_state), .. } => {
+                verification.commit(hard_state.commit)?;
+                let bytes = length.before(&file) + u64::from(position.offset) + u64::from(bytes);
+                tell(Reached { bytes, of_bytes: length.in_all, ..verification.reached() });
+            }
             // The scan has compared it with the segment before.
             Found::Record { record: Record::Seal(_), .. } => {}
             Found::Torn { file, offset, bytes, what } => {
@@ -121,6 +139,46 @@ fn verify(directory: &Path, registry: &Registry, checkpoint: Option<&[u8]>) -> R
         }
     }
     verification.finish()
+}
+
+/// The length of the log, so that it can be told how much of it is read.
+struct Length {
+    /// For each file the bytes of those before it.
+    before: BTreeMap<String, u64>,
+    in_all: u64,
+}
+
+impl Length {
+    /// Of these segments, whose names sort as they follow each other.
+    fn of(disk: &RealDisk) -> io::Result<Self> {
+        let (mut before, mut in_all) = (BTreeMap::new(), 0);
+        let names = disk.list()?;
+        for name in &names {
+            let file = disk.open(name)?;
+            before.insert(name.clone(), in_all);
+            in_all += if Some(name) == names.last() { written(&*file)? } else { file.len()? };
+        }
+        Ok(Self { before, in_all })
+    }
+
+    fn before(&self, file: &str) -> u64 {
+        self.before.get(file).copied().unwrap_or_default()
+    }
+}
+
+/// The bytes of a file without the zeros at its end: the newest segment is made as long as it may become.
+fn written(file: &dyn DiskFile) -> io::Result<u64> {
+    let (mut end, mut piece) = (file.len()?, vec![0; PIECE_BYTES]);
+    while end > 0 {
+        let start = end.saturating_sub(PIECE_BYTES as u64);
+        let read = file.read_at(&mut piece, start)?;
+        let piece = piece.get(..read.min((end - start) as usize)).unwrap_or_default();
+        if let Some(last) = piece.iter().rposition(|byte| *byte != 0) {
+            return Ok(start + last as u64 + 1);
+        }
+        end = start;
+    }
+    Ok(0)
 }
 
 fn in_directory(error: &StoreError) -> Rejection {

@@ -23,6 +23,8 @@ pub fn load(path: &Path) -> Result<String, Vec<Fault>> {
     let whole = |rejection| vec![Fault { file: path.to_owned(), line: None, rejection }];
     let content = ledger_durable::read(path, FILE_BYTES_MAX).map_err(|mut rejection| {
         if rejection.code == Code::BadFile {
+            // The fault names the file.
+            rejection.message = "cannot be read".into();
             rejection.next = "give the path of a configuration with --config; \
                               docs/configuration.md and docs/bridge.md list all settings"
                 .into();

@@ -83,6 +83,16 @@ impl Client {
         self.ask(|up| async move { up.gateway().status(v1::StatusRequest {}).await }, |_| Ok(())).await
     }
 
+    /// How every node of the network is, as the node says to which the client is connected: it asks the others, at most every
+    /// five seconds.
+    ///
+    /// # Errors
+    /// As [`Client::status`].
+    pub async fn nodes(&self) -> Result<Vec<v1::NodeStatus>, Rejection> {
+        let ask = |up: Up| async move { up.gateway().nodes(v1::NodesRequest {}).await };
+        Ok(self.ask(ask, |_| Ok(())).await?.nodes)
+    }
+
     /// One block with its transactions and verdicts.
     ///
     /// # Errors

@@ -407,6 +407,10 @@ impl Gateway for Shared {
         Ok(Response::new(v1::StatusResponse { height, clock: self.0.clock(), ..Default::default() }))
     }
 
+    async fn nodes(&self, _request: Request<v1::NodesRequest>) -> Result<Response<v1::NodesResponse>, Status> {
+        Ok(Response::new(v1::NodesResponse::default()))
+    }
+
     async fn get_block(&self, request: Request<v1::GetBlockRequest>) -> Result<Response<v1::Block>, Status> {
         let height = request.into_inner().height;
         if height > *self.0.height.borrow() {

@@ -36,7 +36,7 @@ pub(crate) struct Enroll {
     /// The one-time secret
     #[arg(long, value_name = "SECRET")]
     secret: String,
-    /// Kind of key: ed25519, which is also the default, or p256
+    /// Kind of key: ed25519, which is also the default, p256 or p384
     #[arg(long, value_name = "KIND")]
     key: Option<KeyKind>,
     /// Is the certificate renewed at use, in the last third of its life? auto or never

@@ -20,6 +20,7 @@ use ledger_contract::{PolicyChange, PolicyEntry};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
+use std::path::Path;
 
 /// See and change the policies of robots' owners.
 #[derive(Debug, clap::Subcommand)]
@@ -106,6 +107,12 @@ const WORDS: Words = Words {
 fn text(policy: &str) -> Result<Bytes, Rejection> {
     if policy.starts_with('@') && policy.trim_end().ends_with(';') {
         return Ok(Bytes::from(policy.to_owned()));
+    }
+    if Path::new(policy).is_file() {
+        return Err(Rejection::new(Code::BadArgument, "the policy is no text of Cedar")
+            .found(format!("{policy}, the name of a file"))
+            .wanted("a text such as permit(principal, action, resource);")
+            .next(format!("ledgerctl policy put ID @{policy}")));
     }
     bytes::argument(policy)
 }

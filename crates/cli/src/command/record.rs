@@ -12,12 +12,12 @@ use crate::cli::Global;
 use crate::command::message::{Opening, Place};
 use crate::failure::Failure;
 use crate::output::{Format, Output};
-use crate::progress::{Progress, Step};
 use crate::recording::{self, Recording};
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_api::{EventStream, Subscription};
 use ledger_contract::Grant;
+use ledger_progress::{Progress, Step};
 use ledger_rejection::{Code, Rejection};
 use selection::Selection;
 use std::path::{Path, PathBuf};
@@ -160,7 +160,7 @@ impl Record {
         for (grants, height, time) in &held {
             taking.held(grants, *height, *time)?;
         }
-        let mut progress = Progress::new(format);
+        let mut progress = Progress::new(format == Format::Table);
         let ended = follow(session, &mut stream, &mut taking, &mut window, places, &mut progress).await;
         progress.clear();
         let (ending, result) = match ended {

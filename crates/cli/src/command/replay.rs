@@ -7,11 +7,11 @@ mod summary;
 use crate::argument::domain;
 use crate::argument::remap::Remap;
 use crate::failure::Failure;
-use crate::output::Output;
-use crate::progress::{Progress, Step};
+use crate::output::{Format, Output};
 use crate::recording::Reading;
 use cast::Cast;
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
+use ledger_progress::{Progress, Step};
 use ledger_rejection::{Code, Rejection};
 use lookout::Lookout;
 use ros_bridge::dds::Participant;
@@ -93,7 +93,7 @@ impl Replay {
         }
         let mut reading = Reading::open(&self.file)?;
         let of = cast.recorded();
-        let (mut progress, mut count) = (Progress::new(output.format()), 0);
+        let (mut progress, mut count) = (Progress::new(output.format() == Format::Table), 0);
         let begun = Instant::now();
         let mut first = None;
         while let Some(found) = reading.next()? {

@@ -7,21 +7,25 @@ use serde_json::value::RawValue;
 use std::fmt::{self, Write};
 
 /// The fields that hold a time, microseconds since the UNIX epoch, 0 for none, wherever they stand.
-const TIMES: [&str; 24] = [
+const TIMES: [&str; 29] = [
     "acquired_at",
     "at",
+    "before",
     "block_time",
     "break_glass_from",
     "certified_time",
     "clock",
     "created",
     "deadline",
+    "ended",
     "ends",
+    "expected",
     "expires",
     "first",
     "first_time",
     "last",
     "last_time",
+    "next_update",
     "not_after",
     "not_before",
     "renewed_from",
@@ -29,10 +33,15 @@ const TIMES: [&str; 24] = [
     "since",
     "started",
     "submitted",
+    "this_update",
     "time",
     "until",
     "waits_until",
 ];
+/// A name of [`TIMES`] that is a count elsewhere. No count is as large as a time.
+const ALSO_A_COUNT: &str = "ended";
+/// The first moment that a field of this name may mean.
+const NO_COUNT: u64 = 1_000_000_000_000;
 /// The end of the name of the same time in the form of RFC 3339.
 const UTC: &str = "_utc";
 /// The fields below which stands what others wrote: messages of ROS 2, payloads and answers of a chaincode.
@@ -132,7 +141,8 @@ impl Tree {
 /// The time of a field in the form of RFC 3339, if it is one; `null` for none.
 fn utc(name: &str, value: &Tree) -> Option<String> {
     let Tree::Leaf(text) = value else { return None };
-    let is_time = TIMES.contains(&name) && (text == "null" || text.parse::<u64>().is_ok());
+    let first = if name == ALSO_A_COUNT { NO_COUNT } else { 0 };
+    let is_time = TIMES.contains(&name) && (text == "null" || text.parse::<u64>().is_ok_and(|time| time >= first));
     is_time.then(|| match text.parse() {
         Ok(micros) if micros > 0 => serde_json::Value::from(time::rfc3339(micros)).to_string(),
         _ => "null".to_owned(),
@@ -178,6 +188,13 @@ mod tests {
         let json = r#"{"Name":"a\"b","time":1700000000000001,"expires":0,"renewed_from":null,"height":18446744073709551615,"x":[1e400,{"since":5}]}"#;
         let wanted = r#"{"Name":"a\"b","time":1700000000000001,"time_utc":"2023-11-14T22:13:20.000001Z","expires":0,"expires_utc":null,"renewed_from":null,"renewed_from_utc":null,"height":18446744073709551615,"x":[1e400,{"since":5,"since_utc":"1970-01-01T00:00:00.000005Z"}]}"#;
         assert_eq!(told(json), wanted);
+    }
+
+    #[test]
+    fn a_count_is_no_time_even_under_the_name_of_one() {
+        assert_eq!(told(r#"{"ended":3}"#), r#"{"ended":3}"#);
+        let task = r#"{"ended":1700000000000001,"ended_utc":"2023-11-14T22:13:20.000001Z"}"#;
+        assert_eq!(told(r#"{"ended":1700000000000001}"#), task);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::attested::Attested;
 use super::begin::{Beginning, Begun};
-use super::{Report, wrong};
+use super::{Reached, Report, wrong};
 use crate::chain::{Ledger, Outcome};
 use crate::foretold::complete;
 use ledger_hash::Hash;
@@ -125,6 +125,12 @@ impl Verification {
             }
         }
         Ok(())
+    }
+
+    /// How far the execution is.
+    pub(super) fn reached(&self) -> Reached {
+        let (height, transactions) = (self.ledger.tip().height, self.report.transactions);
+        Reached { height, transactions, ..Reached::default() }
     }
 
     /// The node's record of a block must equal the result of executing it.

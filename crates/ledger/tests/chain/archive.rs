@@ -3,9 +3,9 @@
 use super::world::*;
 use ledger::Registry;
 use ledger::network::Genesis;
-use ledger::verify::verify_directory;
+use ledger::verify::{Reached, Report, verify_directory};
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
+use ledger_rejection::{Code, Rejection};
 use ledger_storage::archive::{Extent, archive};
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::RealDisk;
@@ -45,6 +45,19 @@ fn registry() -> Registry {
     registry
 }
 
+/// Verifies a directory. What it tells meanwhile only grows, and never says more than there is.
+fn verify(directory: &Path) -> Result<Report, Rejection> {
+    let mut told = vec![Reached::default()];
+    let report = verify_directory(directory, &registry(), None, &mut |reached| told.push(reached))?;
+    for (before, after) in told.iter().zip(told.iter().skip(1)) {
+        assert!(before.height <= after.height && before.transactions <= after.transactions, "{told:?}");
+        assert!(before.bytes < after.bytes && after.bytes <= after.of_bytes, "{told:?}");
+    }
+    let last = told.last().copied().unwrap_or_default();
+    assert_eq!((last.height, last.transactions), (report.height, report.transactions));
+    Ok(report)
+}
+
 #[test]
 fn an_archive_verifies_alone_and_goes_on_when_the_node_has_dropped_what_it_holds() {
     let root = tempfile::tempdir().unwrap();
@@ -54,7 +67,7 @@ fn an_archive_verifies_alone_and_goes_on_when_the_node_has_dropped_what_it_holds
     let archived = archive(&data, &to, Extent::Finished, &Genesis::network_of).unwrap();
     assert!(archived.last_height > 70 && archived.last_height < 100);
     assert_eq!(store.prune(archived.last_height + 1).unwrap(), archived.last_height + 1);
-    let report = verify_directory(&to, &registry()).unwrap();
+    let report = verify(&to).unwrap();
     assert_eq!((report.network, report.first_height, report.begun), (world.network, 1, None));
     // Whether its last block was committed is told by the next segment.
     assert_eq!(report.height + report.uncommitted, archived.last_height);
@@ -62,7 +75,7 @@ fn an_archive_verifies_alone_and_goes_on_when_the_node_has_dropped_what_it_holds
     assert_eq!(archive(&data, &to, Extent::Finished, &Genesis::network_of).unwrap().segments_copied, 0);
     // What the node has left cannot be executed without the state before it.
     drop(store);
-    let refused = verify_directory(&data, &registry()).unwrap_err();
+    let refused = verify(&data).unwrap_err();
     assert_eq!(refused.code, Code::BadFile);
     assert!(refused.message.contains(&(archived.last_height + 1).to_string()), "{refused}");
 }
@@ -81,11 +94,11 @@ fn a_byte_changed_in_an_archive_is_found_and_its_file_named() {
         let mut wrong = right.clone();
         *wrong.get_mut(at).unwrap() ^= 0x10;
         fs::write(&file, wrong).unwrap();
-        let refused = verify_directory(&to, &registry()).unwrap_err();
+        let refused = verify(&to).unwrap_err();
         assert!(refused.message.contains(name) && refused.message.contains("byte"), "byte {at}: {refused}");
     }
     fs::remove_file(&file).unwrap();
-    assert_eq!(verify_directory(&to, &registry()).unwrap_err().code, Code::Corrupt, "a gap");
+    assert_eq!(verify(&to).unwrap_err().code, Code::Corrupt, "a gap");
 }
 
 #[test]
@@ -97,7 +110,7 @@ fn an_archive_of_all_committed_blocks_verifies_up_to_the_last_of_them() {
     let archived = archive(&data, &to, Extent::Committed, &Genesis::network_of).unwrap();
     // A block's commit is written with the next block, and proven by the one after that.
     assert_eq!((archived.first_height, archived.last_height, archived.blocks), (1, 1, 1));
-    let report = verify_directory(&to, &registry()).unwrap();
+    let report = verify(&to).unwrap();
     assert_eq!((report.first_height, report.height, report.uncommitted, report.torn_bytes), (1, 1, 0, 0));
     drop(store);
     fs::remove_dir_all(&data).unwrap();
@@ -106,6 +119,6 @@ fn an_archive_of_all_committed_blocks_verifies_up_to_the_last_of_them() {
     assert_eq!(archive(&data, &to, Extent::Committed, &Genesis::network_of).unwrap_err().code, Code::BadFile);
     let to = root.path().join("another");
     let archived = archive(&data, &to, Extent::Committed, &Genesis::network_of).unwrap();
-    let report = verify_directory(&to, &registry()).unwrap();
+    let report = verify(&to).unwrap();
     assert_eq!((archived.last_height, report.height, report.uncommitted), (58, 58, 0));
 }

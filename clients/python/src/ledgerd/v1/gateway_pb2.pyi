@@ -264,6 +264,30 @@ class PeerStatus(_message.Message):
     role: str
     def __init__(self, node_id: _Optional[int] = ..., name: _Optional[str] = ..., organisation: _Optional[str] = ..., address: _Optional[str] = ..., voter: _Optional[bool] = ..., matched: _Optional[int] = ..., connected: _Optional[bool] = ..., role: _Optional[str] = ...) -> None: ...
 
+class NodesRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class NodesResponse(_message.Message):
+    __slots__ = ("nodes",)
+    NODES_FIELD_NUMBER: _ClassVar[int]
+    nodes: _containers.RepeatedCompositeFieldContainer[NodeStatus]
+    def __init__(self, nodes: _Optional[_Iterable[_Union[NodeStatus, _Mapping]]] = ...) -> None: ...
+
+class NodeStatus(_message.Message):
+    __slots__ = ("node_id", "name", "organisation", "status", "unreachable")
+    NODE_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    ORGANISATION_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    UNREACHABLE_FIELD_NUMBER: _ClassVar[int]
+    node_id: int
+    name: str
+    organisation: str
+    status: StatusResponse
+    unreachable: str
+    def __init__(self, node_id: _Optional[int] = ..., name: _Optional[str] = ..., organisation: _Optional[str] = ..., status: _Optional[_Union[StatusResponse, _Mapping]] = ..., unreachable: _Optional[str] = ...) -> None: ...
+
 class GetBlockRequest(_message.Message):
     __slots__ = ("height",)
     HEIGHT_FIELD_NUMBER: _ClassVar[int]

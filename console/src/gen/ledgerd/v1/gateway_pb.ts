@@ -14,7 +14,7 @@ import type { Message } from "@bufbuild/protobuf";
  * Describes the file ledgerd/v1/gateway.proto.
  */
 export const file_ledgerd_v1_gateway: GenFile = /*@__PURE__*/
-  fileDesc("ChhsZWRnZXJkL3YxL2dhdGV3YXkucHJvdG8SCmxlZGdlcmQudjEiVQoHVmVyZGljdBIMCgRjb2RlGAEgASgNEg8KB21lc3NhZ2UYAiABKAkSDQoFZm91bmQYAyABKAkSDgoGd2FudGVkGAQgASgJEgwKBG5leHQYBSABKAkiTwoNU3VibWl0UmVxdWVzdBITCgt0cmFuc2FjdGlvbhgBIAEoDBISCgptaW5faGVpZ2h0GAIgASgEEhUKDWZpcnN0X2F0dGVtcHQYAyABKAgigQEKDlN1Ym1pdFJlc3BvbnNlEgoKAmlkGAEgASgMEiQKB3ZlcmRpY3QYAiABKAsyEy5sZWRnZXJkLnYxLlZlcmRpY3QSDgoGaGVpZ2h0GAMgASgEEg0KBWluZGV4GAQgASgNEgwKBHRpbWUYBSABKAQSEAoIcmVzcG9uc2UYBiABKAwifwoMUXVlcnlSZXF1ZXN0EhEKCWNoYWluY29kZRgBIAEoCRIQCghmdW5jdGlvbhgCIAEoCRIMCgRhcmdzGAMgAygMEhIKCm1pbl9oZWlnaHQYBCABKAQSFAoMbWF5X2JlX3N0YWxlGAYgASgISgQIBRAGUgxsaW5lYXJpemFibGUieAoNUXVlcnlSZXNwb25zZRIkCgd2ZXJkaWN0GAEgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0EhAKCHJlc3BvbnNlGAIgASgMEg4KBmhlaWdodBgDIAEoBBIMCgR0aW1lGAQgASgEEhEKCXN0YWxlX2ZvchgFIAEoBCKQAQoQU3Vic2NyaWJlUmVxdWVzdBITCgtmcm9tX2hlaWdodBgBIAEoBBIRCgljaGFpbmNvZGUYAiABKAkSEAoIc3ViamVjdHMYAyADKAkSDQoFbmFtZXMYBCADKAkSFAoMaGVhcnRiZWF0X21zGAUgASgNEg0KBWVhcmx5GAYgASgIEg4KBnByb29mcxgHIAEoCCKDAQoIRGVsaXZlcnkSDgoGaGVpZ2h0GAEgASgEEgwKBHRpbWUYAiABKAQSEgoKYmxvY2tfaGFzaBgDIAEoDBInCgZldmVudHMYBCADKAsyFy5sZWRnZXJkLnYxLkV2ZW50UmVjb3JkEg0KBWVhcmx5GAUgASgIEg0KBXByb29mGAYgASgMIokBCgtFdmVudFJlY29yZBIRCgljaGFpbmNvZGUYASABKAkSDAoEbmFtZRgCIAEoCRIPCgdzdWJqZWN0GAMgASgJEg8KB3BheWxvYWQYBCABKAwSDQoFaW5kZXgYBSABKA0SEwoLdHJhbnNhY3Rpb24YBiABKAwSEwoLY2VydGlmaWNhdGUYByABKAwiDwoNU3RhdHVzUmVxdWVzdCLJCAoOU3RhdHVzUmVzcG9uc2USDwoHdmVyc2lvbhgBIAEoCRIPCgduZXR3b3JrGAIgASgMEhUKDW5ldHdvcmtfbGFiZWwYAyABKAkSDwoHbm9kZV9pZBgEIAEoBBIRCglub2RlX25hbWUYBSABKAkSFAoMb3JnYW5pc2F0aW9uGAYgASgJEgwKBHJvbGUYByABKAkSEQoJbGVhZGVyX2lkGAggASgEEgwKBHRlcm0YCSABKAQSDgoGaGVpZ2h0GAogASgEEhIKCmJsb2NrX2hhc2gYCyABKAwSEgoKYmxvY2tfdGltZRgMIAEoBBIUCgxzdGF0ZV9kaWdlc3QYDSABKAwSEQoJY29tbWl0dGVkGA4gASgEEhIKCmxhc3RfaW5kZXgYDyABKAQSDQoFY2xvY2sYECABKAQSEQoJdXB0aW1lX21zGBEgASgEEhIKCmNoYWluY29kZXMYEiADKAkSOAoHcmVmdXNlZBgTIAMoCzInLmxlZGdlcmQudjEuU3RhdHVzUmVzcG9uc2UuUmVmdXNlZEVudHJ5EjoKCGV4ZWN1dGVkGBQgAygLMigubGVkZ2VyZC52MS5TdGF0dXNSZXNwb25zZS5FeGVjdXRlZEVudHJ5EiUKBXBlZXJzGBUgAygLMhYubGVkZ2VyZC52MS5QZWVyU3RhdHVzEhMKC3N1YnNjcmliZXJzGBYgASgEEhkKEXBheWxvYWRfYnl0ZXNfbWF4GBcgASgEEhYKDnJlc2lkZW50X2J5dGVzGBggASgEEhQKDGZpcnN0X2hlaWdodBgZIAEoBBIXCg9zbmFwc2hvdF9oZWlnaHQYGiABKAQSFgoOY2F0Y2hpbmdfdXBfdG8YGyABKAQSEgoKZGl2ZXJnZW5jZRgcIAEoCRIRCglpbl9mbGlnaHQYHSABKAQSFQoNaW5fZmxpZ2h0X21heBgeIAEoBBIXCg93YWl0aW5nX2NvbnRyb2wYHyABKAQSFAoMd2FpdGluZ19kYXRhGCAgASgEEhYKDmRhdGFfZGlyZWN0b3J5GCggASgJEhcKD2Rpc2tfZnJlZV9ieXRlcxgpIAEoBBIYChBkaXNrX3RvdGFsX2J5dGVzGCogASgEEhQKDGRpc2tfYWNjZXB0cxgrIAEoCRIzCgxjZXJ0aWZpY2F0ZXMYLCADKAsyHS5sZWRnZXJkLnYxLkNlcnRpZmljYXRlU3RhdHVzEg4KBnZvdGVycxgtIAEoDRIYChB2b3RlcnNfY29ubmVjdGVkGC4gASgNEhEKCWNlcnRpZmllZBgvIAEoBBIMCgRsaWVzGDAgASgJEg8KB2NvbnNvbGUYMSABKAkaLgoMUmVmdXNlZEVudHJ5EgsKA2tleRgBIAEoDRINCgV2YWx1ZRgCIAEoBDoCOAEaLwoNRXhlY3V0ZWRFbnRyeRILCgNrZXkYASABKA0SDQoFdmFsdWUYAiABKAQ6AjgBIlYKEUNlcnRpZmljYXRlU3RhdHVzEgwKBGtpbmQYASABKAkSDAoEbmFtZRgCIAEoCRISCgpub3RfYmVmb3JlGAMgASgEEhEKCW5vdF9hZnRlchgEIAEoBCKTAQoKUGVlclN0YXR1cxIPCgdub2RlX2lkGAEgASgEEgwKBG5hbWUYAiABKAkSFAoMb3JnYW5pc2F0aW9uGAMgASgJEg8KB2FkZHJlc3MYBCABKAkSDQoFdm90ZXIYBSABKAgSDwoHbWF0Y2hlZBgGIAEoBBIRCgljb25uZWN0ZWQYByABKAgSDAoEcm9sZRgIIAEoCSIhCg9HZXRCbG9ja1JlcXVlc3QSDgoGaGVpZ2h0GAEgASgEIugBCgVCbG9jaxIOCgZoZWlnaHQYASABKAQSDAoEdGVybRgCIAEoBBIMCgR0aW1lGAMgASgEEhUKDXByZXZpb3VzX2hhc2gYBCABKAwSDAoEcm9vdBgFIAEoDBIMCgRoYXNoGAYgASgMEhQKDHN0YXRlX2RpZ2VzdBgHIAEoDBIMCgRraW5kGAggASgJEjMKDHRyYW5zYWN0aW9ucxgJIAMoCzIdLmxlZGdlcmQudjEuVHJhbnNhY3Rpb25SZWNvcmQSJwoGZXZlbnRzGAogAygLMhcubGVkZ2VyZC52MS5FdmVudFJlY29yZCIjChVHZXRUcmFuc2FjdGlvblJlcXVlc3QSCgoCaWQYASABKAwi0wEKEVRyYW5zYWN0aW9uUmVjb3JkEgoKAmlkGAEgASgMEg4KBmhlaWdodBgCIAEoBBINCgVpbmRleBgDIAEoDRIMCgR0aW1lGAQgASgEEiQKB3ZlcmRpY3QYBSABKAsyEy5sZWRnZXJkLnYxLlZlcmRpY3QSEAoIcmVzcG9uc2UYBiABKAwSEwoLdHJhbnNhY3Rpb24YByABKAwSDwoHY3JlYXRvchgIIAEoCRInCgZldmVudHMYCSADKAsyFy5sZWRnZXJkLnYxLkV2ZW50UmVjb3JkIiIKEUdvdmVybmFuY2VSZXF1ZXN0Eg0KBWFmdGVyGAEgASgEIl8KDkdvdmVybmFuY2VTdGVwEg8KB2dlbmVzaXMYASABKAwSLQoHY2hhbmdlcxgCIAMoCzIcLmxlZGdlcmQudjEuR292ZXJuYW5jZUNoYW5nZRINCgVwcm9vZhgDIAEoDCIyChBHb3Zlcm5hbmNlQ2hhbmdlEg4KBmhlaWdodBgBIAEoBBIOCgZ3cml0ZXMYAiABKAwiMAoMUHJvdmVSZXF1ZXN0Eg4KBmhlaWdodBgBIAEoBBIQCgh2ZXJkaWN0cxgCIAMoDSIeCg1Qcm92ZVJlc3BvbnNlEg0KBXByb29mGAEgASgMIiUKF1Byb3ZlVHJhbnNhY3Rpb25SZXF1ZXN0EgoKAmlkGAEgASgMIigKGFByb3ZlVHJhbnNhY3Rpb25SZXNwb25zZRIMCgRsaW5rGAEgASgMIh8KDkRlbmlhbHNSZXF1ZXN0Eg0KBWxpbWl0GAEgASgNIjYKD0RlbmlhbHNSZXNwb25zZRIjCgdkZW5pYWxzGAEgAygLMhIubGVkZ2VyZC52MS5EZW5pYWwijgEKBkRlbmlhbBIMCgR0aW1lGAEgASgEEgsKA3dobxgCIAEoCRIRCgljaGFpbmNvZGUYAyABKAkSEAoIZnVuY3Rpb24YBCABKAkSDwoHc3ViamVjdBgFIAEoCRIkCgd2ZXJkaWN0GAYgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0Eg0KBWNvdW50GAcgASgEIosBCgxBdWRpdFJlcXVlc3QSDQoFcm9ib3QYASABKAkSDAoEdXNlchgCIAEoCRIUCgxvcmdhbmlzYXRpb24YAyABKAkSDAoEY29kZRgEIAEoDRINCgVzaW5jZRgFIAEoBBINCgV1bnRpbBgGIAEoBBINCgVhZnRlchgHIAEoDBINCgVsaW1pdBgIIAEoDSKHAQoNQXVkaXRSZXNwb25zZRIiCgRyb3dzGAEgAygLMhQubGVkZ2VyZC52MS5BdWRpdFJvdxINCgVhZnRlchgCIAEoDBIMCgRtb3JlGAMgASgIEhMKC2Zyb21faGVpZ2h0GAQgASgEEg4KBmhlaWdodBgFIAEoBBIQCghleGVjdXRlZBgGIAEoBCLAAgoIQXVkaXRSb3cSDAoEdGltZRgBIAEoBBIOCgZoZWlnaHQYAiABKAQSEAoIZGVjaXNpb24YAyABKAkSCwoDd2hvGAQgASgJEgoKAmJ5GAUgASgJEg0KBXJvYm90GAYgASgJEg8KB3N1YmplY3QYByABKAkSDAoEY29kZRgIIAEoDRINCgVjb3VudBgJIAEoBBINCgVmaXJzdBgKIAEoBBIMCgRsYXN0GAsgASgEEhMKC2xhc3RfaGVpZ2h0GAwgASgEEg0KBWVwb2NoGA0gASgEEhYKDnBvbGljeV92ZXJzaW9uGA4gASgEEg4KBmRldGFpbBgPIAEoCRINCgVmb3VuZBgQIAEoCRITCgt0cmFuc2FjdGlvbhgRIAEoDBIPCgd0b2xkX2J5GBIgASgJEhAKCHBvbGljaWVzGBMgAygJIiwKGVRyYW5zZmVyTGVhZGVyc2hpcFJlcXVlc3QSDwoHbm9kZV9pZBgBIAEoBCJjChpUcmFuc2ZlckxlYWRlcnNoaXBSZXNwb25zZRIkCgd2ZXJkaWN0GAEgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0EhEKCWxlYWRlcl9pZBgCIAEoBBIMCgR0ZXJtGAMgASgEMrYHCgdHYXRld2F5Ej8KBlN1Ym1pdBIZLmxlZGdlcmQudjEuU3VibWl0UmVxdWVzdBoaLmxlZGdlcmQudjEuU3VibWl0UmVzcG9uc2USSQoMU3VibWl0U3RyZWFtEhkubGVkZ2VyZC52MS5TdWJtaXRSZXF1ZXN0GhoubGVkZ2VyZC52MS5TdWJtaXRSZXNwb25zZSgBMAESPAoFUXVlcnkSGC5sZWRnZXJkLnYxLlF1ZXJ5UmVxdWVzdBoZLmxlZGdlcmQudjEuUXVlcnlSZXNwb25zZRJBCglTdWJzY3JpYmUSHC5sZWRnZXJkLnYxLlN1YnNjcmliZVJlcXVlc3QaFC5sZWRnZXJkLnYxLkRlbGl2ZXJ5MAESPwoGU3RhdHVzEhkubGVkZ2VyZC52MS5TdGF0dXNSZXF1ZXN0GhoubGVkZ2VyZC52MS5TdGF0dXNSZXNwb25zZRI6CghHZXRCbG9jaxIbLmxlZGdlcmQudjEuR2V0QmxvY2tSZXF1ZXN0GhEubGVkZ2VyZC52MS5CbG9jaxJSCg5HZXRUcmFuc2FjdGlvbhIhLmxlZGdlcmQudjEuR2V0VHJhbnNhY3Rpb25SZXF1ZXN0Gh0ubGVkZ2VyZC52MS5UcmFuc2FjdGlvblJlY29yZBJJCgpHb3Zlcm5hbmNlEh0ubGVkZ2VyZC52MS5Hb3Zlcm5hbmNlUmVxdWVzdBoaLmxlZGdlcmQudjEuR292ZXJuYW5jZVN0ZXAwARI8CgVQcm92ZRIYLmxlZGdlcmQudjEuUHJvdmVSZXF1ZXN0GhkubGVkZ2VyZC52MS5Qcm92ZVJlc3BvbnNlEl0KEFByb3ZlVHJhbnNhY3Rpb24SIy5sZWRnZXJkLnYxLlByb3ZlVHJhbnNhY3Rpb25SZXF1ZXN0GiQubGVkZ2VyZC52MS5Qcm92ZVRyYW5zYWN0aW9uUmVzcG9uc2USQgoHRGVuaWFscxIaLmxlZGdlcmQudjEuRGVuaWFsc1JlcXVlc3QaGy5sZWRnZXJkLnYxLkRlbmlhbHNSZXNwb25zZRI8CgVBdWRpdBIYLmxlZGdlcmQudjEuQXVkaXRSZXF1ZXN0GhkubGVkZ2VyZC52MS5BdWRpdFJlc3BvbnNlEmMKElRyYW5zZmVyTGVhZGVyc2hpcBIlLmxlZGdlcmQudjEuVHJhbnNmZXJMZWFkZXJzaGlwUmVxdWVzdBomLmxlZGdlcmQudjEuVHJhbnNmZXJMZWFkZXJzaGlwUmVzcG9uc2VCFloUbGVkZ2VyZC92MTtsZWRnZXJkdjFiBnByb3RvMw");
+  fileDesc("ChhsZWRnZXJkL3YxL2dhdGV3YXkucHJvdG8SCmxlZGdlcmQudjEiVQoHVmVyZGljdBIMCgRjb2RlGAEgASgNEg8KB21lc3NhZ2UYAiABKAkSDQoFZm91bmQYAyABKAkSDgoGd2FudGVkGAQgASgJEgwKBG5leHQYBSABKAkiTwoNU3VibWl0UmVxdWVzdBITCgt0cmFuc2FjdGlvbhgBIAEoDBISCgptaW5faGVpZ2h0GAIgASgEEhUKDWZpcnN0X2F0dGVtcHQYAyABKAgigQEKDlN1Ym1pdFJlc3BvbnNlEgoKAmlkGAEgASgMEiQKB3ZlcmRpY3QYAiABKAsyEy5sZWRnZXJkLnYxLlZlcmRpY3QSDgoGaGVpZ2h0GAMgASgEEg0KBWluZGV4GAQgASgNEgwKBHRpbWUYBSABKAQSEAoIcmVzcG9uc2UYBiABKAwifwoMUXVlcnlSZXF1ZXN0EhEKCWNoYWluY29kZRgBIAEoCRIQCghmdW5jdGlvbhgCIAEoCRIMCgRhcmdzGAMgAygMEhIKCm1pbl9oZWlnaHQYBCABKAQSFAoMbWF5X2JlX3N0YWxlGAYgASgISgQIBRAGUgxsaW5lYXJpemFibGUieAoNUXVlcnlSZXNwb25zZRIkCgd2ZXJkaWN0GAEgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0EhAKCHJlc3BvbnNlGAIgASgMEg4KBmhlaWdodBgDIAEoBBIMCgR0aW1lGAQgASgEEhEKCXN0YWxlX2ZvchgFIAEoBCKQAQoQU3Vic2NyaWJlUmVxdWVzdBITCgtmcm9tX2hlaWdodBgBIAEoBBIRCgljaGFpbmNvZGUYAiABKAkSEAoIc3ViamVjdHMYAyADKAkSDQoFbmFtZXMYBCADKAkSFAoMaGVhcnRiZWF0X21zGAUgASgNEg0KBWVhcmx5GAYgASgIEg4KBnByb29mcxgHIAEoCCKDAQoIRGVsaXZlcnkSDgoGaGVpZ2h0GAEgASgEEgwKBHRpbWUYAiABKAQSEgoKYmxvY2tfaGFzaBgDIAEoDBInCgZldmVudHMYBCADKAsyFy5sZWRnZXJkLnYxLkV2ZW50UmVjb3JkEg0KBWVhcmx5GAUgASgIEg0KBXByb29mGAYgASgMIokBCgtFdmVudFJlY29yZBIRCgljaGFpbmNvZGUYASABKAkSDAoEbmFtZRgCIAEoCRIPCgdzdWJqZWN0GAMgASgJEg8KB3BheWxvYWQYBCABKAwSDQoFaW5kZXgYBSABKA0SEwoLdHJhbnNhY3Rpb24YBiABKAwSEwoLY2VydGlmaWNhdGUYByABKAwiDwoNU3RhdHVzUmVxdWVzdCLJCAoOU3RhdHVzUmVzcG9uc2USDwoHdmVyc2lvbhgBIAEoCRIPCgduZXR3b3JrGAIgASgMEhUKDW5ldHdvcmtfbGFiZWwYAyABKAkSDwoHbm9kZV9pZBgEIAEoBBIRCglub2RlX25hbWUYBSABKAkSFAoMb3JnYW5pc2F0aW9uGAYgASgJEgwKBHJvbGUYByABKAkSEQoJbGVhZGVyX2lkGAggASgEEgwKBHRlcm0YCSABKAQSDgoGaGVpZ2h0GAogASgEEhIKCmJsb2NrX2hhc2gYCyABKAwSEgoKYmxvY2tfdGltZRgMIAEoBBIUCgxzdGF0ZV9kaWdlc3QYDSABKAwSEQoJY29tbWl0dGVkGA4gASgEEhIKCmxhc3RfaW5kZXgYDyABKAQSDQoFY2xvY2sYECABKAQSEQoJdXB0aW1lX21zGBEgASgEEhIKCmNoYWluY29kZXMYEiADKAkSOAoHcmVmdXNlZBgTIAMoCzInLmxlZGdlcmQudjEuU3RhdHVzUmVzcG9uc2UuUmVmdXNlZEVudHJ5EjoKCGV4ZWN1dGVkGBQgAygLMigubGVkZ2VyZC52MS5TdGF0dXNSZXNwb25zZS5FeGVjdXRlZEVudHJ5EiUKBXBlZXJzGBUgAygLMhYubGVkZ2VyZC52MS5QZWVyU3RhdHVzEhMKC3N1YnNjcmliZXJzGBYgASgEEhkKEXBheWxvYWRfYnl0ZXNfbWF4GBcgASgEEhYKDnJlc2lkZW50X2J5dGVzGBggASgEEhQKDGZpcnN0X2hlaWdodBgZIAEoBBIXCg9zbmFwc2hvdF9oZWlnaHQYGiABKAQSFgoOY2F0Y2hpbmdfdXBfdG8YGyABKAQSEgoKZGl2ZXJnZW5jZRgcIAEoCRIRCglpbl9mbGlnaHQYHSABKAQSFQoNaW5fZmxpZ2h0X21heBgeIAEoBBIXCg93YWl0aW5nX2NvbnRyb2wYHyABKAQSFAoMd2FpdGluZ19kYXRhGCAgASgEEhYKDmRhdGFfZGlyZWN0b3J5GCggASgJEhcKD2Rpc2tfZnJlZV9ieXRlcxgpIAEoBBIYChBkaXNrX3RvdGFsX2J5dGVzGCogASgEEhQKDGRpc2tfYWNjZXB0cxgrIAEoCRIzCgxjZXJ0aWZpY2F0ZXMYLCADKAsyHS5sZWRnZXJkLnYxLkNlcnRpZmljYXRlU3RhdHVzEg4KBnZvdGVycxgtIAEoDRIYChB2b3RlcnNfY29ubmVjdGVkGC4gASgNEhEKCWNlcnRpZmllZBgvIAEoBBIMCgRsaWVzGDAgASgJEg8KB2NvbnNvbGUYMSABKAkaLgoMUmVmdXNlZEVudHJ5EgsKA2tleRgBIAEoDRINCgV2YWx1ZRgCIAEoBDoCOAEaLwoNRXhlY3V0ZWRFbnRyeRILCgNrZXkYASABKA0SDQoFdmFsdWUYAiABKAQ6AjgBIlYKEUNlcnRpZmljYXRlU3RhdHVzEgwKBGtpbmQYASABKAkSDAoEbmFtZRgCIAEoCRISCgpub3RfYmVmb3JlGAMgASgEEhEKCW5vdF9hZnRlchgEIAEoBCKTAQoKUGVlclN0YXR1cxIPCgdub2RlX2lkGAEgASgEEgwKBG5hbWUYAiABKAkSFAoMb3JnYW5pc2F0aW9uGAMgASgJEg8KB2FkZHJlc3MYBCABKAkSDQoFdm90ZXIYBSABKAgSDwoHbWF0Y2hlZBgGIAEoBBIRCgljb25uZWN0ZWQYByABKAgSDAoEcm9sZRgIIAEoCSIOCgxOb2Rlc1JlcXVlc3QiNgoNTm9kZXNSZXNwb25zZRIlCgVub2RlcxgBIAMoCzIWLmxlZGdlcmQudjEuTm9kZVN0YXR1cyKCAQoKTm9kZVN0YXR1cxIPCgdub2RlX2lkGAEgASgEEgwKBG5hbWUYAiABKAkSFAoMb3JnYW5pc2F0aW9uGAMgASgJEioKBnN0YXR1cxgEIAEoCzIaLmxlZGdlcmQudjEuU3RhdHVzUmVzcG9uc2USEwoLdW5yZWFjaGFibGUYBSABKAkiIQoPR2V0QmxvY2tSZXF1ZXN0Eg4KBmhlaWdodBgBIAEoBCLoAQoFQmxvY2sSDgoGaGVpZ2h0GAEgASgEEgwKBHRlcm0YAiABKAQSDAoEdGltZRgDIAEoBBIVCg1wcmV2aW91c19oYXNoGAQgASgMEgwKBHJvb3QYBSABKAwSDAoEaGFzaBgGIAEoDBIUCgxzdGF0ZV9kaWdlc3QYByABKAwSDAoEa2luZBgIIAEoCRIzCgx0cmFuc2FjdGlvbnMYCSADKAsyHS5sZWRnZXJkLnYxLlRyYW5zYWN0aW9uUmVjb3JkEicKBmV2ZW50cxgKIAMoCzIXLmxlZGdlcmQudjEuRXZlbnRSZWNvcmQiIwoVR2V0VHJhbnNhY3Rpb25SZXF1ZXN0EgoKAmlkGAEgASgMItMBChFUcmFuc2FjdGlvblJlY29yZBIKCgJpZBgBIAEoDBIOCgZoZWlnaHQYAiABKAQSDQoFaW5kZXgYAyABKA0SDAoEdGltZRgEIAEoBBIkCgd2ZXJkaWN0GAUgASgLMhMubGVkZ2VyZC52MS5WZXJkaWN0EhAKCHJlc3BvbnNlGAYgASgMEhMKC3RyYW5zYWN0aW9uGAcgASgMEg8KB2NyZWF0b3IYCCABKAkSJwoGZXZlbnRzGAkgAygLMhcubGVkZ2VyZC52MS5FdmVudFJlY29yZCIiChFHb3Zlcm5hbmNlUmVxdWVzdBINCgVhZnRlchgBIAEoBCJfCg5Hb3Zlcm5hbmNlU3RlcBIPCgdnZW5lc2lzGAEgASgMEi0KB2NoYW5nZXMYAiADKAsyHC5sZWRnZXJkLnYxLkdvdmVybmFuY2VDaGFuZ2USDQoFcHJvb2YYAyABKAwiMgoQR292ZXJuYW5jZUNoYW5nZRIOCgZoZWlnaHQYASABKAQSDgoGd3JpdGVzGAIgASgMIjAKDFByb3ZlUmVxdWVzdBIOCgZoZWlnaHQYASABKAQSEAoIdmVyZGljdHMYAiADKA0iHgoNUHJvdmVSZXNwb25zZRINCgVwcm9vZhgBIAEoDCIlChdQcm92ZVRyYW5zYWN0aW9uUmVxdWVzdBIKCgJpZBgBIAEoDCIoChhQcm92ZVRyYW5zYWN0aW9uUmVzcG9uc2USDAoEbGluaxgBIAEoDCIfCg5EZW5pYWxzUmVxdWVzdBINCgVsaW1pdBgBIAEoDSI2Cg9EZW5pYWxzUmVzcG9uc2USIwoHZGVuaWFscxgBIAMoCzISLmxlZGdlcmQudjEuRGVuaWFsIo4BCgZEZW5pYWwSDAoEdGltZRgBIAEoBBILCgN3aG8YAiABKAkSEQoJY2hhaW5jb2RlGAMgASgJEhAKCGZ1bmN0aW9uGAQgASgJEg8KB3N1YmplY3QYBSABKAkSJAoHdmVyZGljdBgGIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdBINCgVjb3VudBgHIAEoBCKLAQoMQXVkaXRSZXF1ZXN0Eg0KBXJvYm90GAEgASgJEgwKBHVzZXIYAiABKAkSFAoMb3JnYW5pc2F0aW9uGAMgASgJEgwKBGNvZGUYBCABKA0SDQoFc2luY2UYBSABKAQSDQoFdW50aWwYBiABKAQSDQoFYWZ0ZXIYByABKAwSDQoFbGltaXQYCCABKA0ihwEKDUF1ZGl0UmVzcG9uc2USIgoEcm93cxgBIAMoCzIULmxlZGdlcmQudjEuQXVkaXRSb3cSDQoFYWZ0ZXIYAiABKAwSDAoEbW9yZRgDIAEoCBITCgtmcm9tX2hlaWdodBgEIAEoBBIOCgZoZWlnaHQYBSABKAQSEAoIZXhlY3V0ZWQYBiABKAQiwAIKCEF1ZGl0Um93EgwKBHRpbWUYASABKAQSDgoGaGVpZ2h0GAIgASgEEhAKCGRlY2lzaW9uGAMgASgJEgsKA3dobxgEIAEoCRIKCgJieRgFIAEoCRINCgVyb2JvdBgGIAEoCRIPCgdzdWJqZWN0GAcgASgJEgwKBGNvZGUYCCABKA0SDQoFY291bnQYCSABKAQSDQoFZmlyc3QYCiABKAQSDAoEbGFzdBgLIAEoBBITCgtsYXN0X2hlaWdodBgMIAEoBBINCgVlcG9jaBgNIAEoBBIWCg5wb2xpY3lfdmVyc2lvbhgOIAEoBBIOCgZkZXRhaWwYDyABKAkSDQoFZm91bmQYECABKAkSEwoLdHJhbnNhY3Rpb24YESABKAwSDwoHdG9sZF9ieRgSIAEoCRIQCghwb2xpY2llcxgTIAMoCSIsChlUcmFuc2ZlckxlYWRlcnNoaXBSZXF1ZXN0Eg8KB25vZGVfaWQYASABKAQiYwoaVHJhbnNmZXJMZWFkZXJzaGlwUmVzcG9uc2USJAoHdmVyZGljdBgBIAEoCzITLmxlZGdlcmQudjEuVmVyZGljdBIRCglsZWFkZXJfaWQYAiABKAQSDAoEdGVybRgDIAEoBDL0BwoHR2F0ZXdheRI/CgZTdWJtaXQSGS5sZWRnZXJkLnYxLlN1Ym1pdFJlcXVlc3QaGi5sZWRnZXJkLnYxLlN1Ym1pdFJlc3BvbnNlEkkKDFN1Ym1pdFN0cmVhbRIZLmxlZGdlcmQudjEuU3VibWl0UmVxdWVzdBoaLmxlZGdlcmQudjEuU3VibWl0UmVzcG9uc2UoATABEjwKBVF1ZXJ5EhgubGVkZ2VyZC52MS5RdWVyeVJlcXVlc3QaGS5sZWRnZXJkLnYxLlF1ZXJ5UmVzcG9uc2USQQoJU3Vic2NyaWJlEhwubGVkZ2VyZC52MS5TdWJzY3JpYmVSZXF1ZXN0GhQubGVkZ2VyZC52MS5EZWxpdmVyeTABEj8KBlN0YXR1cxIZLmxlZGdlcmQudjEuU3RhdHVzUmVxdWVzdBoaLmxlZGdlcmQudjEuU3RhdHVzUmVzcG9uc2USPAoFTm9kZXMSGC5sZWRnZXJkLnYxLk5vZGVzUmVxdWVzdBoZLmxlZGdlcmQudjEuTm9kZXNSZXNwb25zZRI6CghHZXRCbG9jaxIbLmxlZGdlcmQudjEuR2V0QmxvY2tSZXF1ZXN0GhEubGVkZ2VyZC52MS5CbG9jaxJSCg5HZXRUcmFuc2FjdGlvbhIhLmxlZGdlcmQudjEuR2V0VHJhbnNhY3Rpb25SZXF1ZXN0Gh0ubGVkZ2VyZC52MS5UcmFuc2FjdGlvblJlY29yZBJJCgpHb3Zlcm5hbmNlEh0ubGVkZ2VyZC52MS5Hb3Zlcm5hbmNlUmVxdWVzdBoaLmxlZGdlcmQudjEuR292ZXJuYW5jZVN0ZXAwARI8CgVQcm92ZRIYLmxlZGdlcmQudjEuUHJvdmVSZXF1ZXN0GhkubGVkZ2VyZC52MS5Qcm92ZVJlc3BvbnNlEl0KEFByb3ZlVHJhbnNhY3Rpb24SIy5sZWRnZXJkLnYxLlByb3ZlVHJhbnNhY3Rpb25SZXF1ZXN0GiQubGVkZ2VyZC52MS5Qcm92ZVRyYW5zYWN0aW9uUmVzcG9uc2USQgoHRGVuaWFscxIaLmxlZGdlcmQudjEuRGVuaWFsc1JlcXVlc3QaGy5sZWRnZXJkLnYxLkRlbmlhbHNSZXNwb25zZRI8CgVBdWRpdBIYLmxlZGdlcmQudjEuQXVkaXRSZXF1ZXN0GhkubGVkZ2VyZC52MS5BdWRpdFJlc3BvbnNlEmMKElRyYW5zZmVyTGVhZGVyc2hpcBIlLmxlZGdlcmQudjEuVHJhbnNmZXJMZWFkZXJzaGlwUmVxdWVzdBomLmxlZGdlcmQudjEuVHJhbnNmZXJMZWFkZXJzaGlwUmVzcG9uc2VCFloUbGVkZ2VyZC92MTtsZWRnZXJkdjFiBnByb3RvMw");
 
 /**
  * The answer to a call: a stable code and, unless it is 0, what a person needs to know.
@@ -807,6 +807,83 @@ export const PeerStatusSchema: GenMessage<PeerStatus> = /*@__PURE__*/
   messageDesc(file_ledgerd_v1_gateway, 11);
 
 /**
+ * @generated from message ledgerd.v1.NodesRequest
+ */
+export type NodesRequest = Message<"ledgerd.v1.NodesRequest"> & {
+};
+
+/**
+ * Describes the message ledgerd.v1.NodesRequest.
+ * Use `create(NodesRequestSchema)` to create a new message.
+ */
+export const NodesRequestSchema: GenMessage<NodesRequest> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_gateway, 12);
+
+/**
+ * @generated from message ledgerd.v1.NodesResponse
+ */
+export type NodesResponse = Message<"ledgerd.v1.NodesResponse"> & {
+  /**
+   * All members, this node among them, in order of their numbers.
+   *
+   * @generated from field: repeated ledgerd.v1.NodeStatus nodes = 1;
+   */
+  nodes: NodeStatus[];
+};
+
+/**
+ * Describes the message ledgerd.v1.NodesResponse.
+ * Use `create(NodesResponseSchema)` to create a new message.
+ */
+export const NodesResponseSchema: GenMessage<NodesResponse> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_gateway, 13);
+
+/**
+ * A node of the network as it describes itself.
+ *
+ * @generated from message ledgerd.v1.NodeStatus
+ */
+export type NodeStatus = Message<"ledgerd.v1.NodeStatus"> & {
+  /**
+   * Number and name, as the ledger has them.
+   *
+   * @generated from field: uint64 node_id = 1;
+   */
+  nodeId: bigint;
+
+  /**
+   * @generated from field: string name = 2;
+   */
+  name: string;
+
+  /**
+   * @generated from field: string organisation = 3;
+   */
+  organisation: string;
+
+  /**
+   * Its own words, which nobody has checked; absent if it did not answer.
+   *
+   * @generated from field: ledgerd.v1.StatusResponse status = 4;
+   */
+  status?: StatusResponse | undefined;
+
+  /**
+   * Why it did not answer.
+   *
+   * @generated from field: string unreachable = 5;
+   */
+  unreachable: string;
+};
+
+/**
+ * Describes the message ledgerd.v1.NodeStatus.
+ * Use `create(NodeStatusSchema)` to create a new message.
+ */
+export const NodeStatusSchema: GenMessage<NodeStatus> = /*@__PURE__*/
+  messageDesc(file_ledgerd_v1_gateway, 14);
+
+/**
  * @generated from message ledgerd.v1.GetBlockRequest
  */
 export type GetBlockRequest = Message<"ledgerd.v1.GetBlockRequest"> & {
@@ -821,7 +898,7 @@ export type GetBlockRequest = Message<"ledgerd.v1.GetBlockRequest"> & {
  * Use `create(GetBlockRequestSchema)` to create a new message.
  */
 export const GetBlockRequestSchema: GenMessage<GetBlockRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 12);
+  messageDesc(file_ledgerd_v1_gateway, 15);
 
 /**
  * @generated from message ledgerd.v1.Block
@@ -887,7 +964,7 @@ export type Block = Message<"ledgerd.v1.Block"> & {
  * Use `create(BlockSchema)` to create a new message.
  */
 export const BlockSchema: GenMessage<Block> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 13);
+  messageDesc(file_ledgerd_v1_gateway, 16);
 
 /**
  * @generated from message ledgerd.v1.GetTransactionRequest
@@ -906,7 +983,7 @@ export type GetTransactionRequest = Message<"ledgerd.v1.GetTransactionRequest"> 
  * Use `create(GetTransactionRequestSchema)` to create a new message.
  */
 export const GetTransactionRequestSchema: GenMessage<GetTransactionRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 14);
+  messageDesc(file_ledgerd_v1_gateway, 17);
 
 /**
  * @generated from message ledgerd.v1.TransactionRecord
@@ -969,7 +1046,7 @@ export type TransactionRecord = Message<"ledgerd.v1.TransactionRecord"> & {
  * Use `create(TransactionRecordSchema)` to create a new message.
  */
 export const TransactionRecordSchema: GenMessage<TransactionRecord> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 15);
+  messageDesc(file_ledgerd_v1_gateway, 18);
 
 /**
  * @generated from message ledgerd.v1.GovernanceRequest
@@ -988,7 +1065,7 @@ export type GovernanceRequest = Message<"ledgerd.v1.GovernanceRequest"> & {
  * Use `create(GovernanceRequestSchema)` to create a new message.
  */
 export const GovernanceRequestSchema: GenMessage<GovernanceRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 16);
+  messageDesc(file_ledgerd_v1_gateway, 19);
 
 /**
  * One step of the way. A reader that believes enough of the voters in a later proof may go on to it at once.
@@ -1024,7 +1101,7 @@ export type GovernanceStep = Message<"ledgerd.v1.GovernanceStep"> & {
  * Use `create(GovernanceStepSchema)` to create a new message.
  */
 export const GovernanceStepSchema: GenMessage<GovernanceStep> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 17);
+  messageDesc(file_ledgerd_v1_gateway, 20);
 
 /**
  * The changes of one block to members, organisations and revocations.
@@ -1050,7 +1127,7 @@ export type GovernanceChange = Message<"ledgerd.v1.GovernanceChange"> & {
  * Use `create(GovernanceChangeSchema)` to create a new message.
  */
 export const GovernanceChangeSchema: GenMessage<GovernanceChange> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 18);
+  messageDesc(file_ledgerd_v1_gateway, 21);
 
 /**
  * @generated from message ledgerd.v1.ProveRequest
@@ -1077,7 +1154,7 @@ export type ProveRequest = Message<"ledgerd.v1.ProveRequest"> & {
  * Use `create(ProveRequestSchema)` to create a new message.
  */
 export const ProveRequestSchema: GenMessage<ProveRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 19);
+  messageDesc(file_ledgerd_v1_gateway, 22);
 
 /**
  * @generated from message ledgerd.v1.ProveResponse
@@ -1096,7 +1173,7 @@ export type ProveResponse = Message<"ledgerd.v1.ProveResponse"> & {
  * Use `create(ProveResponseSchema)` to create a new message.
  */
 export const ProveResponseSchema: GenMessage<ProveResponse> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 20);
+  messageDesc(file_ledgerd_v1_gateway, 23);
 
 /**
  * @generated from message ledgerd.v1.ProveTransactionRequest
@@ -1115,7 +1192,7 @@ export type ProveTransactionRequest = Message<"ledgerd.v1.ProveTransactionReques
  * Use `create(ProveTransactionRequestSchema)` to create a new message.
  */
 export const ProveTransactionRequestSchema: GenMessage<ProveTransactionRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 21);
+  messageDesc(file_ledgerd_v1_gateway, 24);
 
 /**
  * @generated from message ledgerd.v1.ProveTransactionResponse
@@ -1134,7 +1211,7 @@ export type ProveTransactionResponse = Message<"ledgerd.v1.ProveTransactionRespo
  * Use `create(ProveTransactionResponseSchema)` to create a new message.
  */
 export const ProveTransactionResponseSchema: GenMessage<ProveTransactionResponse> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 22);
+  messageDesc(file_ledgerd_v1_gateway, 25);
 
 /**
  * @generated from message ledgerd.v1.DenialsRequest
@@ -1153,7 +1230,7 @@ export type DenialsRequest = Message<"ledgerd.v1.DenialsRequest"> & {
  * Use `create(DenialsRequestSchema)` to create a new message.
  */
 export const DenialsRequestSchema: GenMessage<DenialsRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 23);
+  messageDesc(file_ledgerd_v1_gateway, 26);
 
 /**
  * @generated from message ledgerd.v1.DenialsResponse
@@ -1170,7 +1247,7 @@ export type DenialsResponse = Message<"ledgerd.v1.DenialsResponse"> & {
  * Use `create(DenialsResponseSchema)` to create a new message.
  */
 export const DenialsResponseSchema: GenMessage<DenialsResponse> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 24);
+  messageDesc(file_ledgerd_v1_gateway, 27);
 
 /**
  * A call that a node refused before ordering, and how often in a row.
@@ -1227,7 +1304,7 @@ export type Denial = Message<"ledgerd.v1.Denial"> & {
  * Use `create(DenialSchema)` to create a new message.
  */
 export const DenialSchema: GenMessage<Denial> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 25);
+  messageDesc(file_ledgerd_v1_gateway, 28);
 
 /**
  * The question. An empty text, or 0, stands for all.
@@ -1297,7 +1374,7 @@ export type AuditRequest = Message<"ledgerd.v1.AuditRequest"> & {
  * Use `create(AuditRequestSchema)` to create a new message.
  */
 export const AuditRequestSchema: GenMessage<AuditRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 26);
+  messageDesc(file_ledgerd_v1_gateway, 29);
 
 /**
  * @generated from message ledgerd.v1.AuditResponse
@@ -1349,7 +1426,7 @@ export type AuditResponse = Message<"ledgerd.v1.AuditResponse"> & {
  * Use `create(AuditResponseSchema)` to create a new message.
  */
 export const AuditResponseSchema: GenMessage<AuditResponse> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 27);
+  messageDesc(file_ledgerd_v1_gateway, 30);
 
 /**
  * A decision about control.
@@ -1492,7 +1569,7 @@ export type AuditRow = Message<"ledgerd.v1.AuditRow"> & {
  * Use `create(AuditRowSchema)` to create a new message.
  */
 export const AuditRowSchema: GenMessage<AuditRow> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 28);
+  messageDesc(file_ledgerd_v1_gateway, 31);
 
 /**
  * @generated from message ledgerd.v1.TransferLeadershipRequest
@@ -1511,7 +1588,7 @@ export type TransferLeadershipRequest = Message<"ledgerd.v1.TransferLeadershipRe
  * Use `create(TransferLeadershipRequestSchema)` to create a new message.
  */
 export const TransferLeadershipRequestSchema: GenMessage<TransferLeadershipRequest> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 29);
+  messageDesc(file_ledgerd_v1_gateway, 32);
 
 /**
  * @generated from message ledgerd.v1.TransferLeadershipResponse
@@ -1540,7 +1617,7 @@ export type TransferLeadershipResponse = Message<"ledgerd.v1.TransferLeadershipR
  * Use `create(TransferLeadershipResponseSchema)` to create a new message.
  */
 export const TransferLeadershipResponseSchema: GenMessage<TransferLeadershipResponse> = /*@__PURE__*/
-  messageDesc(file_ledgerd_v1_gateway, 30);
+  messageDesc(file_ledgerd_v1_gateway, 33);
 
 /**
  * @generated from service ledgerd.v1.Gateway
@@ -1598,6 +1675,16 @@ export const Gateway: GenService<{
     methodKind: "unary";
     input: typeof StatusRequestSchema;
     output: typeof StatusResponseSchema;
+  },
+  /**
+   * How every node of the network is, in its own words: this one asks the others, at most every five seconds.
+   *
+   * @generated from rpc ledgerd.v1.Gateway.Nodes
+   */
+  nodes: {
+    methodKind: "unary";
+    input: typeof NodesRequestSchema;
+    output: typeof NodesResponseSchema;
   },
   /**
    * One block with its transactions and verdicts.

@@ -1,7 +1,5 @@
 //! How far something is that lasts, for the one who waits in front of it: how much, how fast, and how long it will still take.
 
-use crate::output::Format;
-use crate::time;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
@@ -12,8 +10,13 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 /// Before that nothing is told: most things are done by then.
 const QUIET: Duration = Duration::from_secs(1);
 
+/// Units of a span, from the largest on, with their microseconds.
+const UNITS: [(u64, &str); 5] =
+    [(86_400_000_000, "days"), (3_600_000_000, "h"), (60_000_000, "min"), (1_000_000, "s"), (1_000, "ms")];
+
 /// Tells it: on a terminal a line that changes, elsewhere a line now and then, to programs nothing.
-pub(crate) struct Progress {
+#[derive(Debug)]
+pub struct Progress {
     place: Place,
     begun: Instant,
     /// Where it was when it was first asked, for the time that is left.
@@ -22,7 +25,7 @@ pub(crate) struct Progress {
     told: (Instant, u64),
 }
 
-#[derive(PartialEq)]
+#[derive(Debug, PartialEq)]
 enum Place {
     Terminal,
     File,
@@ -31,28 +34,28 @@ enum Place {
 
 /// How far it is.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Step {
+pub struct Step {
     /// The count whose rate is told.
-    pub(crate) count: u64,
+    pub count: u64,
     /// The position on the way.
-    pub(crate) at: u64,
+    pub at: u64,
     /// The end of the way, if it is known.
-    pub(crate) of: Option<u64>,
+    pub of: Option<u64>,
 }
 
 impl Progress {
-    /// Begins now.
-    pub(crate) fn new(format: Format) -> Self {
-        let place = match format {
-            Format::Json | Format::Csv => Place::Nowhere,
-            Format::Table if io::stderr().is_terminal() => Place::Terminal,
-            Format::Table => Place::File,
+    /// Begins now. People are told on standard error, programs are not.
+    pub fn new(for_people: bool) -> Self {
+        let place = match for_people {
+            false => Place::Nowhere,
+            true if io::stderr().is_terminal() => Place::Terminal,
+            true => Place::File,
         };
         Self { place, begun: Instant::now(), first: None, told: (Instant::now(), 0) }
     }
 
     /// Tells how far it is, where that is due. `text` gets the rate, a second.
-    pub(crate) fn tell(&mut self, step: Step, text: impl FnOnce(f64) -> String) {
+    pub fn tell(&mut self, step: Step, text: impl FnOnce(f64) -> String) {
         let first = *self.first.get_or_insert(step.at);
         let since = self.told.0.elapsed();
         let (start, end) = match self.place {
@@ -70,7 +73,7 @@ impl Progress {
     }
 
     /// Takes the line away, so that something else can be written.
-    pub(crate) fn clear(&self) {
+    pub fn clear(&self) {
         if self.place == Place::Terminal {
             let mut screen = io::stderr();
             let _cleared = write!(screen, "\r\x1b[K").and_then(|()| screen.flush());
@@ -82,12 +85,41 @@ impl Progress {
 fn left(step: Step, first: u64, elapsed: Duration) -> Option<String> {
     let (done, rest) = (step.at.checked_sub(first)?, step.of?.checked_sub(step.at)?);
     let seconds = rest as f64 * elapsed.as_secs_f64() / done as f64;
-    (done > 0 && seconds.is_finite()).then(|| time::span((seconds.min(1e9) as u64).saturating_mul(1_000_000)))
+    (done > 0 && seconds.is_finite()).then(|| span((seconds.min(1e9) as u64).saturating_mul(1_000_000)))
+}
+
+/// A span in the largest unit that keeps at least two of it, rounded down.
+pub fn span(micros: u64) -> String {
+    for (size, name) in UNITS {
+        if micros >= 2 * size || (micros >= size && micros.is_multiple_of(size)) {
+            let count = micros / size;
+            return if count == 1 && name == "days" { "1 day".to_owned() } else { format!("{count} {name}") };
+        }
+    }
+    format!("{micros} µs")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn spans_use_the_largest_unit_that_says_enough() {
+        for (micros, wanted) in [
+            (0, "0 µs"),
+            (999, "999 µs"),
+            (1_000, "1 ms"),
+            (1_500, "1500 µs"),
+            (10_000_000, "10 s"),
+            (90_000_000, "90 s"),
+            (60_000_000, "1 min"),
+            (150_000_000, "2 min"),
+            (86_400_000_000, "1 day"),
+            (365 * 86_400_000_000, "365 days"),
+        ] {
+            assert_eq!(span(micros), wanted, "{micros}");
+        }
+    }
 
     #[test]
     fn what_is_left_takes_as_long_as_what_was() {
@@ -100,8 +132,8 @@ mod tests {
 
     #[test]
     fn programs_are_told_nothing_and_what_is_soon_done_neither() {
-        for format in [Format::Json, Format::Csv, Format::Table] {
-            let mut progress = Progress::new(format);
+        for for_people in [false, true] {
+            let mut progress = Progress::new(for_people);
             progress.tell(Step::default(), |_| unreachable_text());
         }
     }
