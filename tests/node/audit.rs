@@ -208,7 +208,7 @@ async fn store(owner: &Client, transactions: [Hash; 2]) {
     let mut files = Vec::new();
     let mut genesis = Bytes::new();
     for id in transactions {
-        let (document, evidence, proved) = owner.evidence(id).await.unwrap();
+        let (document, evidence, proved) = owner.evidence(id, None).await.unwrap();
         genesis = document;
         files.push(serde_json::json!({
             "transaction": id.to_string(), "signer": proved.signer.id(), "height": proved.header.height,

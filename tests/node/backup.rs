@@ -181,9 +181,12 @@ fn the_only_node_of_a_network_comes_back_from_its_backup_by_force() {
     said(&ledgerd(&["restore", text(&backup)], &place.config));
     fs::rename(&away, &ca).unwrap();
     said(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &place.config));
-    let _node = place.start();
+    node = place.start();
     assert!(has(&boss, "Kept"));
     order(&boss, "New");
+    // It votes alone as before, so there is nothing more to recover.
+    node.interrupt();
+    refused(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &place.config), &["no voter is lost"]);
 }
 
 #[test]
@@ -255,6 +258,28 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
         (ran.code == 0).then_some(ran.stdout)
     });
     assert!(shown.contains("1 of 1 voters"), "{shown}");
+
+    // So does evidence: for its maker and for its reader.
+    let declared = first.json(&[
+        "robot",
+        "add",
+        "Proved",
+        "--attr-required",
+        "Proved",
+        "--service",
+        "/cmd_vel=geometry_msgs/msg/Twist",
+    ]);
+    let id = declared["transaction"].as_str().unwrap();
+    let [evidence, genesis, checkpoint] =
+        ["proved.evidence", "genesis.json", "checkpoint"].map(|name| text(&fleet.path().join(name)).to_owned());
+    first.run(&["prove", id]).refused(3, &["--checkpoint"]);
+    let proved = first.json(&["prove", id, "--file", &evidence, "--genesis", &genesis, "--checkpoint", &checkpoint]);
+    let alone = fleet.ctl();
+    let check = ["prove", "--check", &evidence, "--genesis", &genesis];
+    alone.run(&check).refused(3, &[]);
+    let checked = alone.json(&[&check[..], &["--checkpoint", &checkpoint]].concat());
+    assert_eq!((&checked["transaction"], &checked["signed_by"]), (&proved["transaction"], &proved["signed_by"]));
+    assert_eq!(checked["signed_by"], serde_json::json!(["Org1/node1"]));
 
     // One of the lost nodes is found: as it was it takes no part, and comes back under a new number.
     let back = said(&ledgerd(&["rejoin", "--node", &survivor.address], &fleet.nodes[1].config));

@@ -56,11 +56,13 @@ impl Client {
     /// # Errors
     /// [`Code::WrongNetwork`] if the node shows another genesis; [`Code::Malformed`].
     pub async fn beginning(&self) -> Result<Option<Governance>, Rejection> {
-        let network = &self.credentials.network;
+        begin(&self.credentials.network, &self.genesis().await?)
+    }
+
+    async fn genesis(&self) -> Result<Bytes, Rejection> {
         let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after: 0 }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
-        let first = self.next_step(&mut steps).await?.unwrap_or_default();
-        begin(network, &first.genesis)
+        Ok(self.next_step(&mut steps).await?.unwrap_or_default().genesis)
     }
 
     /// Follows who governs the network, up to the newest proof that the node has.
@@ -110,24 +112,24 @@ impl Client {
     }
 
     /// The genesis, evidence of a transaction, checked, and what it proves. It can be checked again without a network, by whoever has the
-    /// genesis.
+    /// genesis. It begins there, or at `known`; then its reader needs that, too.
     ///
     /// # Errors
     /// [`Code::NotFound`] if the node has no such transaction or no certificate; as [`Evidence::check`].
-    pub async fn evidence(&self, id: Hash) -> Result<(Bytes, Evidence, Proved), Rejection> {
+    pub async fn evidence(&self, id: Hash, known: Option<&Governance>) -> Result<(Bytes, Evidence, Proved), Rejection> {
         let ask = |up: Up| async move {
             let id = Bytes::copy_from_slice(id.as_ref());
             up.gateway().prove_transaction(v1::ProveTransactionRequest { id }).await
         };
         let link = Link::from_bytes(&self.ask(ask, |_| Ok(())).await?.link)?;
         let to = link.proof.certificate.statement.height;
-        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after: 0 }).await };
+        let genesis = self.genesis().await?;
+        let _named = begin(&self.credentials.network, &genesis)?;
+        let after = known.map_or(0, Governance::height);
+        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
-        let (mut genesis, mut way) = (Bytes::new(), Vec::new());
+        let mut way = Vec::new();
         while let Some(step) = self.next_step(&mut steps).await? {
-            if genesis.is_empty() {
-                genesis = step.genesis;
-            }
             let changes = step.changes.into_iter().filter(|change| change.height <= to);
             let changes = changes.map(|change| Change::from_bytes(change.height, &change.writes));
             let proof = Some(step.proof).filter(|proof| !proof.is_empty());
@@ -135,11 +137,7 @@ impl Client {
             let proof = proof.filter(|proof| proof.certificate.statement.height < to);
             way.push(Step { changes: changes.collect::<Result<_, _>>()?, proof });
         }
-        let named = Genesis::network_of(&genesis)?;
-        if named != self.credentials.network {
-            return Err(other_genesis(&named, &self.credentials.network));
-        }
-        let (evidence, proved) = Evidence::of(way, link, &genesis)?;
+        let (evidence, proved) = Evidence::of(way, link, (&genesis, known))?;
         Ok((genesis, evidence, proved))
     }
 

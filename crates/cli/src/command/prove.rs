@@ -7,9 +7,11 @@ use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
 use ledger::evidence::{EVIDENCE_BYTES_MAX, Evidence, Proved};
-use ledger::network::GENESIS_BYTES_MAX;
+use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger_api::read_checkpoint;
 use ledger_durable::{PUBLIC_MODE, read, replace};
 use ledger_hash::Hash;
+use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -18,7 +20,7 @@ use std::path::PathBuf;
 /// Write a file that proves who signed a transaction and where it stands, or check one without a network.
 ///
 /// The file holds the signed transaction, its way to the root of its block, headers, and a certificate that a majority of the voters
-/// has signed. The way from the genesis to these voters is in it, too. Its reader needs the genesis, and believes no node. The
+/// has signed. The way from the genesis, or from a checkpoint, to these voters is in it, too. Its reader needs the genesis, and believes no node. The
 /// verdict is proved while the certificate of its own block is at hand, which is some minutes; the place is proved for as long as
 /// blocks are kept.
 #[derive(Debug, clap::Args)]
@@ -39,23 +41,36 @@ pub(crate) struct Prove {
     /// The genesis of the network: read to check, else written
     #[arg(long, value_name = "GENESIS")]
     genesis: Option<PathBuf>,
+    /// Begin at this checkpoint instead of the genesis, as after a recovery by force; to check, the same one is needed
+    #[arg(long, value_name = "CHECKPOINT")]
+    checkpoint: Option<PathBuf>,
 }
 
 impl Prove {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         if let (Some(file), Some(genesis)) = (&self.check, &self.genesis) {
             let evidence = Evidence::from_bytes(&read(file, EVIDENCE_BYTES_MAX)?)?;
-            let proved = evidence.check(&read(genesis, GENESIS_BYTES_MAX)?)?;
+            let genesis = read(genesis, GENESIS_BYTES_MAX)?;
+            let known = self.known(&Genesis::network_of(&genesis)?)?;
+            let proved = evidence.check(&genesis, known.as_ref())?;
             return output.show(&Shown::new(&proved, None));
         }
-        let text = self.id.unwrap_or_default();
+        let text = self.id.clone().unwrap_or_default();
         let id = Hash::from_hex(&text).ok_or_else(|| {
             Rejection::new(Code::BadArgument, "the id of the transaction cannot be read")
                 .found(format!("{text:?}"))
                 .wanted("64 hexadecimal digits")
                 .next("copy the id from `ledgerctl audit -o json` or `ledgerctl block N`")
         })?;
-        let (genesis, evidence, proved) = Session::open(global).await?.client.evidence(id).await?;
+        let session = Session::open(global).await?;
+        let known = self.known(&session.context().network)?;
+        let proving = session.client.evidence(id, known.as_ref()).await;
+        let (genesis, evidence, proved) = proving.map_err(|refused| match (refused.code, &self.checkpoint) {
+            (Code::Untrusted, None) => {
+                refused.next("after a recovery by force, begin at a checkpoint: --checkpoint FILE (docs/operations.md)")
+            }
+            _ => refused,
+        })?;
         let name = || PathBuf::from(format!("{}.evidence", text.get(..16).unwrap_or(&text)));
         let file = self.file.unwrap_or_else(name);
         replace(&file, &evidence.to_bytes(), PUBLIC_MODE)?;
@@ -63,6 +78,12 @@ impl Prove {
             replace(path, &genesis, PUBLIC_MODE)?;
         }
         output.show(&Shown::new(&proved, Some(file)))
+    }
+
+    /// What is known of the network before, from the checkpoint.
+    fn known(&self, network: &Hash) -> Result<Option<Governance>, Rejection> {
+        let checkpoint = self.checkpoint.as_deref().map(|path| read_checkpoint(network, path)).transpose()?;
+        Ok(checkpoint.map(|checkpoint| checkpoint.governance))
     }
 }
 

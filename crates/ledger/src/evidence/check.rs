@@ -45,13 +45,14 @@ pub struct Verdict {
 }
 
 impl Evidence {
-    /// Checks everything, beginning at this genesis.
+    /// Checks everything, beginning at this genesis; or where its reader has been before, `known`, and then the evidence must begin
+    /// there, too.
     ///
     /// # Errors
     /// [`Code::WrongNetwork`], [`Code::Untrusted`], [`Code::BadSignature`] and others: then nothing is proved.
-    pub fn check(&self, genesis: &[u8]) -> Result<Proved, Rejection> {
+    pub fn check(&self, genesis: &[u8], known: Option<&Governance>) -> Result<Proved, Rejection> {
         let (document, network) = Genesis::from_bytes(genesis)?;
-        let founded = Genesis::governance(genesis)?.ok_or_else(no_beginning)?;
+        let founded = beginning(genesis, known)?;
         let Link { headers, proof, .. } = &self.link;
         let certified = self.follow(founded.clone())?;
         let statement = proof.certificate.statement;
@@ -60,6 +61,12 @@ impl Evidence {
             return Err(Rejection::new(Code::Untrusted, "the headers do not lead to the certified block")
                 .found(format!("block {}, hash {}", last.height, last.hash()))
                 .wanted(format!("block {}, hash {}", statement.height, statement.block)));
+        }
+        if known.is_some() && first.height <= founded.height() {
+            return Err(Rejection::new(Code::Untrusted, "the transaction is older than the checkpoint")
+                .found(format!("block {}", first.height))
+                .wanted(format!("a block after {}, where the checkpoint was made", founded.height()))
+                .next("use an older checkpoint, or none"));
         }
         let changes = self.changes(&founded, &certified)?;
         let (transaction, signer) = self.link.transaction(&network, &founded.before(first.height, &changes)?)?;
@@ -106,17 +113,22 @@ impl Evidence {
         reached.follow(&changes, &self.link.proof)
     }
 
-    /// Evidence of a link, by what a node shows of the way, with as few proofs on it as there can be.
+    /// Evidence of a link, by what a node shows of the way from the genesis or from what is known, with as few proofs on it as
+    /// there can be.
     ///
     /// # Errors
     /// As [`Evidence::check`].
-    pub fn of(shown: Vec<Step>, link: Link, genesis: &[u8]) -> Result<(Self, Proved), Rejection> {
+    pub fn of(
+        shown: Vec<Step>,
+        link: Link,
+        (genesis, known): (&[u8], Option<&Governance>),
+    ) -> Result<(Self, Proved), Rejection> {
         let changes: Vec<Change> = shown.iter().flat_map(|step| step.changes.iter().cloned()).collect();
         let short = Self { steps: vec![Step { changes, proof: None }], link };
-        if let Ok(proved) = short.check(genesis) {
+        if let Ok(proved) = short.check(genesis, known) {
             return Ok((short, proved));
         }
-        let mut reached = Genesis::governance(genesis)?.ok_or_else(no_beginning)?;
+        let mut reached = beginning(genesis, known)?;
         let (mut steps, mut changes) = (Vec::new(), Vec::new());
         for step in shown {
             changes.extend(step.changes);
@@ -130,7 +142,7 @@ impl Evidence {
         }
         steps.push(Step { changes, proof: None });
         let evidence = Self { steps, link: short.link };
-        let proved = evidence.check(genesis)?;
+        let proved = evidence.check(genesis, known)?;
         Ok((evidence, proved))
     }
 }
@@ -193,6 +205,19 @@ impl Link {
             path.ok_or_else(|| Rejection::new(Code::Internal, "a block lacks a transaction that it has"))?;
         Ok(Self { transaction: transaction.clone(), certificate, path, headers, proof })
     }
+}
+
+/// Where the way begins: at what its reader knows of this network, else at the genesis.
+fn beginning(genesis: &[u8], known: Option<&Governance>) -> Result<Governance, Rejection> {
+    let Some(known) = known else { return Genesis::governance(genesis)?.ok_or_else(no_beginning) };
+    let network = Genesis::network_of(genesis)?;
+    if known.network() == network {
+        return Ok(known.clone());
+    }
+    Err(Rejection::new(Code::WrongNetwork, "the checkpoint is of another network")
+        .found(known.network().to_string())
+        .wanted(format!("{network}, the network of the genesis"))
+        .next("take a checkpoint of this network"))
 }
 
 fn no_beginning() -> Rejection {

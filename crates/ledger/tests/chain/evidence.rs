@@ -23,7 +23,7 @@ fn evidence_proves_what_its_vector_says() {
     for file in files {
         let evidence = Evidence::from_bytes(&bytes(&file)).unwrap();
         assert_eq!(evidence.to_bytes(), bytes(&file));
-        let proved = evidence.check(&genesis).unwrap();
+        let proved = evidence.check(&genesis, None).unwrap();
         assert_eq!(proved.transaction.id().to_string(), file["transaction"].as_str().unwrap());
         assert_eq!(
             (proved.signer.id(), proved.header.height),
@@ -48,7 +48,7 @@ fn no_changed_byte_and_no_part_of_evidence_is_believed() {
             // Whoever changes a byte makes the hash at the end anew.
             let hash = Hash::of(&[&changed[..end]]);
             changed[end..].copy_from_slice(&hash.0);
-            let forged = Evidence::from_bytes(&changed).and_then(|evidence| evidence.check(&genesis));
+            let forged = Evidence::from_bytes(&changed).and_then(|evidence| evidence.check(&genesis, None));
             assert!(at >= end || forged.is_err(), "byte {at}");
         }
     }
@@ -62,7 +62,7 @@ fn changes_that_stand_where_the_way_does_not_look_are_not_believed() {
     let proof = Some(evidence.link.proof.clone());
     evidence.steps.push(Step { changes: Vec::new(), proof });
     evidence.steps.push(Step { changes: vec![Change { height: 1, writes }], proof: None });
-    assert_eq!(evidence.check(&genesis).unwrap_err().code, Code::Untrusted);
+    assert_eq!(evidence.check(&genesis, None).unwrap_err().code, Code::Untrusted);
 }
 
 #[test]
@@ -70,5 +70,5 @@ fn evidence_of_one_network_proves_nothing_in_another() {
     let (genesis, files) = vectors();
     let other = String::from_utf8(genesis).unwrap().replace("\"label\": \"", "\"label\": \"x");
     let evidence = Evidence::from_bytes(&bytes(&files[0])).unwrap();
-    assert!(evidence.check(other.as_bytes()).is_err());
+    assert!(evidence.check(other.as_bytes(), None).is_err());
 }
