@@ -126,6 +126,8 @@ fn one_command_makes_a_package_whose_programs_need_glibc_alone_and_an_image_that
     }
     let depends = text(&ran(Command::new("dpkg-deb").arg("-f").arg(&package).arg("Depends")));
     assert!(depends.starts_with("libc6 (>= 2."), "{depends}");
+    let tried = text(&ran(Command::new(repository().join("packaging/deb/try")).arg(&package)));
+    assert!(tried.contains("founds a network, answers and orders"), "{tried}");
     image_of(&package, place.path());
 }
 
