@@ -21,8 +21,9 @@ use ledger::verify::Report;
 use ledger_durable::{PUBLIC_MODE, SECRET_MODE, create_directory, read, replace};
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
+use ledger_progress::{Progress, Step};
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::archive::{Extent, archive};
+use ledger_storage::archive::{Extent, Reached, archive};
 use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -103,7 +104,15 @@ pub(crate) fn backup(builder: &NodeBuilder, options: &BackupOptions, config: &Co
     refuse_restored(config)?;
     let (network, node) = own(data)?;
     prepare(to, network, &node)?;
-    archive(data, to, Extent::Committed, &Genesis::network_of)?;
+    let mut progress = Progress::new(true);
+    let mut tell = |Reached { segments, of_segments, bytes }| {
+        progress.tell(Step { count: bytes, at: segments, of: Some(of_segments) }, |rate| {
+            format!("copying blocks: segment {segments} of {of_segments}, {:.0} MB a second", rate / 1e6)
+        });
+    };
+    let copied = archive((data, to), Extent::Committed, &Genesis::network_of, &mut tell);
+    progress.clear();
+    copied?;
     for (name, mode) in PAPERS.into_iter().filter(|(name, _)| data.join(name).exists()) {
         replace(&to.join(name), &read(&data.join(name), FILE_BYTES_MAX)?, mode)?;
     }

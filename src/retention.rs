@@ -53,7 +53,7 @@ impl Pruner {
             return self.ledger.prune_results(self.store.first_index()).map(drop);
         }
         if let Some(to) = &self.archive {
-            let report = archive(&self.data, to, Extent::Finished, &Genesis::network_of)?;
+            let report = archive((&self.data, to), Extent::Finished, &Genesis::network_of, &mut |_| ())?;
             tracing::info!(segments = report.segments_copied, up_to = report.last_height, "archived blocks");
         }
         let first = self.store.prune(keep_from)?;

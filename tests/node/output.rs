@@ -62,6 +62,58 @@ impl Story {
     }
 }
 
+impl Story {
+    /// A grant goes from one person to another one and back.
+    fn passes_on(&mut self, (owner, salma, farhad): (&Ctl, &Ctl, &Ctl), service: &str) {
+        owner.run(&["robot", "set", service, "delegable=true"]).ok();
+        self.run(salma, "acquire", &[service]);
+        self.run(salma, "delegate", &[service, "--to", "Org1/Farhad", "--for", "30s"]);
+        self.run(salma, "recall", &[service]);
+        self.run(salma, "handover", &[service, "--to", "Org1/Farhad"]);
+        self.run(farhad, "release", &[service]);
+    }
+
+    /// Tasks of one person, which end in all ways.
+    fn traverses(&mut self, salma: &Ctl, robot: &str) {
+        let points = [robot, "--points", "1,0;1,-2.5"];
+        let submitted = |told: &Value| told["task"]["id"].to_string();
+        let first = submitted(&self.run(salma, "task submit", &points));
+        self.run(salma, "task show", &[&first]);
+        self.run(salma, "task progress", &[&first, "1"]);
+        self.run(salma, "task list", &[]);
+        self.run(salma, "task fail", &[&first, "--reason", "demo"]);
+        let second = submitted(&self.run(salma, "task submit", &points));
+        self.run(salma, "task cancel", &[&second]);
+    }
+
+    /// Sets of policies of an organisation with one admin.
+    fn decides_about_sets(&mut self, owner: &Ctl, [night, day]: [&str; 2]) {
+        self.run(owner, "policy apply", &[night, "-m", "demo"]);
+        let version = self.run(owner, "policy apply", &[day, "-m", "demo"])["version"].as_u64().unwrap();
+        self.run(owner, "policy rollback", &[&(version - 1).to_string(), "-m", "demo"]);
+        self.run(owner, "policy approvals", &[]);
+        let proposed = self.run(owner, "policy propose", &[day, "-m", "demo"]);
+        self.run(owner, "policy withdraw", &[proposed["id"].as_str().unwrap()]);
+    }
+
+    /// A newcomer, contexts, a browser, invitations, a proposal and a copy of the CA.
+    fn enrols_and_governs(&mut self, admin: &Ctl, [copy, passphrase]: [&str; 2]) {
+        let invited = self.run(admin, "identity register", &["Nadia", "--attr", "Husky"]);
+        let field = |name: &str| invited[name].as_str().unwrap().to_owned();
+        let (node, ca, secret) = (field("node"), field("ca_fingerprint"), field("secret"));
+        let alone = self.dev.ctl();
+        self.run(&alone, "enroll", &["Nadia", "--node", &node, "--ca-fingerprint", &ca, "--secret", &secret]);
+        self.run(&alone, "context use", &["Nadia"]);
+        self.run(&alone, "context delete", &["Nadia"]);
+        self.run(admin, "console", &["Tablet", "--role", "member", "--attr", "Husky"]);
+        self.run(admin, "identity registrar", &["Farhad", "--affiliation", "sales", "--attr", "Husky"]);
+        self.run(admin, "network invite", &["--node", "node2"]);
+        let proposed = self.run(admin, "network propose", &["msp", "remove_organisation", r#"{"name":"Org2"}"#]);
+        self.run(admin, "network withdraw", &[proposed["proposal"]["id"].as_str().unwrap()]);
+        self.run(admin, "ca backup", &[copy, "--passphrase-file", passphrase]);
+    }
+}
+
 /// Plays a story in which every command prints its JSON.
 fn played() -> Story {
     let dev = Dev::start();
@@ -134,7 +186,24 @@ fn played() -> Story {
     it.run(&owner, "policy proposals", &[]);
     it.run(&salma, "invoke", &["abac", "acquire", service]);
     it.run(&salma, "query", &["abac", "robot", "Husky"]);
-    it.run(&salma, "task list", &[]);
+    it.run(&salma, "release", &[service]);
+    it.passes_on((&owner, &salma, &farhad), service);
+    it.traverses(&salma, "Turtlebot4");
+    it.decides_about_sets(
+        &owner,
+        [&night, &file("day.cedar", "@note(\"by day\") permit(principal, action, resource);")],
+    );
+    let cases =
+        "[[case]]\nwho = \"Org2/Admin\"\naction = \"acquire\"\nservice = \"Husky/cmd_vel\"\nexpect = \"allow\"\n";
+    it.run(&owner, "policy test", &[&file("cases.toml", cases)]);
+    let copy = files.path().join("ca.pem").to_string_lossy().into_owned();
+    it.enrols_and_governs(&admin, [&copy, &file("passphrase", "correct horse battery\n")]);
+    let [evidence, genesis] = ["stop.evidence", "genesis.json"].map(|name| files.path().join(name));
+    let [evidence, genesis] = [&evidence, &genesis].map(|path| path.to_string_lossy());
+    it.run(&owner, "prove", &[&transaction, "--file", &evidence, "--genesis", &genesis]);
+    it.run(&owner, "light", &["Turtlebot4"]);
+    let data = it.dev.data().to_string_lossy().into_owned();
+    it.run(&owner, "ledger archive", &[&data, "--to", &files.path().join("archive").to_string_lossy()]);
     it.run(&admin, "identity revoke", &["Farhad"]);
     let mut watch = Process::start("watch", story.dev.home.path(), story.dev.owner().command(&["watch", "-o", "json"]));
     let line = eventually("watch prints a row", || {

@@ -17,7 +17,7 @@ use crate::results::ResultStore;
 use ledger_durable::PUBLIC_MODE;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
-use segments::{Copied, Upto, copy_segments};
+use segments::{Copied, Upto, Watching, copy_segments};
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind};
@@ -55,15 +55,31 @@ pub struct Report {
     pub snapshot: Option<u64>,
 }
 
+/// How far an archive is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reached {
+    /// Segments of the node that are looked at, and copied where they were lacking.
+    pub segments: u64,
+    /// Segments of the node.
+    pub of_segments: u64,
+    /// Bytes copied.
+    pub bytes: u64,
+}
+
 /// Copies to `to` what it lacks of the blocks of the data directory `data`. The node may run meanwhile. May be
 /// repeated: what is there stays, a segment that was not finished is replaced by more of it, and after a crash the rest
-/// follows.
+/// follows. `tell` is called after each segment.
 ///
 /// # Errors
 /// [`Code::BadFile`] if one of the directories cannot be used, or if the archive could not be verified with what would
 /// be added (of another network or node, or a gap); [`Code::Corrupt`] naming file and byte if
 /// a segment is damaged; [`Code::ChainInvalid`] if the node has other blocks than the archive; [`Code::DiskFull`].
-pub fn archive(data: &Path, to: &Path, extent: Extent, network_of: NetworkOf<'_>) -> Result<Report, Rejection> {
+pub fn archive(
+    (data, to): (&Path, &Path),
+    extent: Extent,
+    network_of: NetworkOf<'_>,
+    tell: &mut dyn FnMut(Reached),
+) -> Result<Report, Rejection> {
     let genesis_path = data.join(GENESIS_FILE);
     let genesis = fs::read(&genesis_path).map_err(|error| {
         unusable("read", &genesis_path, &error).wanted("the data directory of a node, with genesis.json and blocks/")
@@ -80,10 +96,11 @@ pub fn archive(data: &Path, to: &Path, extent: Extent, network_of: NetworkOf<'_>
     };
     let mut snapshot = None;
     // Before the blocks: an archive that begins above 1 never is without the snapshot.
-    let copied = copy_segments(&source, &target, &network.0, upto, |first| {
+    let begin = &mut |first| {
         snapshot = put_snapshot(data, to, first)?;
         Ok(())
-    })?;
+    };
+    let copied = copy_segments((&source, &target), &network.0, upto, Watching { begin, tell })?;
     let Copied { first_height, next_height, segments, bytes } = copied;
     Ok(Report {
         network,

@@ -64,7 +64,7 @@ fn an_archive_verifies_alone_and_goes_on_when_the_node_has_dropped_what_it_holds
     let (data, to) = (root.path().join("data"), root.path().join("archive"));
     let world = World::new();
     let store = node(&world, &data, 100);
-    let archived = archive(&data, &to, Extent::Finished, &Genesis::network_of).unwrap();
+    let archived = archive((&data, &to), Extent::Finished, &Genesis::network_of, &mut |_| ()).unwrap();
     assert!(archived.last_height > 70 && archived.last_height < 100);
     assert_eq!(store.prune(archived.last_height + 1).unwrap(), archived.last_height + 1);
     let report = verify(&to).unwrap();
@@ -72,7 +72,7 @@ fn an_archive_verifies_alone_and_goes_on_when_the_node_has_dropped_what_it_holds
     // Whether its last block was committed is told by the next segment.
     assert_eq!(report.height + report.uncommitted, archived.last_height);
     assert_eq!((report.transactions, report.verdicts.get("OK")), (report.height, Some(&report.height)));
-    assert_eq!(archive(&data, &to, Extent::Finished, &Genesis::network_of).unwrap().segments_copied, 0);
+    assert_eq!(archive((&data, &to), Extent::Finished, &Genesis::network_of, &mut |_| ()).unwrap().segments_copied, 0);
     // What the node has left cannot be executed without the state before it.
     drop(store);
     let refused = verify(&data).unwrap_err();
@@ -85,7 +85,7 @@ fn a_byte_changed_in_an_archive_is_found_and_its_file_named() {
     let root = tempfile::tempdir().unwrap();
     let (data, to) = (root.path().join("data"), root.path().join("archive"));
     drop(node(&World::new(), &data, 60));
-    archive(&data, &to, Extent::Finished, &Genesis::network_of).unwrap();
+    archive((&data, &to), Extent::Finished, &Genesis::network_of, &mut |_| ()).unwrap();
     let name = "0000000002-";
     let mut files = fs::read_dir(to.join(BLOCKS_DIRECTORY)).unwrap().map(|item| item.unwrap().path());
     let file = files.find(|path| path.file_name().unwrap().to_string_lossy().starts_with(name)).unwrap();
@@ -107,7 +107,7 @@ fn an_archive_of_all_committed_blocks_verifies_up_to_the_last_of_them() {
     let (data, to) = (root.path().join("data"), root.path().join("archive"));
     let world = World::new();
     let store = node(&world, &data, 3);
-    let archived = archive(&data, &to, Extent::Committed, &Genesis::network_of).unwrap();
+    let archived = archive((&data, &to), Extent::Committed, &Genesis::network_of, &mut |_| ()).unwrap();
     // A block's commit is written with the next block, and proven by the one after that.
     assert_eq!((archived.first_height, archived.last_height, archived.blocks), (1, 1, 1));
     let report = verify(&to).unwrap();
@@ -116,9 +116,12 @@ fn an_archive_of_all_committed_blocks_verifies_up_to_the_last_of_them() {
     fs::remove_dir_all(&data).unwrap();
     // Another network.
     drop(node(&World::new(), &data, 60));
-    assert_eq!(archive(&data, &to, Extent::Committed, &Genesis::network_of).unwrap_err().code, Code::BadFile);
+    assert_eq!(
+        archive((&data, &to), Extent::Committed, &Genesis::network_of, &mut |_| ()).unwrap_err().code,
+        Code::BadFile
+    );
     let to = root.path().join("another");
-    let archived = archive(&data, &to, Extent::Committed, &Genesis::network_of).unwrap();
+    let archived = archive((&data, &to), Extent::Committed, &Genesis::network_of, &mut |_| ()).unwrap();
     let report = verify(&to).unwrap();
     assert_eq!((archived.last_height, report.height, report.uncommitted), (58, 58, 0));
 }

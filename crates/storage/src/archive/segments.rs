@@ -1,5 +1,6 @@
 //! Which segments an archive lacks, and whether they continue what it has.
 
+use super::Reached;
 use super::committed::{Committed, committed};
 use super::copy::{Wanted, copy};
 use super::fault::{in_archive, in_node, is_gone};
@@ -31,19 +32,25 @@ pub(super) enum Upto {
     Committed(u64),
 }
 
-/// Copies from the block store `source`, which may be in use, to `target` all that it lacks. `begin` is called with the
-/// first height of the archive before anything is copied.
+/// Those who are called on the way.
+pub(super) struct Watching<'a> {
+    /// With the first height of the archive, before anything is copied.
+    pub(super) begin: &'a mut dyn FnMut(u64) -> Result<(), Rejection>,
+    /// After each segment.
+    pub(super) tell: &'a mut dyn FnMut(Reached),
+}
+
+/// Copies from the block store `source`, which may be in use, to `target` all that it lacks.
 pub(super) fn copy_segments(
-    source: &dyn Disk,
-    target: &dyn Disk,
+    (source, target): (&dyn Disk, &dyn Disk),
     network: &[u8; 32],
     upto: Upto,
-    mut begin: impl FnMut(u64) -> Result<(), Rejection>,
+    mut watching: Watching<'_>,
 ) -> Result<Copied, Rejection> {
     remove_parts(target)?;
     let mut copied = Copied::default();
     for _ in 0..ATTEMPTS_MAX {
-        if copy_once((source, target), network, upto, &mut begin, &mut copied)? {
+        if copy_once((source, target), network, upto, &mut watching, &mut copied)? {
             return Ok(copied);
         }
     }
@@ -56,7 +63,7 @@ fn copy_once(
     (source, target): (&dyn Disk, &dyn Disk),
     network: &[u8; 32],
     upto: Upto,
-    begin: &mut impl FnMut(u64) -> Result<(), Rejection>,
+    watching: &mut Watching<'_>,
     copied: &mut Copied,
 ) -> Result<bool, Rejection> {
     let from = match scan(source, Some(network)) {
@@ -76,7 +83,7 @@ fn copy_once(
         return Ok(true);
     };
     copied.first_height = oldest.header.first_index;
-    begin(copied.first_height)?;
+    (watching.begin)(copied.first_height)?;
     let archived = newest.map_or(0, |newest| newest.header.sequence);
     copied.next_height = newest.unwrap_or(oldest).header.first_index;
     for (number, segment) in from.segments().iter().enumerate() {
@@ -112,6 +119,11 @@ fn copy_once(
             }
         }
         copied.next_height = wanted.next_height;
+        (watching.tell)(Reached {
+            segments: number as u64 + 1,
+            of_segments: from.segments().len() as u64,
+            bytes: copied.bytes,
+        });
     }
     Ok(true)
 }

@@ -36,7 +36,11 @@ fn store(disk: &SimDisk) -> BlockStore {
 }
 
 fn copy(source: &SimDisk, target: &SimDisk) -> Result<Copied, Rejection> {
-    copy_segments(source, target, &NETWORK, Upto::Finished, |_| Ok(()))
+    copy_upto(source, target, Upto::Finished)
+}
+
+fn copy_upto(source: &SimDisk, target: &SimDisk, upto: Upto) -> Result<Copied, Rejection> {
+    copy_segments((source, target), &NETWORK, upto, Watching { begin: &mut |_| Ok(()), tell: &mut |_| () })
 }
 
 fn segments(disk: &SimDisk) -> Vec<String> {
@@ -171,7 +175,14 @@ fn network_of(genesis: &[u8]) -> Result<Hash, Rejection> {
 }
 
 fn archive(data: &Path, to: &Path, extent: Extent) -> Result<Report, Rejection> {
-    super::archive(data, to, extent, &network_of)
+    let mut told = Vec::new();
+    let report = super::archive((data, to), extent, &network_of, &mut |reached| told.push(reached))?;
+    for (before, after) in told.iter().zip(told.iter().skip(1)) {
+        assert!(before.segments < after.segments && before.bytes <= after.bytes, "{told:?}");
+    }
+    let last = told.last().copied().unwrap_or_default();
+    assert!(last.segments <= last.of_segments && last.bytes == report.bytes_copied, "{told:?}");
+    Ok(report)
 }
 
 #[test]

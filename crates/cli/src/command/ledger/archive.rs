@@ -1,9 +1,10 @@
 //! `ledger archive`: write blocks out.
 
 use crate::failure::Failure;
-use crate::output::{Facts, Output, Table};
+use crate::output::{Facts, Format, Output, Table};
 use ledger::network::Genesis;
-use ledger_storage::archive::{Extent, Report, archive};
+use ledger_progress::{Progress, Step};
+use ledger_storage::archive::{Extent, Reached, Report, archive};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -53,7 +54,15 @@ impl Facts for Archived<'_> {
 
 impl Archive {
     pub(crate) fn run(self, output: &mut Output) -> Result<(), Failure> {
-        let report = archive(&self.directory, &self.to, Extent::Committed, &Genesis::network_of)?;
+        let mut progress = Progress::new(output.format() == Format::Table);
+        let mut tell = |Reached { segments, of_segments, bytes }| {
+            progress.tell(Step { count: bytes, at: segments, of: Some(of_segments) }, |rate| {
+                format!("segment {segments} of {of_segments}, {:.0} MB a second", rate / 1e6)
+            });
+        };
+        let report = archive((&self.directory, &self.to), Extent::Committed, &Genesis::network_of, &mut tell);
+        progress.clear();
+        let report = report?;
         output.show(&Archived { archive: &self.to, report })
     }
 }

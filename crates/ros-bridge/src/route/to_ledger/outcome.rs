@@ -57,24 +57,26 @@ impl ToLedger {
             return false;
         }
         let Err(refused) = self.fit.check(&incoming.sample) else { return true };
-        let mut counts = self.counters.lock();
         let now = Instant::now();
+        let mut counts = self.counters.lock();
         counts.summary.samples_in += 1;
-        count(&mut counts.summary.refused, refused.code.name(), 1);
         counts.live.came = Some(now);
-        counts.live.refused = Some((refused.code.name(), line(&refused), now));
         drop(counts);
-        if let Some(not_logged) = self.complaint.worth(refused.code.name(), now) {
-            let service = &self.publishing.service;
-            tracing::warn!(
-                service,
-                code = refused.code.name(),
-                reason = line(&refused),
-                not_logged,
-                "samples do not fit the type"
-            );
-        }
+        self.refused(&refused, 1, now, "samples do not fit the type");
         false
+    }
+
+    /// Counts samples that were refused, and warns of it now and then.
+    fn refused(&mut self, refused: &Rejection, samples: u64, now: Instant, what: &'static str) {
+        let code = refused.code.name();
+        let mut counts = self.counters.lock();
+        count(&mut counts.summary.refused, code, samples);
+        counts.live.refused = Some((code, line(refused), now));
+        drop(counts);
+        if let Some(not_logged) = self.complaint.worth(code, now) {
+            let service = &self.publishing.service;
+            tracing::warn!(service, code, reason = line(refused), not_logged, "{what}");
+        }
     }
 
     /// Counts an outcome. True if the own grant seems to be another than is known.
@@ -85,10 +87,10 @@ impl ToLedger {
         if verdict.is_err() {
             self.tell(Told::Refused(first));
         }
-        let mut counts = self.counters.lock();
         let now = Instant::now();
         let refused = match verdict {
             Ok(()) => {
+                let mut counts = self.counters.lock();
                 for taken in received {
                     counts.committed(now.saturating_duration_since(taken));
                 }
@@ -99,19 +101,7 @@ impl ToLedger {
         if let Some(latch) = &mut self.latch {
             latch.refused(now);
         }
-        count(&mut counts.summary.refused, refused.code.name(), received.len() as u64);
-        counts.live.refused = Some((refused.code.name(), line(&refused), now));
-        drop(counts);
-        if let Some(silent) = self.complaint.worth(refused.code.name(), now) {
-            let service = &self.publishing.service;
-            tracing::warn!(
-                service,
-                code = refused.code.name(),
-                reason = line(&refused),
-                not_logged = silent,
-                "the ledger refuses samples"
-            );
-        }
+        self.refused(&refused, received.len() as u64, now, "the ledger refuses samples");
         self.sealing.refused(&self.publishing, &refused, key);
         matches!(refused.code, Code::NotHolder | Code::StaleEpoch | Code::StaleSequence)
     }

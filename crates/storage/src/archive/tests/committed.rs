@@ -3,7 +3,7 @@
 use super::*;
 
 fn copy_committed(source: &SimDisk, target: &SimDisk, executed: u64) -> Result<Copied, Rejection> {
-    copy_segments(source, target, &NETWORK, Upto::Committed(executed), |_| Ok(()))
+    copy_upto(source, target, Upto::Committed(executed))
 }
 
 fn append(store: &BlockStore, indexes: std::ops::RangeInclusive<u64>, term: u64, commit: u64) {
