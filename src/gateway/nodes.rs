@@ -21,7 +21,7 @@ const ANSWER_BYTES_MAX: usize = 256 * 1024;
 pub(crate) struct Nodes {
     description: Arc<Description>,
     dialer: Dialer,
-    /// The last answers of the others, and when they came. Whoever asks meanwhile waits for the same answers.
+    /// The last answers of the others, and when they came. Others who ask meanwhile wait for the same answers.
     kept: Mutex<Option<(Instant, Vec<NodeStatus>)>>,
 }
 

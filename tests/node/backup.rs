@@ -260,16 +260,9 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
     assert!(shown.contains("1 of 1 voters"), "{shown}");
 
     // So does evidence: for its maker and for its reader.
-    let declared = first.json(&[
-        "robot",
-        "add",
-        "Proved",
-        "--attr-required",
-        "Proved",
-        "--service",
-        "/cmd_vel=geometry_msgs/msg/Twist",
-    ]);
-    let id = declared["transaction"].as_str().unwrap();
+    let text_of = json!({"name": "Proved", "attribute_required": "Proved", "services": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"}]});
+    let set_up = first.json(&["invoke", "abac", "setup", &text_of.to_string()]);
+    let id = set_up["id"].as_str().unwrap();
     let [evidence, genesis, checkpoint] =
         ["proved.evidence", "genesis.json", "checkpoint"].map(|name| text(&fleet.path().join(name)).to_owned());
     first.run(&["prove", id]).refused(3, &["--checkpoint"]);

@@ -191,7 +191,7 @@ fn played() -> Story {
     it.traverses(&salma, "Turtlebot4");
     it.decides_about_sets(
         &owner,
-        [&night, &file("day.cedar", "@note(\"by day\") permit(principal, action, resource);")],
+        [&night, &file("day.cedar", "@description(\"by day\") permit(principal, action, resource);")],
     );
     let cases =
         "[[case]]\nwho = \"Org2/Admin\"\naction = \"acquire\"\nservice = \"Husky/cmd_vel\"\nexpect = \"allow\"\n";

@@ -183,9 +183,12 @@ impl std::fmt::Debug for Participant {
     }
 }
 
+/// Bytes of a GUID that all endpoints of a participant share.
+const PREFIX_BYTES: usize = 12;
+
 /// The part of a GUID that all endpoints of a participant share.
-fn prefix(guid: GUID) -> [u8; 12] {
-    let mut prefix = [0; 12];
+fn prefix(guid: GUID) -> [u8; PREFIX_BYTES] {
+    let mut prefix = [0; PREFIX_BYTES];
     prefix.iter_mut().zip(guid.to_bytes()).for_each(|(to, from)| *to = from);
     prefix
 }

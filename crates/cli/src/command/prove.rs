@@ -80,7 +80,7 @@ impl Prove {
         output.show(&Shown::new(&proved, Some(file)))
     }
 
-    /// What is known of the network before, from the checkpoint.
+    /// The governance of the checkpoint, if one is named.
     fn known(&self, network: &Hash) -> Result<Option<Governance>, Rejection> {
         let checkpoint = self.checkpoint.as_deref().map(|path| read_checkpoint(network, path)).transpose()?;
         Ok(checkpoint.map(|checkpoint| checkpoint.governance))

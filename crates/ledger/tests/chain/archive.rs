@@ -45,7 +45,7 @@ fn registry() -> Registry {
     registry
 }
 
-/// Verifies a directory. What it tells meanwhile only grows, and never says more than there is.
+/// Verifies a directory. The figures that it tells meanwhile only grow, and never say more than there is.
 fn verify(directory: &Path) -> Result<Report, Rejection> {
     let mut told = vec![Reached::default()];
     let report = verify_directory(directory, &registry(), None, &mut |reached| told.push(reached))?;

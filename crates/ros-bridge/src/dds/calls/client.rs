@@ -5,7 +5,7 @@ use ledger_hash::Hash;
 use rustdds::{GUID, SequenceNumber, rpc::SampleIdentity};
 
 use super::{
-    super::{Matched, Participant},
+    super::{Matched, PREFIX_BYTES, Participant},
     Exchange,
     link::{Arrival, Ends, Link, Of},
     mapping::{Header, Mapping, named},
@@ -88,14 +88,17 @@ impl Client {
         self.link.matched()
     }
 
-    /// The mapping of the server, if there is one that hears this client.
+    /// The mapping of the server, if there is one that hears this client and is heard by it.
     fn server(&self) -> Option<Mapping> {
         let (topic, of) = (self.exchange.requests(), self.exchange.request_type().dds());
         let is_bridge = |mark: Option<Mark>| mark.is_some_and(|mark| mark.is_of_network_of(self.mark));
         let mut found = self.link.participant().subscribers();
         let found = found.find(|other| {
             let serves = other.topic == topic && other.type_name == of;
-            serves && !is_bridge(other.mark) && self.link.hearers().has(&other.guid)
+            let participant = other.guid.get(..PREFIX_BYTES).unwrap_or_default();
+            let is_found =
+                || self.link.hearers().has(&other.guid) && self.link.matched().of_participant(participant) > 0;
+            serves && !is_bridge(other.mark) && is_found()
         })?;
         Some(Mapping::of(found.guid))
     }

@@ -67,7 +67,7 @@ pub(super) struct Ends {
     pub(super) of: Of,
 }
 
-/// What the two ends are.
+/// The side of a service that the two ends serve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Of {
     Server,
