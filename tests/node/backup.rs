@@ -265,11 +265,11 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
     let id = set_up["id"].as_str().unwrap();
     let [evidence, genesis, checkpoint] =
         ["proved.evidence", "genesis.json", "checkpoint"].map(|name| text(&fleet.path().join(name)).to_owned());
-    first.run(&["prove", id]).refused(3, &["--checkpoint"]);
+    first.run(&["prove", id]).refused(2, &["--checkpoint"]);
     let proved = first.json(&["prove", id, "--file", &evidence, "--genesis", &genesis, "--checkpoint", &checkpoint]);
     let alone = fleet.ctl();
     let check = ["prove", "--check", &evidence, "--genesis", &genesis];
-    alone.run(&check).refused(3, &[]);
+    alone.run(&check).refused(2, &[]);
     let checked = alone.json(&[&check[..], &["--checkpoint", &checkpoint]].concat());
     assert_eq!((&checked["transaction"], &checked["signed_by"]), (&proved["transaction"], &proved["signed_by"]));
     assert_eq!(checked["signed_by"], serde_json::json!(["Org1/node1"]));
