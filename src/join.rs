@@ -112,9 +112,9 @@ pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
         ca: token.ca,
     };
     place.finish(&joined)?;
-    settings.name(joined.network, &format!("{}/{}", joined.organisation, joined.name), &joined.address);
+    let hint = settings.name(joined.network, &format!("{}/{}", joined.organisation, joined.name), &joined.address);
     settings.write(&options.config)?;
-    told(&joined, &genesis.label, &token, options, config)
+    Ok(told(&joined, &genesis.label, &token, options, config)? + &hint)
 }
 
 /// The node of the token that answered.

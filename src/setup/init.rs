@@ -54,9 +54,9 @@ pub fn init(options: &InitOptions) -> Result<String, Rejection> {
         }
     })?;
     let InitOptions { organisation, node, .. } = options;
-    settings.name(founded.network, &format!("{organisation}/{node}"), &founded.address);
+    let hint = settings.name(founded.network, &format!("{organisation}/{node}"), &founded.address);
     settings.write_again(&options.config)?;
-    Ok(founded.told)
+    Ok(founded.told + &hint)
 }
 
 /// A configuration of a node that has lost its data must not found another network by mistake.

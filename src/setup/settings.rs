@@ -66,12 +66,27 @@ impl Settings {
         Ok(Self { config, text: Some(text) })
     }
 
-    /// Lets a file that is to be made say which node of which network it is for.
-    pub(crate) fn name(&mut self, network: Hash, node: &str, address: &str) {
-        if let Some(text) = &mut self.text {
-            for (line, value) in SHIPPED_MEMBER.into_iter().zip([network.to_string().as_str(), node, address]) {
-                *text = text.replace(line, &format!("{} = {value:?}", setting(line)));
+    /// Lets a file that is to be made say which node of which network it is for. Answers with what to tell the user where the file
+    /// was there before and does not say it: what people wrote stays as it is.
+    pub(crate) fn name(&mut self, network: Hash, node: &str, address: &str) -> String {
+        let network = network.to_string();
+        let lines = SHIPPED_MEMBER.into_iter().zip([&network, node, address]);
+        let lines = lines.map(|(line, value)| (line, format!("{} = {value:?}", setting(line))));
+        match &mut self.text {
+            Some(text) => {
+                for (line, named) in lines {
+                    *text = text.replace(line, &named);
+                }
+                String::new()
             }
+            None if self.config.member.network.is_empty() => {
+                let member: String = lines.map(|(_, named)| format!("  {named}\n")).collect();
+                format!(
+                    "\n{} was there before and stays as it is. Let it say which node it is for:\n  [member]\n{member}",
+                    self.config.file.display()
+                )
+            }
+            None => String::new(),
         }
     }
 

@@ -23,6 +23,8 @@ pub struct Progress {
     first: Option<u64>,
     /// When it was told last, and the count of then, for the rate.
     told: (Instant, u64),
+    /// Is there a line on the terminal?
+    is_shown: bool,
 }
 
 #[derive(Debug, PartialEq)]
@@ -51,7 +53,7 @@ impl Progress {
             true if io::stderr().is_terminal() => Place::Terminal,
             true => Place::File,
         };
-        Self { place, begun: Instant::now(), first: None, told: (Instant::now(), 0) }
+        Self { place, begun: Instant::now(), first: None, told: (Instant::now(), 0), is_shown: false }
     }
 
     /// Tells how far it is, where that is due. `text` gets the rate, a second.
@@ -69,12 +71,13 @@ impl Progress {
         let left = left(step, first, self.begun.elapsed()).map(|left| format!(", {left} left")).unwrap_or_default();
         // Where standard error is closed, nobody wants to know.
         let mut screen = io::stderr();
+        self.is_shown = true;
         let _told = write!(screen, "{start}{}{left}{end}", text(rate)).and_then(|()| screen.flush());
     }
 
     /// Takes the line away, so that something else can be written.
     pub fn clear(&self) {
-        if self.place == Place::Terminal {
+        if self.is_shown && self.place == Place::Terminal {
             let mut screen = io::stderr();
             let _cleared = write!(screen, "\r\x1b[K").and_then(|()| screen.flush());
         }
