@@ -13,7 +13,9 @@ mod check;
 mod figures;
 mod node;
 
+use crate::config::BridgePage;
 use crate::doors::{Doors, Room};
+use crate::tls_files::TlsFiles;
 use axum::Router;
 use axum::extract::{RawQuery, State};
 use axum::http::StatusCode;
@@ -31,6 +33,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio_rustls::rustls::ServerConfig;
+use tokio_rustls::rustls::crypto::ring;
+use tokio_rustls::rustls::version::TLS13;
 
 /// The form of `/metrics`: <https://prometheus.io/docs/specs/om/open_metrics_spec/>.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -53,7 +57,12 @@ pub(crate) trait Watched: Send + Sync + 'static {
 }
 
 /// The certificate that the page shows, and the ones that it accepts.
-pub(crate) type Papers = (TlsIdentity, Arc<dyn TrustSource>);
+pub(crate) enum PagePapers {
+    /// That of a node, and those of the members of its network.
+    OfNetwork(TlsIdentity, Arc<dyn TrustSource>),
+    /// Those of an operator, if there are any.
+    OfFiles(BridgePage),
+}
 
 /// The page, as long as it is served. It ends when it is dropped.
 pub(crate) struct Admin {
@@ -63,22 +72,14 @@ pub(crate) struct Admin {
 
 impl Admin {
     /// Serves the page at `HOST:PORT`. An address of loopback is for everybody on this machine. Elsewhere it shows its certificate, and
-    /// wants one of the network; without papers it is on loopback only.
+    /// wants one of the network, or from the authorities of the files; without files it is on loopback only.
     ///
     /// # Errors
     /// [`Code::BadConfiguration`] if nothing can listen there, or may; [`Code::BadFile`] if the certificate cannot be used.
-    pub(crate) async fn serve(
-        address: &str,
-        watched: Arc<dyn Watched>,
-        papers: Option<Papers>,
-    ) -> Result<Self, Rejection> {
+    pub(crate) async fn serve(address: &str, watched: Arc<dyn Watched>, papers: PagePapers) -> Result<Self, Rejection> {
         let listening = Doors::listen(address, "admin.listen").await?;
         let address = listening.1;
-        let tls = match (address.ip().is_loopback(), papers) {
-            (true, _) => None,
-            (false, Some(papers)) => Some(secured(papers)?),
-            (false, None) => return Err(only_on_loopback(address)),
-        };
+        let tls = secured(address, papers)?;
         let room = Room { all_max: OPEN_MAX, each_max: OPEN_MAX, life_max: LIFE_MAX, tls, wants_certificate: true };
         let doors = Doors::open(listening, room);
         let page = Router::new()
@@ -107,18 +108,40 @@ impl Drop for Admin {
     }
 }
 
-fn secured((identity, trust): Papers) -> Result<ServerConfig, Rejection> {
-    let config = server_config(identity, trust);
-    let mut config = config.map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+/// TLS for a page that listens there; none for plain HTTP.
+fn secured(address: SocketAddr, papers: PagePapers) -> Result<Option<ServerConfig>, Rejection> {
+    let mut config = match papers {
+        PagePapers::OfFiles(page) if page.is_secured() => of_files(&page)?,
+        _ if address.ip().is_loopback() => return Ok(None),
+        PagePapers::OfNetwork(identity, trust) => {
+            server_config(identity, trust).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?
+        }
+        PagePapers::OfFiles(_) => return Err(only_on_loopback(address)),
+    };
     config.alpn_protocols = vec![b"http/1.1".to_vec()];
+    Ok(Some(config))
+}
+
+fn of_files(page: &BridgePage) -> Result<ServerConfig, Rejection> {
+    const FILES: TlsFiles = TlsFiles("admin");
+    let provider = Arc::new(ring::default_provider());
+    let clients = FILES.clients(&page.clients, Arc::clone(&provider))?;
+    let (chain, key) = (FILES.chain(&page.certificate)?, FILES.key(&page.key)?);
+    let config = ServerConfig::builder_with_provider(provider)
+        .with_protocol_versions(&[&TLS13])
+        .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?
+        .with_client_cert_verifier(clients)
+        .with_single_cert(chain, key);
+    let mut config = config.map_err(|error| FILES.unusable(&page.certificate, &error.to_string()))?;
+    config.send_tls13_tickets = 0;
     Ok(config)
 }
 
 fn only_on_loopback(address: SocketAddr) -> Rejection {
-    Rejection::new(Code::BadConfiguration, "the page of a bridge is for its own machine only")
+    Rejection::new(Code::BadConfiguration, "without a certificate the page of a bridge is for its own machine only")
         .found(format!("admin.listen = {:?}", address.to_string()))
-        .wanted("an address of loopback, for example \"127.0.0.1:9465\"")
-        .next("run the bridge inside a node, whose page has its figures over TLS; or put a proxy with TLS in front")
+        .wanted("an address of loopback, for example \"127.0.0.1:9465\"; or TLS")
+        .next("name certificate, key and clients in [admin] (docs/metrics.md), or run the bridge inside a node")
 }
 
 /// Does the process answer? A supervisor that restarts it otherwise asks this, and nothing else.

@@ -1,6 +1,6 @@
 //! The command line of `ledgerd`.
 
-use crate::admin::Admin;
+use crate::admin::{Admin, PagePapers};
 use crate::ca::operator;
 use crate::config::{Config, Fault, OfBridge};
 use crate::host::NodeBuilder;
@@ -220,9 +220,12 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
     let _known = memory::keep();
     block_on_with(1, async move {
         let sight = Sight::default();
-        let _page = match program.admin.as_str() {
+        let _page = match program.admin.listen.as_str() {
             "" => None,
-            address => Some(Admin::serve(address, Arc::new(sight.clone()), None).await?),
+            address => {
+                let papers = PagePapers::OfFiles(program.admin.clone());
+                Some(Admin::serve(address, Arc::new(sight.clone()), papers).await?)
+            }
         };
         let who =
             ros_bridge::context_of(&config).map(|who| format!("{}/{}", who.organisation, who.name)).unwrap_or_default();

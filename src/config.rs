@@ -290,7 +290,7 @@ impl Config {
             s.integer("secret_days", 1..=365, &mut ca.secret_days);
         });
         log.read(root);
-        read_admin(root, admin);
+        root.section("admin", |s| s.text("listen", ADMIN_LISTEN, admin, address));
         console.read(root, directory);
         traces.read(root);
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
@@ -321,7 +321,6 @@ impl Console {
         let Self { listen, name, certificate, key } = self;
         let file = |text: &str| Some(if text.is_empty() { PathBuf::new() } else { directory.join(text) });
         root.section("console", |s| {
-            let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
             s.text("listen", "HOST:PORT, for example \"127.0.0.1:7452\"", listen, address);
             let host = |text: &str| (!text.contains([':', '/', ' '])).then(|| text.to_ascii_lowercase());
             s.text("name", "a host name, for example \"robots.example.org\"", name, host);
@@ -365,13 +364,52 @@ impl Log {
     }
 }
 
+/// The page for whoever watches a bridge.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct BridgePage {
+    /// `HOST:PORT` where it listens; empty = none.
+    pub(crate) listen: String,
+    /// Its certificate for TLS, with those of its issuers; empty = none, and the page is for its own machine.
+    pub(crate) certificate: PathBuf,
+    /// The key of that certificate.
+    pub(crate) key: PathBuf,
+    /// The authorities whose certificates clients show.
+    pub(crate) clients: PathBuf,
+}
+
+impl BridgePage {
+    /// Has it a certificate?
+    pub(crate) fn is_secured(&self) -> bool {
+        !self.certificate.as_os_str().is_empty()
+    }
+
+    fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
+        let Self { listen, certificate, key, clients } = self;
+        let file = |text: &str| Some(if text.is_empty() { PathBuf::new() } else { directory.join(text) });
+        root.section("admin", |s| {
+            s.text("listen", ADMIN_LISTEN, listen, address);
+            for (name, place) in [("certificate", &mut *certificate), ("key", &mut *key), ("clients", &mut *clients)] {
+                s.text(name, "a path", place, file);
+            }
+        });
+        let given = [certificate, key, clients].iter().filter(|path| !path.as_os_str().is_empty()).count();
+        if ![0, 3].contains(&given) {
+            root.conflict(
+                ["admin.certificate", "admin.clients"],
+                format!("{given} of certificate, key and clients"),
+                "all three, or none of them".into(),
+            );
+        }
+    }
+}
+
 /// The settings of the process of a bridge, beside those of the bridge: they are a node's.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct OfBridge {
     /// `[log]`
     pub(crate) log: Log,
-    /// `[admin] listen`: `HOST:PORT` of the page for whoever watches the bridge; empty = none.
-    pub(crate) admin: String,
+    /// `[admin]`
+    pub(crate) admin: BridgePage,
     /// `[traces]`
     pub(crate) traces: Traces,
 }
@@ -385,18 +423,19 @@ impl OfBridge {
         let mut program = Self::default();
         let bridge = ros_bridge::Config::load(path, |root| {
             program.log.read(root);
-            read_admin(root, &mut program.admin);
+            program.admin.read(root, path.parent().unwrap_or(Path::new("")));
             program.traces.read(root);
         })?;
         Ok((program, bridge))
     }
 }
 
-fn read_admin(root: &mut Section<'_, '_>, admin: &mut String) {
-    root.section("admin", |s| {
-        let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
-        s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
-    });
+/// How `admin.listen` is written.
+const ADMIN_LISTEN: &str = "HOST:PORT, for example \"127.0.0.1:7451\"";
+
+/// An address to listen at, or none.
+fn address(text: &str) -> Option<String> {
+    (text.is_empty() || is_address(text)).then(|| text.to_owned())
 }
 
 fn level(text: &str) -> Option<LevelFilter> {

@@ -89,6 +89,7 @@ mod space;
 mod speaks;
 mod stores;
 mod telemetry;
+mod tls_files;
 mod verify;
 mod waiters;
 mod witness;

@@ -2,7 +2,7 @@
 
 use super::serve::Serving;
 use super::{Host, Papers, Services};
-use crate::admin::{Admin, WatchedNode};
+use crate::admin::{Admin, PagePapers, WatchedNode};
 use crate::backup::refuse_restored;
 use crate::bridge::NodeBridge;
 use crate::config::Config;
@@ -227,8 +227,8 @@ async fn admin(
         return Ok(None);
     }
     let node = Arc::clone(&services.gateway.description);
-    let papers = (identity.clone(), Arc::clone(&services.trust));
-    Admin::serve(&config.admin, Arc::new(WatchedNode { node, bridge }), Some(papers)).await.map(Some)
+    let papers = PagePapers::OfNetwork(identity.clone(), Arc::clone(&services.trust));
+    Admin::serve(&config.admin, Arc::new(WatchedNode { node, bridge }), papers).await.map(Some)
 }
 
 /// The console, if the configuration wants one; the node tells where it is.

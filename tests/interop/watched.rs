@@ -5,10 +5,13 @@ use crate::support::wait::{eventually, until};
 use crate::world::{self, World};
 use crate::{call, network};
 use ledger_gate::sample::Sample;
+use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use ros_bridge::dds::Participant;
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;
 use ros_bridge::queue::Limits;
+use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
 const TWIST: &str = "geometry_msgs/msg/Twist";
@@ -150,12 +153,71 @@ fn the_page_is_there_while_a_bridge_waits_and_says_for_what() {
         assert_eq!(value(USERS_PAGE, "ledgerd_bridge_is_running"), 1.0);
         salma.report();
 
-        // The page tells who may command what: it is for the machine only.
+        // The page tells who may command what: without a certificate it is for the machine only.
         let elsewhere = settings(1, "to_ledger", "0.0.0.0:7461");
         let refused = world.bridge_refuses("Salma", &elsewhere);
         for word in ["for its own machine only", "admin.listen = \"0.0.0.0:7461\"", "loopback", "TLS"] {
             assert!(refused.contains(word), "{word}: {refused}");
         }
+        let half = elsewhere.replace("[admin]\n", "[admin]\ncertificate = \"page.pem\"\n");
+        let refused = world.bridge_refuses("Salma", &half);
+        assert!(refused.contains("1 of certificate, key and clients"), "{refused}");
+    });
+}
+
+/// Asks for /livez over TLS as curl does, which trusts `ca` alone; `client` is a certificate and its key.
+fn over_tls(ca: &Path, client: Option<[&Path; 2]>) -> Result<String, String> {
+    let mut curl = Command::new("curl");
+    curl.args(["--silent", "--show-error", "--cacert"]).arg(ca);
+    if let Some([certificate, key]) = client {
+        curl.arg("--cert").arg(certificate).arg("--key").arg(key);
+    }
+    let done = curl.arg("https://localhost:7461/livez").output().unwrap();
+    let told = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    if done.status.success() { Ok(told(&done.stdout)) } else { Err(told(&done.stderr)) }
+}
+
+#[test]
+fn with_a_certificate_of_its_operator_the_page_of_a_bridge_is_for_clients_of_the_authorities_that_it_names() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", TWIST).await;
+        let place = tempfile::tempdir().unwrap();
+        let file = |name: &str| place.path().join(name);
+        let authority = |name: &str| {
+            let mut params = CertificateParams::new(Vec::new()).unwrap();
+            params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+            let key = KeyPair::generate().unwrap();
+            std::fs::write(file(name), params.self_signed(&key).unwrap().pem()).unwrap();
+            Issuer::new(params, key)
+        };
+        let [ours, others] = [authority("ours.pem"), authority("others.pem")];
+        let issue = |issuer: &Issuer<'_, KeyPair>, name: &str| {
+            let key = KeyPair::generate().unwrap();
+            let params = CertificateParams::new(vec!["localhost".to_owned()]).unwrap();
+            std::fs::write(file(&format!("{name}.pem")), params.signed_by(&key, issuer).unwrap().pem()).unwrap();
+            std::fs::write(file(&format!("{name}.key")), key.serialize_pem()).unwrap();
+        };
+        issue(&ours, "page");
+        issue(&ours, "prometheus");
+        issue(&others, "stranger");
+        let [certificate, key, clients] = ["page.pem", "page.key", "ours.pem"].map(file);
+        let page =
+            format!("listen = \"0.0.0.0:7461\"\ncertificate = {certificate:?}\nkey = {key:?}\nclients = {clients:?}\n");
+        let text = settings(1, "to_ledger", USERS_PAGE).replace(&format!("listen = {USERS_PAGE:?}\n"), &page);
+        let salma = world.start_bridge_as("Salma", &text, &[]);
+        let as_client = |name: &str| [file(&format!("{name}.pem")), file(&format!("{name}.key"))];
+        let ask = |name: &str| {
+            let [certificate, key] = as_client(name);
+            over_tls(&file("ours.pem"), Some([&certificate, &key]))
+        };
+        assert_eq!(eventually("the page answers", || ask("prometheus").ok()), "ok\n");
+        for refused in [ask("stranger"), over_tls(&file("ours.pem"), None)] {
+            assert!(refused.is_err(), "{refused:?}");
+        }
+        salma.report();
     });
 }
 
