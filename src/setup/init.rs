@@ -177,6 +177,20 @@ mod tests {
     }
 
     #[test]
+    fn a_configuration_that_was_there_stays_as_it_is_and_the_user_is_told_what_it_lacks() {
+        let place = TempDir::new().unwrap();
+        let options = options(place.path());
+        let own = "# mine\ndata = 'data'\nlisten = '127.0.0.1:7450'\n";
+        fs::write(&options.config, own).unwrap();
+        let told = init(&options).unwrap();
+        assert_eq!(fs::read_to_string(&options.config).unwrap(), own);
+        let (_, lacking) = told.split_once("  [member]\n").unwrap();
+        for line in ["  network = \"", "  node = \"Org1/node1\"\n", "  address = \"127.0.0.1:7450\"\n"] {
+            assert!(lacking.contains(line), "{told}");
+        }
+    }
+
+    #[test]
     fn a_configuration_that_is_written_listens_where_the_address_leads() {
         for (address, listen) in [
             ("127.0.0.1:17450", "127.0.0.1:17450"),

@@ -204,26 +204,3 @@ fn a_plan_that_contradicts_itself_is_refused() {
     spoil(&|plan| plan.nodes[2].address = plan.nodes[1].address.clone());
     spoil(&|plan| plan.organisations[1].name = "Org1".into());
 }
-
-#[test]
-fn a_configuration_that_was_there_stays_as_it_is_and_init_says_what_it_lacks() {
-    let place = tempfile::tempdir().unwrap();
-    let config = place.path().join("ledgerd.toml");
-    let own = "# mine\ndata = \"data\"\nlisten = \"127.0.0.1:7450\"\n";
-    fs::write(&config, own).unwrap();
-    let options = InitOptions {
-        config: config.clone(),
-        organisation: "Org1".into(),
-        label: None,
-        node: "node1".into(),
-        address: None,
-        key: KeyKind::Ed25519,
-        admin: "admin".into(),
-    };
-    let told = init(&options).unwrap();
-    assert_eq!(fs::read_to_string(&config).unwrap(), own);
-    let (_, lacking) = told.split_once("  [member]\n").unwrap();
-    for line in ["  network = \"", "  node = \"Org1/node1\"\n", "  address = \"127.0.0.1:7450\"\n"] {
-        assert!(lacking.contains(line), "{told}");
-    }
-}
