@@ -19,13 +19,11 @@ impl<T> Held<T> {
         Self(VecDeque::new())
     }
 
-    /// Takes a request in; `false` if too many wait.
-    pub(super) fn push(&mut self, request: T, now: Instant) -> bool {
-        let has_room = self.0.len() < WAITING_MAX;
-        if has_room {
-            self.0.push_back((now, request));
-        }
-        has_room
+    /// Takes a request in. If too many wait, the oldest waits no longer: it is given back.
+    pub(super) fn push(&mut self, request: T, now: Instant) -> Option<T> {
+        let oldest = if self.0.len() < WAITING_MAX { None } else { self.0.pop_front() };
+        self.0.push_back((now, request));
+        oldest.map(|(_, oldest)| oldest)
     }
 
     /// Takes out those that wait no longer: a reply to them would be heard, or they have waited long enough.
@@ -53,7 +51,7 @@ mod tests {
     fn a_request_waits_until_its_reply_is_heard() {
         let (mut held, start) = (Held::new(), Instant::now());
         for request in [1, 2, 3] {
-            assert!(held.push(request, start));
+            assert_eq!(held.push(request, start), None);
         }
         assert_eq!(held.release(start, |request| *request == 2), [2]);
         assert_eq!(held.release(start, |_| false), [0; 0]);
@@ -72,12 +70,12 @@ mod tests {
     }
 
     #[test]
-    fn those_that_wait_are_bounded() {
+    fn if_too_many_wait_the_oldest_waits_no_longer() {
         let (mut held, start) = (Held::new(), Instant::now());
         for request in 0..WAITING_MAX {
-            assert!(held.push(request, start));
+            assert_eq!(held.push(request, start), None);
         }
-        assert!(!held.push(WAITING_MAX, start));
+        assert_eq!(held.push(WAITING_MAX, start), Some(0));
         assert_eq!(held.release(start, |_| true).len(), WAITING_MAX);
     }
 }

@@ -311,20 +311,27 @@ impl Pump {
         }
         // A copy, so that it keeps nothing larger alive.
         let message = Bytes::copy_from_slice(sample.wire().get(HEADER_BYTES..).unwrap_or_default());
-        if !self.held.push(Arrival { message, writer, sequence, related }, Instant::now()) {
-            self.drop_one("too many wait for the reader of their replies");
+        let arrival = Arrival { message, writer, sequence, related };
+        if self.of == Of::Client || is_heard(&arrival, &self.matched, &self.hearers) {
+            // Earlier ones of the same client go first.
+            self.release();
+            self.give(arrival);
+        } else if let Some(oldest) = self.held.push(arrival, Instant::now()) {
+            self.give(oldest);
         }
-        self.release();
     }
 
     /// Gives out what waits no longer.
     fn release(&mut self) {
-        let (of, matched, hearers) = (self.of, &self.matched, &self.hearers);
-        let is_heard = |arrival: &Arrival| of == Of::Client || is_heard(arrival, matched, hearers);
-        for arrival in self.held.release(Instant::now(), is_heard) {
-            if self.arrivals.try_send(arrival).is_err() {
-                self.drop_one("too many wait");
-            }
+        let (matched, hearers) = (&self.matched, &self.hearers);
+        for arrival in self.held.release(Instant::now(), |arrival| is_heard(arrival, matched, hearers)) {
+            self.give(arrival);
+        }
+    }
+
+    fn give(&mut self, arrival: Arrival) {
+        if self.arrivals.try_send(arrival).is_err() {
+            self.drop_one("too many wait");
         }
     }
 
