@@ -9,6 +9,12 @@
 `ledgerd.aio` has the same for programs with asyncio. Whatever is refused raises a `Refusal` with code, found, wanted and next.
 """
 
+import os
+
+# What gRPC does at a fork, which it does in spite of threads that call into it, ends the child by a segmentation fault now and then. A
+# client refuses to work in a child anyhow. Must come before gRPC is imported.
+os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "0")
+
 from ledgerd import aio
 from ledgerd.codes import CODES, Kind
 from ledgerd.context import Context
