@@ -5,7 +5,7 @@ use crate::support::wait::{eventually, until};
 use crate::world::{self, World};
 use crate::{call, network};
 use ledger_gate::sample::Sample;
-use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
+use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 use ros_bridge::dds::Participant;
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;
@@ -188,6 +188,7 @@ fn with_a_certificate_of_its_operator_the_page_of_a_bridge_is_for_clients_of_the
         let file = |name: &str| place.path().join(name);
         let authority = |name: &str| {
             let mut params = CertificateParams::new(Vec::new()).unwrap();
+            params.distinguished_name.push(DnType::CommonName, name);
             params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
             let key = KeyPair::generate().unwrap();
             std::fs::write(file(name), params.self_signed(&key).unwrap().pem()).unwrap();
@@ -196,7 +197,8 @@ fn with_a_certificate_of_its_operator_the_page_of_a_bridge_is_for_clients_of_the
         let [ours, others] = [authority("ours.pem"), authority("others.pem")];
         let issue = |issuer: &Issuer<'_, KeyPair>, name: &str| {
             let key = KeyPair::generate().unwrap();
-            let params = CertificateParams::new(vec!["localhost".to_owned()]).unwrap();
+            let mut params = CertificateParams::new(vec!["localhost".to_owned()]).unwrap();
+            params.distinguished_name.push(DnType::CommonName, name);
             std::fs::write(file(&format!("{name}.pem")), params.signed_by(&key, issuer).unwrap().pem()).unwrap();
             std::fs::write(file(&format!("{name}.key")), key.serialize_pem()).unwrap();
         };
@@ -213,7 +215,8 @@ fn with_a_certificate_of_its_operator_the_page_of_a_bridge_is_for_clients_of_the
             let [certificate, key] = as_client(name);
             over_tls(&file("ours.pem"), Some([&certificate, &key]))
         };
-        assert_eq!(eventually("the page answers", || ask("prometheus").ok()), "ok\n");
+        let said = eventually("the page answers", || ask("prometheus").inspect_err(|why| println!("{why}")).ok());
+        assert_eq!(said, "ok\n");
         for refused in [ask("stranger"), over_tls(&file("ours.pem"), None)] {
             assert!(refused.is_err(), "{refused:?}");
         }

@@ -51,7 +51,9 @@ async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
     until("the leader is back", || async {
         let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen).await.unwrap();
         let code = wire::code(&answer);
-        assert!([0, u32::from(Code::NoLeader.number())].contains(&code), "{answer:?}");
+        // On a busy machine its queue is too long at first.
+        let again = [Code::NoLeader, Code::Overloaded].map(|code| u32::from(code.number()));
+        assert!(code == 0 || again.contains(&code), "{answer:?}");
         (code == 0).then_some(())
     })
     .await;
