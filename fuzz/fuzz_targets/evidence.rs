@@ -13,7 +13,7 @@ fuzz_target!(|bytes: &[u8]| {
     // The same with the hash at the end that belongs to it: as somebody makes it who wants to be believed.
     let whole = [bytes, &Hash::of(&[bytes]).0].concat();
     if let Ok(evidence) = Evidence::from_bytes(&whole) {
-        if let Ok(proved) = evidence.check(&EVIDENCE.genesis) {
+        if let Ok(proved) = evidence.check(&EVIDENCE.genesis, None) {
             assert!(EVIDENCE.proved.contains(&proved.transaction.id()));
         }
     }
