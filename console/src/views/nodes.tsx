@@ -101,7 +101,7 @@ function Row({ node, told, newest }: { node: NodeStatus; told: StatusResponse; n
       <td>
         <span class={`what ${connected ? "good" : "bad"}`}>{connected ? "yes" : "no"}</span>
       </td>
-      {node.status ? <Words status={node.status} newest={newest} /> : <td colSpan={5} class="dim">{node.unreachable}</td>}
+      {node.status ? <Words status={node.status} newest={newest} /> : <td colSpan={5} class="wide dim">{node.unreachable}</td>}
     </tr>
   );
 }

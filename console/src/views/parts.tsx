@@ -83,7 +83,7 @@ export function Empty({ children }: { children: ComponentChildren }): JSX.Elemen
 export function Table({ label, head, children }: { label: string; head: string[]; children: ComponentChildren }): JSX.Element {
   const body = useRef<HTMLTableSectionElement>(null);
   useEffect(() => {
-    for (const row of body.current?.rows ?? []) [...row.cells].forEach((cell, at) => (cell.dataset.name = head[at] ?? ""));
+    for (const row of body.current?.rows ?? []) [...row.cells].forEach((cell, at) => (cell.dataset.name = cell.colSpan > 1 ? "" : (head[at] ?? "")));
   });
   return (
     <div class="scroll" role="region" aria-label={label} tabIndex={0}>
