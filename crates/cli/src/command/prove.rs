@@ -67,7 +67,7 @@ impl Prove {
         let proving = session.client.evidence(id, known.as_ref()).await;
         let (genesis, evidence, proved) = proving.map_err(|refused| match (refused.code, &self.checkpoint) {
             (Code::Untrusted, None) => {
-                refused.next("after a recovery by force, begin at a checkpoint: --checkpoint FILE (docs/operations.md)")
+                refused.next("ask another node; after a recovery by force, begin at a checkpoint: --checkpoint FILE (docs/operations.md)")
             }
             _ => refused,
         })?;
