@@ -133,6 +133,24 @@ pub const LOCAL_FRAGMENT_SIZE: u16 = 16_000;
 pub const PUSH_BURST_MAX_BYTES: usize = 256 * 1024;
 pub const PUSH_PAUSE: Duration = Duration::from_micros(100);
 
+// Largest sample that a Reader assembles of fragments, with its encapsulation
+// header. One that is larger is passed over, as if the Writer had sent a GAP.
+pub const MAX_FRAGMENTED_SAMPLE_BYTES: u32 = 16 * 1024 * 1024;
+
+// Most fragments of such a sample: the largest one in fragments of 256 bytes.
+pub const MAX_FRAGMENTS_PER_SAMPLE: u32 = 65_536;
+
+// Most bytes that a Reader holds of incomplete samples of one Writer.
+pub const MAX_ASSEMBLY_BYTES_PER_WRITER: usize = 32 * 1024 * 1024;
+
+// Sequence numbers, and numbers of fragments, that an ACKNACK or a NACK_FRAG
+// reaches over (RTPS v2.5 Sections 8.3.5.5 and 8.3.5.7).
+pub const NUMBER_SET_SPAN: u32 = 256;
+
+// Remote participants of which a route was observed. Anybody can make up more:
+// beyond it some are forgotten, until their next datagram.
+pub const MAX_OBSERVED_PARTICIPANTS: usize = 1024;
+
 /// Convert an interface MTU into the RTPS-message (UDP payload) budget usable
 /// for submessage/fragment packing: `mtu - DATAGRAM_HEADER_OVERHEAD`, floored
 /// so a pathologically small MTU still yields a usable (if tiny) budget. The

@@ -1143,10 +1143,13 @@ impl DPEventLoop {
     // - every writer may route a confirmed same-host peer over loopback.
     // See `src/rtps/loopback_same_host_design.md`.
     new_writer.set_prefer_loopback_same_host(self.same_host_loopback);
-    if self.only_local && self.static_peers.is_empty() {
+    let is_spdp = new_writer.guid().entity_id == EntityId::SPDP_BUILTIN_PARTICIPANT_WRITER;
+    // An announcement is not fragmented: readers take fragments of Writers that they
+    // know, and it is what makes us known.
+    if is_spdp || (self.only_local && self.static_peers.is_empty()) {
       new_writer.set_fragment_size(LOCAL_FRAGMENT_SIZE);
     }
-    if new_writer.guid().entity_id == EntityId::SPDP_BUILTIN_PARTICIPANT_WRITER {
+    if is_spdp {
       let mut destinations = Vec::new();
       if self.same_host_loopback {
         destinations.extend(localhost_spdp_peer_locators(

@@ -1,11 +1,11 @@
 use std::{
+  cmp::min,
   collections::{btree_map::Entry, BTreeMap},
   fmt, iter,
 };
 
-use bit_vec::BitVec;
 use enumflags2::BitFlags;
-use bytes::BytesMut;
+use bytes::{Bytes, BytesMut};
 #[allow(unused_imports)]
 use log::{debug, error, info, trace, warn};
 
@@ -15,6 +15,9 @@ use crate::{
     elements::serialized_payload::SerializedPayload,
     submessages::{DATAFRAG_Flags, DataFrag},
   },
+  rtps::constant::{
+    MAX_ASSEMBLY_BYTES_PER_WRITER, MAX_FRAGMENTED_SAMPLE_BYTES, MAX_FRAGMENTS_PER_SAMPLE,
+  },
   structure::{
     cache_change::ChangeKind,
     sequence_number::{FragmentNumber, SequenceNumber},
@@ -22,11 +25,25 @@ use crate::{
   },
 };
 
-// This is for the assembly of a single object
-struct AssemblyBuffer {
-  buffer_bytes: BytesMut,
+// Consecutive fragments that were received.
+struct Run {
   fragment_count: usize,
-  received_bitmap: BitVec,
+  bytes: Box<[u8]>,
+}
+
+// This is for the assembly of a single object. It holds the bytes that were
+// received: what a DATAFRAG says about the size of the object reserves nothing.
+struct AssemblyBuffer {
+  data_size: usize,
+  // Writer must guarantee constant fragment size per SequenceNumber. RTPS spec v2.5
+  // Section 8.4.14.1.1 "How to select the fragment size" even says that it is fixed
+  // per-writer.
+  fragment_size: usize,
+  fragment_count: usize,
+  // By the index (from 0) of their first fragment. No two of them overlap.
+  runs: BTreeMap<usize, Run>,
+  received_fragments: usize,
+  received_bytes: usize,
 
   #[allow(dead_code)] // TODO: Purpose is to use this later for e.g.
   // garbage collection, in case some buffer is not completed within reasonable time.
@@ -37,140 +54,150 @@ struct AssemblyBuffer {
 impl AssemblyBuffer {
   pub fn new(datafrag: &DataFrag) -> Option<Self> {
     let data_size: usize = datafrag.data_size.try_into().ok()?;
-    let fragment_size: u16 = datafrag.fragment_size;
+    let fragment_size = usize::from(datafrag.fragment_size);
     debug!("new AssemblyBuffer data_size={data_size} frag_size={fragment_size}");
 
-    if fragment_size == 0 || fragment_size as usize > data_size {
+    if fragment_size == 0 || fragment_size > data_size || FragmentAssembler::is_too_large(datafrag)
+    {
       error!("Cannot create AssemblyBuffer: fragment_size={fragment_size} data_size={data_size}");
-      return None;
-    }
-
-    let mut buffer_bytes = BytesMut::with_capacity(data_size);
-    buffer_bytes.resize(data_size, 0);
-
-    let fragment_count = usize::from(datafrag.total_number_of_fragments());
-    if fragment_count == 0 {
-      error!("Cannot create AssemblyBuffer: zero fragment count");
       return None;
     }
 
     let now = Timestamp::now();
 
     Some(Self {
-      buffer_bytes,
-      fragment_count,
-      received_bitmap: BitVec::from_elem(fragment_count, false),
+      data_size,
+      fragment_size,
+      fragment_count: usize::from(datafrag.total_number_of_fragments()),
+      runs: BTreeMap::new(),
+      received_fragments: 0,
+      received_bytes: 0,
       created_time: now,
       modified_time: now,
     })
   }
 
   /// Returns `false` if the fragment run is invalid or out of bounds.
-  pub fn insert_frags(&mut self, datafrag: &DataFrag, frag_size: u16) -> bool {
-    // TODO: Sanity checks? E.g. datafrag.fragment_size == frag_size
-    // Or is this even guaranteed? Can Writer vary fragment size?
-    // Answer: Writer must guarantee constant fragment size per SequenceNumber.
-    // So yes, it is guaranteed. RTPS spec v2.5 Section 8.4.14.1.1 "How to select
-    // the fragment size" even says that the frag size is fixed per-writer.
-
-    let frag_size = usize::from(frag_size);
-    let frags_in_submessage = usize::from(datafrag.fragments_in_submessage);
-    if frags_in_submessage == 0 {
-      error!("insert_frags: fragments_in_submessage is zero");
-      return false;
-    }
-    let fragment_starting_num: usize = match u32::from(datafrag.fragment_starting_num).try_into() {
-      Ok(n) if n >= 1 => n,
-      _ => {
-        error!(
-          "insert_frags: invalid fragment_starting_num {:?}",
-          datafrag.fragment_starting_num
-        );
-        return false;
-      }
-    };
-    let start_frag_from_0 = fragment_starting_num - 1;
-    if start_frag_from_0 + frags_in_submessage > self.fragment_count {
-      error!(
-        "insert_frags: fragment span out of bounds: start={fragment_starting_num} \
-         count={frags_in_submessage} total={}",
-        self.fragment_count
-      );
-      return false;
-    }
-
+  pub fn insert_frags(&mut self, datafrag: &DataFrag) -> bool {
     debug!(
-      "insert_frags: datafrag.writer_sn = {:?}, frag_size = {:?}, datafrag.fragment_size = {:?}, \
+      "insert_frags: datafrag.writer_sn = {:?}, datafrag.fragment_size = {:?}, \
        datafrag.fragment_starting_num = {:?}, datafrag.fragments_in_submessage = {:?}, \
        datafrag.data_size = {:?}",
       datafrag.writer_sn,
-      frag_size,
       datafrag.fragment_size,
       datafrag.fragment_starting_num,
       datafrag.fragments_in_submessage,
       datafrag.data_size
     );
 
-    // unwrap: u32 should fit into usize
-    let from_byte = start_frag_from_0 * frag_size;
-
-    // Last fragment might be smaller than fragment size
-    // Copy reported number of fragments, or as much data as there is, whichever
-    // ends first.
-    // And clamp to assembly buffer length to avoid buffer overrun.
-    let to_before_byte = std::cmp::min(
-      from_byte
-        + std::cmp::min(
-          frags_in_submessage * frag_size,
-          datafrag.serialized_payload.len(),
-        ),
-      self.buffer_bytes.len(),
-    );
-    if from_byte > to_before_byte {
+    if datafrag.data_size as usize != self.data_size
+      || usize::from(datafrag.fragment_size) != self.fragment_size
+    {
       error!(
-        "insert_frags: invalid byte range from_byte={from_byte} to_before_byte={to_before_byte}"
+        "insert_frags: sizes of {:?} have changed: data_size={} frag_size={}, were {} and {}",
+        datafrag.writer_sn,
+        datafrag.data_size,
+        datafrag.fragment_size,
+        self.data_size,
+        self.fragment_size
       );
       return false;
     }
-    let payload_size = to_before_byte - from_byte;
-
-    // sanity check data size
-    // Last fragment may be smaller than frags_in_submessage * frag_size
-    let last_frag_in_submessage = start_frag_from_0 + frags_in_submessage;
-    if last_frag_in_submessage < self.fragment_count
-      && datafrag.serialized_payload.len() < frags_in_submessage * frag_size
-    {
+    let frags_in_submessage = usize::from(datafrag.fragments_in_submessage);
+    if frags_in_submessage == 0 {
+      error!("insert_frags: fragments_in_submessage is zero");
+      return false;
+    }
+    // Fragment numbers start at 1
+    let Some(first) = usize::from(datafrag.fragment_starting_num).checked_sub(1) else {
+      error!(
+        "insert_frags: invalid fragment_starting_num {:?}",
+        datafrag.fragment_starting_num
+      );
+      return false;
+    };
+    let end = first + frags_in_submessage;
+    if end > self.fragment_count {
+      error!(
+        "insert_frags: fragment span out of bounds: start={} count={frags_in_submessage} total={}",
+        first + 1,
+        self.fragment_count
+      );
+      return false;
+    }
+    // Fragments without their bytes would make a sample of what was never sent.
+    let payload = &datafrag.serialized_payload;
+    if payload.len() < self.byte_at(end) - self.byte_at(first) {
       error!(
         "Received DATAFRAG too small. fragment_starting_num={} out of fragment_count={}, \
          frags_in_submessage={}, frag_size={} but payload length = {}. Original data_size={}",
-        fragment_starting_num,
+        first + 1,
         self.fragment_count,
         frags_in_submessage,
-        frag_size,
-        datafrag.serialized_payload.len(),
-        datafrag.data_size,
+        self.fragment_size,
+        payload.len(),
+        self.data_size,
       );
+      return false;
     }
 
-    debug!("insert_frags: from_byte = {from_byte:?}, to_before_byte = {to_before_byte:?}");
-
-    debug!(
-      "insert_frags: dataFrag.serializedPayload.len = {:?}",
-      datafrag.serialized_payload.len()
-    );
-
-    self.buffer_bytes.as_mut()[from_byte..to_before_byte]
-      .copy_from_slice(&datafrag.serialized_payload[..payload_size]);
-
-    for f in 0..frags_in_submessage {
-      self.received_bitmap.set(start_frag_from_0 + f, true);
+    // Keep what is new.
+    let mut at = first;
+    while at < end {
+      let known_until = self.runs.range(..=at).next_back();
+      let known_until = known_until.map_or(0, |(start, run)| start + run.fragment_count);
+      if known_until > at {
+        at = known_until;
+        continue;
+      }
+      let next_known = self.runs.range(at..).next().map(|(start, _)| *start);
+      let until = next_known.map_or(end, |start| min(start, end));
+      let offset = self.byte_at(first);
+      let bytes = &payload[self.byte_at(at) - offset..self.byte_at(until) - offset];
+      self.received_fragments += until - at;
+      self.received_bytes += bytes.len();
+      self.runs.insert(
+        at,
+        Run {
+          fragment_count: until - at,
+          bytes: bytes.into(),
+        },
+      );
+      at = until;
     }
     self.modified_time = Timestamp::now();
     true
   }
 
+  // Where a fragment begins. The last one may be smaller than the others.
+  fn byte_at(&self, fragment: usize) -> usize {
+    min(fragment * self.fragment_size, self.data_size)
+  }
+
   pub fn is_complete(&self) -> bool {
-    self.received_bitmap.all() // return if all are received
+    self.received_fragments == self.fragment_count
+  }
+
+  // Indices (from 0) of the fragments that are missing.
+  fn missing(&self) -> impl Iterator<Item = usize> + '_ {
+    let run_ends = self
+      .runs
+      .iter()
+      .map(|(start, run)| start + run.fragment_count);
+    let run_starts = self.runs.keys().copied();
+    iter::once(0)
+      .chain(run_ends)
+      .zip(run_starts.chain(iter::once(self.fragment_count)))
+      .flat_map(|(from, to)| from..to)
+  }
+
+  // All fragments are here: the runs are the whole object.
+  fn assemble(self) -> Bytes {
+    let mut whole = BytesMut::with_capacity(self.data_size);
+    for run in self.runs.into_values() {
+      whole.extend_from_slice(&run.bytes);
+    }
+    whole.freeze()
   }
 }
 
@@ -179,7 +206,7 @@ impl AssemblyBuffer {
 // so only a handful of samples are ever mid-reassembly at once; this cap is far
 // above that. Its purpose is to bound memory when samples never complete, e.g.
 // under best-effort overload where fragments are dropped: without it, one
-// incomplete `AssemblyBuffer` (a full sample-sized allocation) accrues per lost
+// incomplete `AssemblyBuffer` (all that came of the sample) accrues per lost
 // sample and is only reclaimed by a 10 s idle timeout, growing to gigabytes.
 // When exceeded we evict the oldest (lowest sequence number) buffer, which
 // under best effort is lost anyway and under reliable will be re-requested.
@@ -188,10 +215,10 @@ const MAX_ASSEMBLY_BUFFERS: usize = 128;
 // Assembles fragments from a single (remote) Writer
 // So there is only one sequence of SNs
 pub(crate) struct FragmentAssembler {
-  fragment_size: u16, // number of bytes per fragment. Each writer must select one constant value.
   assembly_buffers: BTreeMap<SequenceNumber, AssemblyBuffer>,
   // Whether the owning reader is Reliable. This decides which buffer to drop
-  // when `MAX_ASSEMBLY_BUFFERS` is exceeded (see `new_datafrag`).
+  // when `MAX_ASSEMBLY_BUFFERS` or `MAX_ASSEMBLY_BYTES_PER_WRITER` is exceeded (see
+  // `new_datafrag`).
   reliable: bool,
 }
 
@@ -204,13 +231,28 @@ impl fmt::Debug for FragmentAssembler {
 }
 
 impl FragmentAssembler {
-  pub fn new(fragment_size: u16, reliable: bool) -> Self {
-    debug!("new FragmentAssembler. frag_size = {fragment_size} reliable = {reliable}");
+  pub fn new(reliable: bool) -> Self {
+    debug!("new FragmentAssembler. reliable = {reliable}");
     Self {
-      fragment_size,
       assembly_buffers: BTreeMap::new(),
       reliable,
     }
+  }
+
+  // Is this a fragment of a sample that is never assembled?
+  pub fn is_too_large(datafrag: &DataFrag) -> bool {
+    datafrag.data_size > MAX_FRAGMENTED_SAMPLE_BYTES
+      || u32::from(datafrag.total_number_of_fragments()) > MAX_FRAGMENTS_PER_SAMPLE
+  }
+
+  // Nothing is being assembled.
+  pub fn is_empty(&self) -> bool {
+    self.assembly_buffers.is_empty()
+  }
+
+  fn received_bytes(&self) -> usize {
+    let buffers = self.assembly_buffers.values();
+    buffers.map(|buffer| buffer.received_bytes).sum()
   }
 
   // Returns completed DDSData, when complete, and disposes the assembly buffer.
@@ -220,7 +262,6 @@ impl FragmentAssembler {
     flags: BitFlags<DATAFRAG_Flags>,
   ) -> Option<DDSData> {
     let writer_sn = datafrag.writer_sn;
-    let frag_size = self.fragment_size;
 
     let sn = datafrag.writer_sn;
     match self.assembly_buffers.entry(sn) {
@@ -239,8 +280,11 @@ impl FragmentAssembler {
       return None;
     };
 
-    if !assembly_buffer.insert_frags(datafrag, frag_size) {
+    if !assembly_buffer.insert_frags(datafrag) {
       error!("new_datafrag: rejected invalid DATAFRAG for {sn:?}");
+      if assembly_buffer.received_fragments == 0 {
+        self.assembly_buffers.remove(&sn);
+      }
       return None;
     }
 
@@ -248,14 +292,14 @@ impl FragmentAssembler {
       debug!("new_datafrag: COMPLETED FRAGMENT");
       if let Some(assembly_buffer) = self.assembly_buffers.remove(&writer_sn) {
         // Return what we have assembled.
-        let serialized_data_or_key =
-          SerializedPayload::from_bytes(&assembly_buffer.buffer_bytes.freeze()).map_or_else(
-            |e| {
-              error!("Deserializing SerializedPayload from DATAFRAG: {:?}", e);
-              None
-            },
-            Some,
-          )?;
+        let whole = assembly_buffer.assemble();
+        let serialized_data_or_key = SerializedPayload::from_bytes(&whole).map_or_else(
+          |e| {
+            error!("Deserializing SerializedPayload from DATAFRAG: {:?}", e);
+            None
+          },
+          Some,
+        )?;
         let dds_data = if flags.contains(DATAFRAG_Flags::Key) {
           DDSData::new_disposed_by_key(ChangeKind::NotAliveDisposed, serialized_data_or_key)
         } else {
@@ -270,7 +314,7 @@ impl FragmentAssembler {
     } else {
       debug!("new_dataFrag: FRAGMENT NOT COMPLETED YET");
       // Bound memory: never keep more than MAX_ASSEMBLY_BUFFERS incomplete
-      // reassemblies.
+      // reassemblies, nor more bytes of them than MAX_ASSEMBLY_BYTES_PER_WRITER.
       //
       // Which one to evict depends on reliability:
       //  * Reliable: the reader delivers strictly in order, so it must complete the
@@ -283,7 +327,10 @@ impl FragmentAssembler {
       //  * Best effort: there is no retransmission, so a low incomplete buffer is
       //    lost anyway. Evict the OLDEST (lowest SN) to free room for newer samples
       //    that may still complete.
-      while self.assembly_buffers.len() > MAX_ASSEMBLY_BUFFERS {
+      while self.assembly_buffers.len() > MAX_ASSEMBLY_BUFFERS
+        || (self.assembly_buffers.len() > 1
+          && self.received_bytes() > MAX_ASSEMBLY_BYTES_PER_WRITER)
+      {
         let evicted = if self.reliable {
           self.assembly_buffers.pop_last()
         } else {
@@ -326,24 +373,15 @@ impl FragmentAssembler {
   ) -> Box<dyn '_ + Iterator<Item = FragmentNumber>> {
     match self.assembly_buffers.get(&seq) {
       None => Box::new(iter::empty()),
-      Some(ab) => {
-        let iter = (0..ab.fragment_count)
-          .filter(move |f| !ab.received_bitmap.get(*f).unwrap_or(true))
-          .map(|f| FragmentNumber::new((f + 1).try_into().unwrap()));
-        Box::new(iter)
-      }
+      // There are at most MAX_FRAGMENTS_PER_SAMPLE.
+      Some(ab) => Box::new(ab.missing().map(|f| FragmentNumber::new(f as u32 + 1))),
     }
   }
 }
 
 #[cfg(test)]
 mod tests {
-  use bytes::Bytes;
-
-  use super::AssemblyBuffer;
-  use crate::{
-    messages::submessages::submessages::DataFrag, structure::sequence_number::FragmentNumber,
-  };
+  use super::*;
 
   // Build a DATAFRAG submessage carrying the contiguous run of `k` fragments
   // starting at 1-based `start`, with the given payload bytes.
@@ -371,15 +409,15 @@ mod tests {
     let first = datafrag(1, 2, frag_size, data_size, whole[0..2048].to_vec());
     let mut ab = AssemblyBuffer::new(&first).expect("valid first fragment");
     assert!(!ab.is_complete());
-    ab.insert_frags(&first, frag_size);
+    ab.insert_frags(&first);
     assert!(!ab.is_complete(), "still missing the tail fragment");
 
     // Trailing submessage carries the shorter final fragment 3 (552 bytes).
     let tail = datafrag(3, 1, frag_size, data_size, whole[2048..2600].to_vec());
-    ab.insert_frags(&tail, frag_size);
+    ab.insert_frags(&tail);
     assert!(ab.is_complete(), "all fragments received");
     assert_eq!(
-      &ab.buffer_bytes[..],
+      &ab.assemble()[..],
       &whole[..],
       "reassembled bytes must match the original sample"
     );
@@ -394,9 +432,9 @@ mod tests {
 
     let all = datafrag(1, 3, frag_size, data_size, whole.clone());
     let mut ab = AssemblyBuffer::new(&all).expect("valid fragment set");
-    ab.insert_frags(&all, frag_size);
+    ab.insert_frags(&all);
     assert!(ab.is_complete());
-    assert_eq!(&ab.buffer_bytes[..], &whole[..]);
+    assert_eq!(&ab.assemble()[..], &whole[..]);
   }
 
   // Malformed span (starting at last fragment but claiming multiple fragments)
@@ -407,23 +445,93 @@ mod tests {
     let data_size = 512u32; // 2 fragments total
     let bad = datafrag(2, 2, frag_size, data_size, vec![0u8; 256]);
     let mut ab = AssemblyBuffer::new(&bad).expect("buffer for valid data_size");
-    assert!(!ab.insert_frags(&bad, frag_size));
+    assert!(!ab.insert_frags(&bad));
     assert!(!ab.is_complete());
   }
 
   #[test]
   fn fragment_assembler_rejects_span_beyond_total() {
-    use enumflags2::BitFlags;
-
-    use super::FragmentAssembler;
-    use crate::messages::submessages::submessages::DATAFRAG_Flags;
-
     let frag_size = 256u16;
     let data_size = 512u32;
     let bad = datafrag(2, 2, frag_size, data_size, vec![0u8; 256]);
-    let mut fa = FragmentAssembler::new(frag_size, true);
+    let mut fa = FragmentAssembler::new(true);
     assert!(fa
       .new_datafrag(&bad, BitFlags::<DATAFRAG_Flags>::empty())
       .is_none());
+  }
+
+  fn no_flags() -> BitFlags<DATAFRAG_Flags> {
+    BitFlags::empty()
+  }
+
+  #[test]
+  fn a_sample_above_the_limits_is_too_large() {
+    let is_too_large = |frag_size, data_size| {
+      FragmentAssembler::is_too_large(&datafrag(1, 1, frag_size, data_size, vec![]))
+    };
+    assert!(!is_too_large(256, MAX_FRAGMENTED_SAMPLE_BYTES));
+    assert!(is_too_large(1000, MAX_FRAGMENTED_SAMPLE_BYTES + 1));
+    assert!(is_too_large(1000, u32::MAX));
+    assert!(is_too_large(1, MAX_FRAGMENTS_PER_SAMPLE + 1));
+  }
+
+  #[test]
+  fn what_is_held_is_what_came() {
+    let mut fa = FragmentAssembler::new(true);
+    let one = datafrag(9, 1, 1000, MAX_FRAGMENTED_SAMPLE_BYTES, vec![1; 1000]);
+    for _again in 0..3 {
+      assert!(fa.new_datafrag(&one, no_flags()).is_none());
+      assert_eq!(fa.received_bytes(), 1000);
+    }
+  }
+
+  #[test]
+  fn runs_that_overlap_and_come_in_any_order_are_assembled() {
+    let whole: Vec<u8> = (0..10_u8).collect();
+    let run = |start: u32, k: u16| {
+      let from = start as usize - 1;
+      datafrag(start, k, 1, 10, whole[from..from + usize::from(k)].to_vec())
+    };
+    let mut ab = AssemblyBuffer::new(&run(9, 1)).unwrap();
+    for (start, k) in [(9, 1), (3, 2), (6, 1), (2, 6), (9, 2)] {
+      assert!(ab.insert_frags(&run(start, k)));
+      assert!(!ab.is_complete());
+    }
+    assert_eq!(ab.missing().collect::<Vec<_>>(), [0, 7]);
+    assert!(ab.insert_frags(&run(1, 10)));
+    assert!(ab.is_complete());
+    assert_eq!((ab.received_bytes, &ab.assemble()[..]), (10, &whole[..]));
+  }
+
+  #[test]
+  fn fragments_without_their_bytes_are_refused() {
+    let mut fa = FragmentAssembler::new(true);
+    let empty = datafrag(1, 65_535, 256, 65_535 * 256, vec![]);
+    assert!(fa.new_datafrag(&empty, no_flags()).is_none());
+    assert!(fa.is_empty());
+  }
+
+  #[test]
+  fn a_fragment_of_another_size_than_the_first_one_is_refused() {
+    let mut ab = AssemblyBuffer::new(&datafrag(1, 1, 10, 30, vec![])).unwrap();
+    assert!(!ab.insert_frags(&datafrag(2, 1, 11, 30, vec![0; 11])));
+    assert!(!ab.insert_frags(&datafrag(2, 1, 10, 31, vec![0; 10])));
+    assert!(ab.insert_frags(&datafrag(2, 1, 10, 30, vec![0; 10])));
+  }
+
+  #[test]
+  fn beyond_the_bytes_of_a_writer_samples_are_given_up() {
+    let mut fa = FragmentAssembler::new(true);
+    for sn in 1..=40 {
+      for start in (1..=15).map(|nth| nth * 60) {
+        let part = DataFrag {
+          writer_sn: SequenceNumber::new(sn),
+          ..datafrag(start, 60, 1000, 1_000_000, vec![0; 60_000])
+        };
+        assert!(fa.new_datafrag(&part, no_flags()).is_none());
+      }
+    }
+    assert!(fa.received_bytes() <= MAX_ASSEMBLY_BYTES_PER_WRITER);
+    assert!(fa.is_partially_received(SequenceNumber::new(1)));
   }
 }

@@ -42,8 +42,9 @@ use crate::{
   network::udp_sender::UDPSender,
   polling::{ReadySender, SharedTimer, WakeReceiver},
   rtps::{
-    fragment_assembler::FragmentAssembler, message_receiver::MessageReceiverState,
-    rtps_writer_proxy::RtpsWriterProxy, timed_event::DpTimerEvent, Message,
+    constant::NUMBER_SET_SPAN, fragment_assembler::FragmentAssembler,
+    message_receiver::MessageReceiverState, rtps_writer_proxy::RtpsWriterProxy,
+    timed_event::DpTimerEvent, Message,
   },
   structure::{
     cache_change::{CacheChange, ChangeKind},
@@ -476,6 +477,7 @@ impl Reader {
   }
 
   pub fn remove_writer_proxy(&mut self, writer_guid: GUID) {
+    self.fragment_assemblers.remove(&writer_guid);
     if let Some(removed) = self.matched_writers.remove(&writer_guid) {
       self.first_ack_nack_count = self.first_ack_nack_count.max(removed.sent_ack_nack_count);
       self
@@ -603,6 +605,28 @@ impl Reader {
     let receive_timestamp = Timestamp::now();
     //trace!("DATAFRAG received topic={:?}", self.topic_name);
 
+    // Fragments of a Writer that this Reader does not know are not kept, whatever
+    // Reader they name: anybody can make up Writers. That holds for SPDP, too. Its
+    // Reader knows a Writer from its first announcement on, and announcements are
+    // small, so nobody has to fragment them (see `DPEventLoop::add_local_writer`).
+    if !self.like_stateless {
+      match self.matched_writer(writer_guid) {
+        None => {
+          debug!(
+            "DATAFRAG from {:?}, but no writer proxy available. topic={:?} reader={:?}",
+            writer_guid, self.topic_name, self.my_guid
+          );
+          return;
+        }
+        Some(writer_proxy) if writer_proxy.should_ignore_change(seq_num) => return,
+        Some(_) => (),
+      }
+    }
+    if FragmentAssembler::is_too_large(datafrag) {
+      self.pass_over(writer_guid, datafrag);
+      return;
+    }
+
     // check if this submessage is expired already
     // TODO: Maybe this check is in the wrong place altogether? It should be
     // done when Datareader fetches data for the application.
@@ -645,9 +669,11 @@ impl Reader {
 
     // Feed to fragment assembler ...
     let writer_seq_num = datafrag.writer_sn; // for borrow checker
-    let completed_dds_data = self
-      .fragment_assembler_mutable(writer_guid, datafrag.fragment_size)
-      .new_datafrag(datafrag, datafrag_flags);
+    let assembler = self.fragment_assembler_mutable(writer_guid);
+    let completed_dds_data = assembler.new_datafrag(datafrag, datafrag_flags);
+    if assembler.is_empty() {
+      self.fragment_assemblers.remove(&writer_guid);
+    }
 
     // ... and continue processing, if data was completed.
     if let Some(dds_data) = completed_dds_data {
@@ -665,16 +691,26 @@ impl Reader {
     }
   }
 
-  fn fragment_assembler_mutable(
-    &mut self,
-    writer_guid: GUID,
-    frag_size: u16,
-  ) -> &mut FragmentAssembler {
+  // A sample that large is never assembled. A reliable Writer would offer it for
+  // ever, and what comes after it would be withheld: it counts as gone.
+  fn pass_over(&mut self, writer_guid: GUID, datafrag: &DataFrag) {
+    warn!(
+      "Passing over {:?} of {:?}: {} bytes in fragments of {}. topic={:?}",
+      datafrag.writer_sn, writer_guid, datafrag.data_size, datafrag.fragment_size, self.topic_name
+    );
+    if let Some(writer_proxy) = self.matched_writer_mut(writer_guid) {
+      writer_proxy.set_irrelevant_change(datafrag.writer_sn);
+      let all_ackable_before = writer_proxy.all_ackable_before();
+      self.mark_progress(writer_guid, all_ackable_before);
+    }
+  }
+
+  fn fragment_assembler_mutable(&mut self, writer_guid: GUID) -> &mut FragmentAssembler {
     let reliable = self.reliability != policy::Reliability::BestEffort;
     self
       .fragment_assemblers
       .entry(writer_guid)
-      .or_insert_with(|| FragmentAssembler::new(frag_size, reliable))
+      .or_insert_with(|| FragmentAssembler::new(reliable))
   }
 
   fn garbage_collect_fragments(&mut self) {
@@ -688,13 +724,11 @@ impl Reader {
 
       let expire_before = now - FRAGMENT_ASSEMBLY_TIMEOUT;
 
-      self
-        .fragment_assemblers
-        .iter_mut()
-        .for_each(|(writer, fa)| {
-          debug!("AssemblyBuffer GC writer {writer:?}");
-          fa.garbage_collect_before(expire_before);
-        });
+      self.fragment_assemblers.retain(|writer, fa| {
+        debug!("AssemblyBuffer GC writer {writer:?}");
+        fa.garbage_collect_before(expire_before);
+        !fa.is_empty()
+      });
     } else {
       trace!("Not yet AssemblyBuffer GC time.");
     }
@@ -1030,6 +1064,8 @@ impl Reader {
             let mut missing_frags = this.missing_frags_for(writer_guid, sn);
             let first_missing = missing_frags.next();
             if let Some(first) = first_missing {
+              let end = FragmentNumber::new(u32::from(first) + NUMBER_SET_SPAN);
+              let missing_frags = missing_frags.take_while(|frag| *frag < end);
               let missing_frags_set = iter::once(first).chain(missing_frags).collect(); // "undo" the .next() above
               let nf = NackFrag {
                 reader_id,
@@ -1147,7 +1183,19 @@ impl Reader {
       all_ackable_before = writer_proxy.all_ackable_before();
     }
 
-    // Get the topic cache and mark progress
+    self.mark_progress(writer_guid, all_ackable_before);
+
+    // TODO: If receiving GAP actually moved the reliably received mark forward
+    // in the Topic Cache, then we should generate a SAMPLE_LOST status event
+    // from our Datareader (DDS Spec Section 2.2.4.1)
+    //
+    // If the the GAP message contained filteredCount (RTPS spec v2.5 Table
+    // 8.43), then some of the not-available messages should not be treated
+    // as "lost" but "filtered".
+  }
+
+  // Get the topic cache and mark progress
+  fn mark_progress(&mut self, writer_guid: GUID, all_ackable_before: SequenceNumber) {
     let marker_moved = self.reliability != policy::Reliability::BestEffort
       && self
         .acquire_the_topic_cache_guard()
@@ -1161,14 +1209,6 @@ impl Reader {
     }
     // able to move forward, i.e. hand over data to application, if
     // we now know that nothing is missng from the past.
-
-    // TODO: If receiving GAP actually moved the reliably received mark forward
-    // in the Topic Cache, then we should generate a SAMPLE_LOST status event
-    // from our Datareader (DDS Spec Section 2.2.4.1)
-    //
-    // If the the GAP message contained filteredCount (RTPS spec v2.5 Table
-    // 8.43), then some of the not-available messages should not be treated
-    // as "lost" but "filtered".
   }
 
   pub fn handle_heartbeatfrag_msg(
@@ -1957,6 +1997,87 @@ mod tests {
         .all_ackable_before(),
       SequenceNumber::new(6)
     );
+  }
+
+  #[test]
+  fn fragments_are_kept_of_matched_writers_until_they_are_unmatched() {
+    let topic_name = "test_name";
+    let qos_policy = QosPolicies::qos_none();
+    let topic_cache_handle = Arc::new(RwLock::new(DDSCache::new()))
+      .write()
+      .unwrap()
+      .add_new_topic(
+        topic_name.to_string(),
+        TypeDesc::new("test_type".to_string()),
+        &qos_policy,
+      );
+    let (notification_sender, _notification_receiver) =
+      crate::mio_source::notification_channel(100);
+    let (_notification_event_source, notification_event_sender) =
+      mio_source::make_poll_channel().unwrap();
+    let (status_sender, _status_receiver) = sync_status_channel::<DataReaderStatus>(4).unwrap();
+    let (participant_status_sender, _participant_status_receiver) =
+      sync_status_channel(16).unwrap();
+    let (_reader_command_sender, reader_command_receiver) =
+      wake_channel::<ReaderCommand>(10, &LoopWaker::new());
+    let reader_ing = ReaderIngredients {
+      guid: GUID::dummy_test_guid(EntityKind::READER_NO_KEY_USER_DEFINED),
+      notification_sender,
+      status_sender,
+      topic_name: topic_name.to_string(),
+      topic_cache_handle,
+      like_stateless: false,
+      qos_policy,
+      data_reader_command_receiver: reader_command_receiver,
+      data_reader_waker: Arc::new(Mutex::new(None)),
+      poll_event_sender: notification_event_sender,
+      security_plugins: None,
+      discovery_notify: None,
+    };
+    let mut reader = Reader::new(
+      reader_ing,
+      Rc::new(UDPSender::new(0).unwrap()),
+      new_shared_timer(),
+      participant_status_sender,
+    );
+    let writer_guid = GUID::dummy_test_guid(EntityKind::WRITER_NO_KEY_USER_DEFINED);
+    let mr_state = MessageReceiverState {
+      source_guid_prefix: writer_guid.prefix,
+      source_timestamp: None,
+      ..Default::default()
+    };
+    let fragment = DataFrag {
+      writer_id: writer_guid.entity_id,
+      fragments_in_submessage: 1,
+      fragment_size: 10,
+      data_size: 20,
+      serialized_payload: vec![0_u8; 10].into(),
+      ..Default::default()
+    };
+    let no_flags = BitFlags::<DATAFRAG_Flags>::empty();
+
+    reader.handle_datafrag_msg(&fragment, no_flags, &mr_state);
+    assert!(reader.fragment_assemblers.is_empty());
+
+    let match_writer = |reader: &mut Reader| {
+      let qos = QosPolicies::qos_none();
+      reader.matched_writer_add(writer_guid, EntityId::UNKNOWN, vec![], vec![], &qos);
+    };
+    match_writer(&mut reader);
+    reader.handle_datafrag_msg(&fragment, no_flags, &mr_state);
+    assert!(reader.is_frag_partially_received(writer_guid, fragment.writer_sn));
+    reader.remove_writer_proxy(writer_guid);
+    assert!(reader.fragment_assemblers.is_empty());
+
+    match_writer(&mut reader);
+    let too_large = DataFrag {
+      data_size: u32::MAX,
+      ..fragment.clone()
+    };
+    reader.handle_datafrag_msg(&too_large, no_flags, &mr_state);
+    assert!(reader.fragment_assemblers.is_empty());
+    let writer_proxy = reader.matched_writer(writer_guid).unwrap();
+    assert!(writer_proxy.should_ignore_change(fragment.writer_sn));
   }
 
   #[test]

@@ -6,7 +6,7 @@ use log::{debug, error, info, trace, warn};
 
 use crate::{
   discovery::sedp_messages::DiscoveredWriterData,
-  rtps::constant::MAX_TRACKED_CHANGES_PER_WRITER,
+  rtps::constant::{MAX_TRACKED_CHANGES_PER_WRITER, NUMBER_SET_SPAN},
   structure::{
     guid::{EntityId, GUID},
     locator::Locator,
@@ -137,6 +137,9 @@ impl RtpsWriterProxy {
   // Note: Heartbeat gives bounds only. Some samples within that range may
   // have been received already, or not really available, i.e. there may be GAPs
   // in the range.
+  //
+  // At most as many as one ACKNACK reaches over, from the first one that is
+  // missing: the HEARTBEAT may claim any range.
   pub fn missing_seqnums(
     &self,
     hb_first_sn: SequenceNumber,
@@ -162,33 +165,28 @@ impl RtpsWriterProxy {
       hb_last_sn,
     );
 
-    // iterator over known Received and Not_available changes.
-    let known =
-      // again check for negative intervals, or BTreeMap::range will crash
-      if relevant_interval.begin() <= relevant_interval.end() {
-        self.changes
-          .range( relevant_interval )
-          .map(|e| *e.0)
-          .collect()
-      } else { vec![] };
-    let mut known_iter = known.iter();
-    let mut known_head = known_iter.next();
+    // again check for negative intervals, or BTreeMap::range will crash
+    if relevant_interval.begin() > relevant_interval.end() {
+      return missing_seqnums;
+    }
 
-    // Iterate over all SequenceNumbers (indices) in the advertised range.
+    // iterator over known Received and Not_available changes.
+    let mut known_iter = self.changes.range(relevant_interval).map(|e| *e.0);
+    let mut known_head = known_iter.next();
+    let mut end: Option<SequenceNumber> = None;
+
+    // Iterate over the SequenceNumbers (indices) in the advertised range.
     for s in relevant_interval {
-      match known_head {
-        None => missing_seqnums.push(s), // no known changes left => s is missing
-        Some(known_sn) => {
-          // there are known changes left
-          if *known_sn == s {
-            // and the index sequence matches it => not missing
-            // => advance to next known change and continue iteration
-            known_head = known_iter.next();
-          } else {
-            // but it is not yet this index s => s is missing
-            missing_seqnums.push(s);
-          }
-        }
+      if end.is_some_and(|end| s >= end) {
+        break;
+      }
+      if known_head == Some(s) {
+        // s is known => not missing
+        // => advance to next known change and continue iteration
+        known_head = known_iter.next();
+      } else {
+        missing_seqnums.push(s);
+        end = end.or(Some(s + SequenceNumber::new(NUMBER_SET_SPAN.into())));
       }
     }
 
@@ -236,6 +234,7 @@ impl RtpsWriterProxy {
       // ack_base can be advanced
       self.advance_ack_base();
     }
+    self.enforce_change_map_cap();
   }
 
   // Used to add range of irrelevant changes from GAP submessage or unavailable
@@ -260,9 +259,11 @@ impl RtpsWriterProxy {
     // ack_base to remove_until_before and clearing "changes" before that.
     //
     // Else (remove_from > self.ack_base), which means we must insert not_available
-    // markers to "changes".
+    // markers to "changes". If there are more of them than we track, then what is
+    // missing before them is given up, as in `enforce_change_map_cap`.
     //
-    if remove_from <= self.ack_base {
+    let range_len = i64::from(remove_until_before) - i64::from(remove_from);
+    if remove_from <= self.ack_base || range_len > MAX_TRACKED_CHANGES_PER_WRITER as i64 {
       let mut removed_and_after = self.changes.split_off(&remove_from);
       let mut after = removed_and_after.split_off(&remove_until_before);
       // let removed = removed_and_after;
@@ -281,7 +282,6 @@ impl RtpsWriterProxy {
         self.ack_base, remove_from, remove_until_before, self.remote_writer_guid
       );
     } else {
-      // TODO: This potentially generates a very large BTreeMap
       for na in
         SequenceNumber::range_inclusive(remove_from, remove_until_before - SequenceNumber::new(1))
       {
@@ -452,5 +452,35 @@ mod bounded_map_tests {
       MAX_TRACKED_CHANGES_PER_WRITER,
       wp.tracked_changes_count()
     );
+  }
+
+  #[test]
+  fn a_heartbeat_over_countless_samples_asks_for_as_many_as_an_acknack_reaches_over() {
+    let mut wp = test_proxy();
+    wp.received_changes_add(SequenceNumber::new(1), Timestamp::INVALID);
+    wp.received_changes_add(SequenceNumber::new(3), Timestamp::INVALID);
+    let missing = wp.missing_seqnums(SequenceNumber::new(1), SequenceNumber::new(1 << 60));
+    assert_eq!(missing.first(), Some(&SequenceNumber::new(2)));
+    assert_eq!(missing.last(), Some(&SequenceNumber::new(257)));
+    assert_eq!(missing.len(), 255);
+  }
+
+  #[test]
+  fn a_gap_over_countless_samples_is_tracked_by_its_end() {
+    let mut wp = test_proxy();
+    wp.received_changes_add(SequenceNumber::new(3), Timestamp::INVALID);
+    let (from, until) = (SequenceNumber::new(1000), SequenceNumber::new(1 << 60));
+    wp.irrelevant_changes_range(from, until);
+    assert_eq!(wp.all_ackable_before(), until);
+    assert_eq!(wp.tracked_changes_count(), 0);
+  }
+
+  #[test]
+  fn gaps_of_single_samples_are_bounded() {
+    let mut wp = test_proxy();
+    for i in 1..=MAX_TRACKED_CHANGES_PER_WRITER as i64 * 2 {
+      wp.set_irrelevant_change(SequenceNumber::new(2 * i));
+    }
+    assert!(wp.tracked_changes_count() <= MAX_TRACKED_CHANGES_PER_WRITER);
   }
 }

@@ -27,7 +27,10 @@ use std::{
   time::{Duration, Instant},
 };
 
-use crate::structure::{guid::GuidPrefix, locator::Locator};
+use crate::{
+  rtps::constant::MAX_OBSERVED_PARTICIPANTS,
+  structure::{guid::GuidPrefix, locator::Locator},
+};
 
 /// Hysteresis margin for switching a remote participant's chosen multicast
 /// egress interface. Once an interface is chosen it stays chosen until we have
@@ -219,6 +222,11 @@ impl InterfaceObservations {
     iface: Option<InterfaceSelector>,
     source: SocketAddr,
   ) {
+    if self.by_participant.len() >= MAX_OBSERVED_PARTICIPANTS
+      && !self.by_participant.contains_key(&prefix)
+    {
+      self.by_participant.pop_first();
+    }
     self
       .by_participant
       .entry(prefix)

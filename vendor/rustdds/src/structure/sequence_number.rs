@@ -36,6 +36,10 @@ pub struct SequenceNumber(i64);
 impl SequenceNumber {
   pub const UNKNOWN: Self = Self((u32::MAX as i64) << 32);
 
+  // No writer gets so far. What is received is no larger, in either direction, so
+  // that nothing which is added to it overflows.
+  const WIRE_MAX: i64 = i64::MAX / 2;
+
   pub fn new(value: i64) -> Self {
     Self::from(value)
   }
@@ -160,7 +164,12 @@ impl<'a, C: Context> Readable<'a, C> for SequenceNumber {
     let high: i32 = reader.read_value()?;
     let low: u32 = reader.read_value()?;
 
-    Ok(Self(((i64::from(high)) << 32) + i64::from(low)))
+    let number = Self::from_high_low(high, low);
+    if (-Self::WIRE_MAX..=Self::WIRE_MAX).contains(&number.0) {
+      Ok(number)
+    } else {
+      Err(speedy::Error::custom(format!("SequenceNumber out of range: {}", number.0)).into())
+    }
   }
 
   #[inline]
@@ -448,12 +457,16 @@ where
   fn read_from<R: Reader<'a, C>>(reader: &mut R) -> Result<Self, C::Error> {
     let bitmap_base: N = reader.read_value()?;
     let num_bits: u32 = reader.read_value()?;
+    let end = i64::from(bitmap_base.clone()).saturating_add(num_bits.into());
     if num_bits > 256 {
       // Set size check accoring to RTPS spec v2.5 Section "8.3.5.5 SequenceNumberSet"
       // and "8.3.5.7 FragmentNumberSet"
       //
       // Without this chek the addition operation below could overflow.
       Err(speedy::Error::custom(format!("NumberSet size too large: {num_bits} > 256.")).into())
+    } else if i64::from(N::from(end)) != end {
+      // An iteration would overflow.
+      Err(speedy::Error::custom(format!("NumberSet ends beyond its numbers: {end}.")).into())
     } else {
       let word_count = num_bits.div_ceil(32);
       let mut bitmap: Vec<u32> = Vec::with_capacity(word_count as usize);
@@ -559,6 +572,23 @@ mod tests {
   #[test]
   fn sequence_number_starts_by_default_from_one() {
     assert_eq!(SequenceNumber::from(1), SequenceNumber::default());
+  }
+
+  #[test]
+  fn a_number_or_a_set_at_the_end_of_the_range_is_refused() {
+    use speedy::Endianness::LittleEndian;
+
+    let last = SequenceNumber::new(i64::MAX)
+      .write_to_vec_with_ctx(LittleEndian)
+      .unwrap();
+    assert!(SequenceNumber::read_from_buffer_with_ctx(LittleEndian, &last).is_err());
+    let set = |base| {
+      let set = FragmentNumberSet::new(FragmentNumber::new(base), 2);
+      let bytes = set.write_to_vec_with_ctx(LittleEndian).unwrap();
+      FragmentNumberSet::read_from_buffer_with_ctx(LittleEndian, &bytes)
+    };
+    assert!(set(u32::MAX).is_err());
+    assert!(set(u32::MAX - 2).is_ok());
   }
 
   #[test]
