@@ -34,7 +34,7 @@
 //! stop = '{"axes": [0, 0]}'    # from_ledger: the stop message, if the type has none or another is wanted
 //! stop_hex = "00010000…"       # from_ledger: the same as CDR, for a type whose definition the bridge does not know
 //! goal_topic = "/goal_pose"    # from_ledger: the next point of the running task, as geometry_msgs/msg/PoseStamped
-//! holder_topic = "/holder"     # from_ledger: who holds the service, as JSON in a std_msgs/msg/String
+//! holder_topic = "/holder"     # messages: who holds the service, as JSON in a std_msgs/msg/String
 //! path_topic = "/task/path"    # from_ledger: all points that are left of it, as nav_msgs/msg/Path
 //! ```
 //! With a section `[discover]` ([`crate::discover`]) there are routes for what is on the ledger, too, and none need be set.

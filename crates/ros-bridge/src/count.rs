@@ -4,6 +4,7 @@ mod spread;
 
 pub use self::spread::{BOUNDS_US, Spread};
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -56,7 +57,7 @@ pub struct RouteSummary {
     pub unpublished: u64,
     /// Stop messages published, by reason.
     pub stops: Tally,
-    /// Messages that the gate did not let pass, by reason.
+    /// Messages that the gate did not let pass, and samples that were dropped on their way to the ledger, by reason.
     pub gate: Tally,
     /// From a sample taken in to its verdict, in microseconds.
     pub commit_us: Latency,
@@ -120,6 +121,8 @@ pub(crate) struct Live {
     pub(crate) needs_grant: bool,
     /// Does somebody hold the service? Where samples go to the ledger: the bridge's own user.
     pub(crate) held: bool,
+    /// The holders by name, `Org1/Salma`, with commas between; empty if there are none.
+    pub(crate) holder: String,
     /// Publishers of others on the topic of a route that delivers commands there.
     pub(crate) beside: usize,
     /// The condition that the route waits for, before anything can pass.
@@ -232,21 +235,23 @@ pub(crate) fn count(tally: &mut Tally, name: &'static str, times: u64) {
 /// Decides what is worth a line in the log: a reason that is new, or the same again after a while.
 #[derive(Debug, Default)]
 pub(crate) struct Complaint {
-    last: Option<(&'static str, Instant)>,
-    silent: u64,
+    /// When each reason was last told, and how often it was not since then. The program has a few reasons.
+    told: BTreeMap<&'static str, (Instant, u64)>,
 }
 
 impl Complaint {
-    /// Is it worth a line? Then with the number of those that were not.
+    /// Is it worth a line? Then with the number of those for the same reason that were not.
     pub(crate) fn worth(&mut self, name: &'static str, now: Instant) -> Option<u64> {
-        let again =
-            self.last.is_some_and(|(last, when)| last == name && now.saturating_duration_since(when) < COMPLAINT_EVERY);
-        if again {
-            self.silent = self.silent.saturating_add(1);
+        let Some((told, silent)) = self.told.get_mut(name) else {
+            self.told.insert(name, (now, 0));
+            return Some(0);
+        };
+        if now.saturating_duration_since(*told) < COMPLAINT_EVERY {
+            *silent = silent.saturating_add(1);
             return None;
         }
-        self.last = Some((name, now));
-        Some(std::mem::take(&mut self.silent))
+        *told = now;
+        Some(std::mem::take(silent))
     }
 }
 
@@ -263,12 +268,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_complaint_is_repeated_only_when_it_changes_or_after_a_while() {
+    fn a_complaint_is_repeated_after_a_while_only() {
         let (mut complaint, start) = (Complaint::default(), Instant::now());
         assert_eq!(complaint.worth("HELD", start), Some(0));
         assert_eq!(complaint.worth("HELD", start + Duration::from_secs(1)), None);
         assert_eq!(complaint.worth("HELD", start + Duration::from_secs(2)), None);
         assert_eq!(complaint.worth("HELD", start + Duration::from_secs(11)), Some(2));
         assert_eq!(complaint.worth("NOT_HOLDER", start + Duration::from_secs(11)), Some(0));
+    }
+
+    #[test]
+    fn reasons_in_turn_are_told_once_each_and_not_with_every_sample() {
+        let (mut complaint, start) = (Complaint::default(), Instant::now());
+        let told = (0..1000).filter(|number| {
+            let name = if number % 2 == 0 { "BAD_MESSAGE" } else { "NOT_HOLDER" };
+            complaint.worth(name, start + Duration::from_millis(*number)).is_some()
+        });
+        assert_eq!(told.count(), 2);
+        assert_eq!(complaint.worth("NOT_HOLDER", start + COMPLAINT_EVERY * 2), Some(499));
     }
 }

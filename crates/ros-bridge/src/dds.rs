@@ -33,6 +33,7 @@ pub(crate) mod encoding;
 mod graph;
 mod intake;
 mod matched;
+mod misfit;
 mod neighbours;
 mod reader;
 mod writer;
@@ -61,7 +62,7 @@ use crate::{
 };
 
 /// How long others keep a participant that was killed. It announces itself five times in it.
-const LEASE: Duration = Duration::from_secs(6);
+pub(crate) const LEASE: Duration = Duration::from_secs(6);
 /// How often a reader or writer looks whether DDS is still there.
 const ALIVE_EVERY: Duration = Duration::from_secs(1);
 
@@ -74,6 +75,8 @@ pub const DOMAIN_MAX: u16 = 232;
 pub struct Participant {
     dds: DomainParticipant,
     graph: Arc<Graph>,
+    /// Is every process that it hears on this host, with the same clock?
+    is_alone: bool,
 }
 
 impl Participant {
@@ -93,6 +96,7 @@ impl Participant {
         }
         let node = graph::node_name(node_name)?;
         let reach = reach.clone();
+        let is_alone = reach.range == Range::Localhost && reach.static_peers.is_empty();
         let join = move || {
             let mut builder = DomainParticipantBuilder::new(domain)
                 .only_local(reach.range == Range::Localhost)
@@ -104,7 +108,7 @@ impl Participant {
             let dds =
                 builder.build().map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?;
             let graph = Arc::new(Graph::announce(&dds, node)?);
-            Ok(Self { dds, graph })
+            Ok(Self { dds, graph, is_alone })
         };
         let joined = tokio::task::spawn_blocking(join).await;
         joined.map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?

@@ -48,6 +48,10 @@ pub(crate) struct Fake {
     pub(crate) certifies: AtomicBool,
     /// Do the voters answer?
     pub(crate) answers: AtomicBool,
+    /// Does a question to the voters get neither an answer nor a refusal?
+    pub(crate) hangs: AtomicBool,
+    /// Such questions that nobody waits for any more.
+    pub(crate) given_up: Arc<AtomicU64>,
     service: Mutex<Value>,
     grants: Mutex<Value>,
     own: Mutex<Value>,
@@ -69,6 +73,8 @@ impl Fake {
             height: AtomicU64::new(1),
             certifies: AtomicBool::new(true),
             answers: AtomicBool::new(true),
+            hangs: AtomicBool::new(false),
+            given_up: Arc::default(),
             service: Mutex::new(Value::Null),
             grants: Mutex::new(json!([])),
             own: Mutex::new(json!({ "epoch": 0, "next_seq": 0 })),
@@ -85,7 +91,7 @@ impl Fake {
     pub(crate) fn set_mode(&self, mode: &str) {
         *self.service.lock().unwrap() = json!({
             "service": "T/cmd_vel", "robot": "T", "organisation": "Org2", "topic": "/cmd_vel",
-            "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 1000, "lease_ms": 10000,
+            "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 10_000, "lease_ms": 10000,
             "lease_ms_max": 600_000, "stop_hex": null, "holder": "", "holders": [], "epoch": 3, "expires": 0,
         });
     }
@@ -196,6 +202,15 @@ impl Fake {
     }
 }
 
+/// Counts when a question is given up.
+struct GivenUp(Arc<AtomicU64>);
+
+impl Drop for GivenUp {
+    fn drop(&mut self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
 /// A grant that has just begun.
 pub(crate) fn held_by(holder: &str, epoch: u64, lease_ms: u64) -> Grant {
     let now = micros();
@@ -258,6 +273,14 @@ impl Gateway for Fake {
 
     /// The checks of proofs are those of the client: here the answer is as if they had been made.
     fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>> {
+        if self.hangs.load(Ordering::Relaxed) {
+            let given_up = GivenUp(Arc::clone(&self.given_up));
+            return async move {
+                let _given_up = given_up;
+                std::future::pending::<Result<Certified, Rejection>>().await
+            }
+            .boxed();
+        }
         if !self.answers.load(Ordering::Relaxed) {
             return std::future::ready(Err(Rejection::new(Code::Timeout, "nobody answers"))).boxed();
         }

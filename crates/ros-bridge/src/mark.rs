@@ -18,7 +18,8 @@
 //! network     = the first 23 bits of SHA-256("ledgerd bridge" || network)
 //! service     = the first 32 bits of SHA-256("ledgerd bridge" || network || service)
 //! ```
-//! A mark is no proof: a local process can copy it, and then is not taken in. That harms nobody else.
+//! A mark is no proof: a local process can copy it. Then it is not taken in, which harms nobody else. Beside a route that
+//! delivers commands it passes for an earlier run of the bridge, but only as long as that could be there.
 
 use ledger_hash::Hash;
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};

@@ -9,6 +9,7 @@ use std::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
+    time::{Duration, Instant},
 };
 
 use tokio::sync::Notify;
@@ -42,7 +43,16 @@ pub struct Incoming {
     /// The source's own count of its samples.
     pub sequence: u64,
     /// When it was taken from the middleware.
-    pub received: std::time::Instant,
+    pub received: Instant,
+    /// How long it had lain before that, as far as anybody knows.
+    pub waited: Duration,
+}
+
+impl Incoming {
+    /// How old it is, as far as anybody knows.
+    pub(crate) fn age(&self, now: Instant) -> Duration {
+        self.waited.saturating_add(now.saturating_duration_since(self.received))
+    }
 }
 
 /// Bytes that every queued sample is taken to cost besides its own.
@@ -148,7 +158,8 @@ mod tests {
             sample: Sample::new(CDR_LE, &vec![0; bytes]).unwrap(),
             source: [0; 16],
             sequence,
-            received: std::time::Instant::now(),
+            received: Instant::now(),
+            waited: Duration::ZERO,
         }
     }
 

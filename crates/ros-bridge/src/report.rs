@@ -219,21 +219,21 @@ impl Reporter {
     fn look_at_routes(&mut self, neighbourhood: &Neighbourhood, now: Instant) {
         let mut statuses = vec![self.status_of_node()];
         for slot in self.roster.slots() {
-            let summary = slot.counters.summary();
+            let (summary, holder) = (slot.counters.summary(), slot.counters.lock().live.holder.clone());
             let status = match (slot.open(), self.is_lost) {
                 (None, _) => {
                     let reason = slot.waits().map_or_else(String::new, |reason| line(&reason));
-                    Status::of_route(&summary, State::Waits(&reason))
+                    Status::of_route(&summary, String::new(), State::Waits(&reason))
                 }
                 // It is said why.
-                (Some(_), true) => Status::of_route(&summary, State::Unknown),
+                (Some(_), true) => Status::of_route(&summary, holder, State::Unknown),
                 (Some(watched), false) => {
                     let silence = self.look_at_route(&watched, neighbourhood, now);
                     let state = match slot.counters.lock().live.beside {
                         0 => silence.as_ref().map_or(State::Works, State::Silent),
                         others => State::Beside { others, topic: watched.topic.as_str() },
                     };
-                    Status::of_route(&summary, state)
+                    Status::of_route(&summary, holder, state)
                 }
             };
             statuses.push(status);

@@ -36,7 +36,11 @@ use iceoryx2::{
     identifiers::UniqueNodeId,
     node::{Node as IoxNode, NodeBuilder, NodeCreationFailure},
     port::backpressure_strategy::BackpressureStrategy,
-    port::{listener::Listener, notifier::Notifier, publisher, subscriber},
+    port::{
+        listener::{Listener, ListenerWaitError},
+        notifier::Notifier,
+        publisher, subscriber,
+    },
     prelude::{AllocationStrategy, LogLevel, NodeName, ServiceName, SignalHandlingMode, set_log_level_from_env_or},
     service::{
         builder::{
@@ -51,6 +55,7 @@ use ledger_gate::sample::Sample;
 
 pub(crate) use self::peers::{Peers, Publisher as OtherPublisher, bridge_name};
 use crate::{
+    count::Complaint,
     dds::Role,
     door::{Door, Entry},
     error::{Error, Explained, Result},
@@ -175,6 +180,7 @@ impl Node {
                 bytes_max: limits.sample_bytes_max,
                 topic: topic.clone(),
                 door,
+                complaint: Complaint::default(),
             };
             let thread = std::thread::Builder::new().name("bridge-shm".to_owned());
             thread.spawn(move || pump.run()).map_err(|error| failed(&what, &error))?;
@@ -298,6 +304,12 @@ impl Subscriber {
     pub fn dropped(&self) -> u64 {
         self.queue.dropped()
     }
+
+    /// Ends as a fault would end it.
+    #[cfg(test)]
+    pub(crate) fn break_down(&self) {
+        self.queue.close();
+    }
 }
 
 impl Drop for Subscriber {
@@ -320,34 +332,45 @@ struct Pump {
     bytes_max: usize,
     topic: TopicName,
     door: Option<Arc<Door>>,
+    complaint: Complaint,
 }
 
 impl Pump {
-    fn run(self) {
+    fn run(mut self) {
+        let mut waited = Duration::ZERO;
         while !self.stop.load(Ordering::Acquire) {
-            self.drain();
-            if let Err(error) = self.listener.timed_wait(|_| (), WAIT_MAX) {
-                tracing::error!(topic = %self.topic, %error, "the subscription in shared memory has ended");
-                break;
-            }
+            self.drain(waited);
+            let since = Instant::now();
+            waited = match self.listener.timed_wait(|_| (), WAIT_MAX) {
+                Ok(_) => Duration::ZERO,
+                // This process stood still (SIGSTOP), and goes on. What lies there now may have come at the beginning of that.
+                Err(ListenerWaitError::InterruptSignal) => since.elapsed(),
+                Err(error) => {
+                    tracing::error!(topic = %self.topic, %error, "the subscription in shared memory has ended");
+                    break;
+                }
+            };
         }
         self.queue.close();
     }
 
-    fn drain(&self) {
+    /// Takes all samples that lie there, since so long as far as anybody knows.
+    fn drain(&mut self, waited: Duration) {
         loop {
             match self.port.receive() {
-                Ok(Some(sample)) => self.take(sample.user_header(), sample.payload()),
+                Ok(Some(sample)) => self.take(sample.user_header(), sample.payload(), waited),
                 Ok(None) => return,
                 Err(error) => {
-                    tracing::warn!(topic = %self.topic, %error, "cannot read shared memory now");
+                    if let Some(not_logged) = self.complaint.worth("unread", Instant::now()) {
+                        tracing::warn!(topic = %self.topic, %error, not_logged, "cannot read shared memory now");
+                    }
                     return;
                 }
             }
         }
     }
 
-    fn take(&self, header: &Header, payload: &[u8]) {
+    fn take(&mut self, header: &Header, payload: &[u8], waited: Duration) {
         let (source, sequence, mark) = decode_header(header);
         if source == self.origin {
             return;
@@ -357,12 +380,16 @@ impl Pump {
                 let received = Instant::now();
                 let judge = |door: &Arc<Door>| door.judge(source, mark, sample.wire(), received);
                 if self.door.as_ref().map_or(Entry::Admit, judge) == Entry::Admit {
-                    self.queue.push(Incoming { sample, source, sequence, received });
+                    self.queue.push(Incoming { sample, source, sequence, received, waited });
                 }
             }
             Err(error) => {
                 self.queue.count_dropped();
-                tracing::warn!(topic = %self.topic, %error, "a sample from shared memory was dropped");
+                let is_large = payload.len() > self.bytes_max;
+                let why = if is_large { "larger than sample_bytes_max" } else { "no CDR" };
+                if let Some(not_logged) = self.complaint.worth(why, Instant::now()) {
+                    tracing::warn!(topic = %self.topic, %error, not_logged, "a sample from shared memory was dropped: {why}");
+                }
             }
         }
     }

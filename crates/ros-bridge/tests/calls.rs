@@ -12,7 +12,7 @@ use std::time::Duration;
 use ledger_hash::Hash;
 use python::Python;
 use ros_bridge::{
-    dds::{Client, Exchange, Participant, Server},
+    dds::{Caller, Client, Exchange, Number, Participant, Server},
     error::Error,
     mark::Mark,
     names::{TopicName, TypeName},
@@ -23,6 +23,8 @@ use ros2_client::{
 };
 
 const DEADLINE: Duration = Duration::from_secs(40);
+/// How long a reply may take before the request is made again.
+const PATIENCE: Duration = Duration::from_secs(5);
 const BYTES_MAX: usize = 1024;
 
 fn exchange() -> Exchange {
@@ -49,20 +51,32 @@ async fn serve(mut server: Server) {
     }
 }
 
-/// Calls until somebody serves.
+/// Sends a request as soon as somebody serves.
+async fn request(client: &mut Client, data: bool) -> Number {
+    loop {
+        match client.call(&[u8::from(data)]) {
+            Ok(number) if client.matched().now().matched > 0 => return number,
+            Ok(_) | Err(Error::Unserved(_)) => tokio::time::sleep(Duration::from_millis(20)).await,
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+/// Calls until somebody serves and replies. A server that was killed is taken to be there for a while, and replies to nothing.
 async fn call(client: &mut Client, data: bool) -> (bool, Vec<u8>) {
     let done = async {
-        let number = loop {
-            match client.call(&[u8::from(data)]) {
-                Ok(number) if client.matched().now().matched > 0 => break number,
-                Ok(_) | Err(Error::Unserved(_)) => tokio::time::sleep(Duration::from_millis(20)).await,
-                Err(error) => panic!("{error}"),
-            }
-        };
         loop {
-            let reply = client.next().await.unwrap();
-            if reply.number == number {
-                return (reply.message.first() == Some(&1), reply.message.to_vec());
+            let number = request(client, data).await;
+            let replied = async {
+                loop {
+                    let reply = client.next().await.unwrap();
+                    if reply.number == number {
+                        return (reply.message.first() == Some(&1), reply.message.to_vec());
+                    }
+                }
+            };
+            if let Ok(reply) = tokio::time::timeout(PATIENCE, replied).await {
+                return reply;
             }
         }
     };
@@ -99,6 +113,32 @@ async fn a_request_waits_until_its_client_hears_replies() {
         assert_eq!(client.line().unwrap(), expected);
     }
     assert!(client.finish());
+}
+
+#[tokio::test]
+async fn a_server_knows_of_each_client_whether_it_is_still_there() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let (here, there) = (Participant::open(5, "here").await.unwrap(), Participant::open(5, "there").await.unwrap());
+    let mut server = here.server(&exchange(), mark(1), BYTES_MAX).unwrap();
+    let mut clients = [(); 2].map(|()| there.client(&exchange(), mark(2), BYTES_MAX).unwrap());
+    let mut callers: Vec<Caller> = Vec::new();
+    for client in &mut clients {
+        tokio::time::timeout(DEADLINE, request(client, true)).await.unwrap();
+        let request = tokio::time::timeout(DEADLINE, server.next()).await.unwrap().unwrap();
+        assert!(server.is_there(&request.caller), "from its first request on");
+        callers.push(request.caller);
+    }
+    let ([leaves, _stays], [gone, there]) = (clients, <[Caller; 2]>::try_from(callers).unwrap());
+    drop(leaves);
+    let left = async {
+        while server.is_there(&gone) {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, left).await.unwrap();
+    assert!(server.is_there(&there), "another one of the same process");
 }
 
 #[tokio::test]

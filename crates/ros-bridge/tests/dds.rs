@@ -4,7 +4,11 @@
 #[path = "../../../tests/support/own_network.rs"]
 mod network;
 
-use std::{process::Command, sync::Arc, time::Duration};
+use std::{
+    process::Command,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 use tokio::sync::watch;
 
 use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample, XCDR2};
@@ -17,6 +21,7 @@ use ros_bridge::{
     names::{TopicName, TypeName},
     qos::{Durability, Qos, Reliability},
     queue::{Incoming, Limits},
+    reach::Reach,
 };
 
 const DEADLINE: Duration = Duration::from_secs(20);
@@ -68,6 +73,30 @@ async fn samples_arrive_byte_for_byte_and_in_order() {
         assert_eq!(incoming.sequence, u64::from(number) + 1);
     }
     assert_eq!(reader.dropped(), 0);
+}
+
+#[tokio::test]
+async fn a_sample_tells_how_long_it_waited_if_nobody_but_this_host_can_have_sent_it() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let latched = Qos { durability: Durability::TransientLocal, ..Qos::default() };
+    let there = Participant::open(3, "there").await.unwrap();
+    let writer = there.writer(&topic(), &twist(), &latched).unwrap();
+    writer.write(&numbered(1)).unwrap();
+    let written = Instant::now();
+    while written.elapsed() < Duration::from_millis(200) {
+        tokio::task::yield_now().await;
+    }
+    let alone = Reach::default();
+    let not_alone = Reach { static_peers: vec!["127.0.0.1".to_owned()], ..Reach::default() };
+    for (reach, has_clock) in [(alone, true), (not_alone, false)] {
+        let here = Participant::join(3, "here", &reach).await.unwrap();
+        let mut reader = here.reader(&topic(), &twist(), &latched, Limits::default()).unwrap();
+        let waited = next(&mut reader).await.waited;
+        // The wall clock may be put right meanwhile.
+        assert_eq!(waited > Duration::from_millis(100), has_clock, "{waited:?}");
+    }
 }
 
 #[tokio::test]

@@ -27,6 +27,7 @@ use ros_bridge::{
     queue::{Incoming, Limits},
     shm::{Node, Subscriber},
 };
+use rustix::process::{Pid, Signal, kill_process};
 
 const DEADLINE: Duration = Duration::from_secs(20);
 /// Tells the child which topic to publish.
@@ -202,6 +203,51 @@ async fn a_killed_process_does_not_stand_in_the_way_of_the_next() {
 }
 
 #[tokio::test]
+async fn a_subscriber_whose_process_was_stopped_and_continued_hears_again() {
+    let topic = topic("stopped");
+    let node = Node::open(0, "here", [1; 16]).await.unwrap();
+    let publisher = node.publisher(&topic).await.unwrap();
+    let mut echo = node.subscriber(&echo_of(&topic), Limits::default()).await.unwrap();
+    let mut child = start(&topic, "child_says_what_it_hears_until_it_is_killed");
+    let process = Pid::from_raw(i32::try_from(child.id()).unwrap()).unwrap();
+    for number in 0..5 {
+        let heard = async {
+            let mut pause = tokio::time::interval(Duration::from_millis(5));
+            loop {
+                tokio::select! {
+                    _ = pause.tick() => {
+                        publisher.write(&sample(number, 52)).unwrap();
+                    }
+                    incoming = echo.next() => if incoming.unwrap().sample == sample(number, 52) {
+                        break;
+                    },
+                }
+            }
+        };
+        assert!(tokio::time::timeout(DEADLINE, heard).await.is_ok(), "it is deaf after {number} times");
+        kill_process(process, Signal::STOP).unwrap();
+        while !stands_still(&child) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        kill_process(process, Signal::CONT).unwrap();
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// Is every thread of it stopped?
+fn stands_still(child: &Child) -> bool {
+    let tasks = std::fs::read_dir(format!("/proc/{}/task", child.id())).unwrap();
+    let mut stats = tasks.filter_map(|task| std::fs::read_to_string(task.unwrap().path().join("stat")).ok());
+    stats.all(|stat| stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('T')))
+}
+
+/// Where the child says what it has heard.
+fn echo_of(topic: &TopicName) -> TopicName {
+    TopicName::parse(&format!("{topic}_again")).unwrap()
+}
+
+#[tokio::test]
 async fn killed_subscribers_take_nothing_from_another_one_and_leave_no_node_behind() {
     let topic = topic("deaf");
     let node = Node::open(0, "here", [1; 16]).await.unwrap();
@@ -272,4 +318,17 @@ async fn child_listens_until_it_is_killed() {
     let node = Node::open(0, "child", [3; 16]).await.unwrap();
     let mut subscriber = node.subscriber(&TopicName::parse(&topic).unwrap(), Limits::default()).await.unwrap();
     while subscriber.next().await.is_some() {}
+}
+
+/// As above, for one that does both.
+#[tokio::test]
+async fn child_says_what_it_hears_until_it_is_killed() {
+    let Ok(topic) = env::var(CHILD_TOPIC) else { return };
+    let topic = TopicName::parse(&topic).unwrap();
+    let node = Node::open(0, "child", [5; 16]).await.unwrap();
+    let mut subscriber = node.subscriber(&topic, Limits::default()).await.unwrap();
+    let publisher = node.publisher(&echo_of(&topic)).await.unwrap();
+    while let Some(incoming) = subscriber.next().await {
+        publisher.write(&incoming.sample).unwrap();
+    }
 }

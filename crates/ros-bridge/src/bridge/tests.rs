@@ -7,6 +7,7 @@ mod network;
 mod latched_tests;
 mod limit_tests;
 mod lost_tests;
+mod shm_tests;
 mod start_tests;
 mod stop_tests;
 
@@ -55,9 +56,13 @@ async fn bench_with(settings: &str, mode: &str, more: &str, prepare: impl FnOnce
     let network = Network::until(2900);
     let fake = Fake::new(mode, &network);
     prepare(&fake);
-    // A driver of these tests sends one message.
-    let patient = more.contains("from_ledger") && !more.contains("command_timeout_ms");
-    let more = if patient { format!("{more}\ncommand_timeout_ms = 0") } else { more.to_owned() };
+    // A driver of these tests sends one message, and the ledger gives no sign of life by itself.
+    let mut more = more.to_owned();
+    for (key, patient) in [("command_timeout_ms", 0), ("stale_after_ms", 20_000)] {
+        if more.contains("from_ledger") && !more.contains(key) {
+            more += &format!("\n{key} = {patient}");
+        }
+    }
     let text = format!(
         "domain_id = {DOMAIN}\n{settings}\n[[route]]\nservice = 'T/cmd_vel'\n\
          type = 'geometry_msgs/msg/Twist'\n{more}"
@@ -318,7 +323,7 @@ async fn a_silent_ledger_stops_the_robot() {
     if !network::isolated(&|| ()) {
         return;
     }
-    let more = "direction = 'from_ledger'\nstale_after_ms = 500";
+    let more = "direction = 'from_ledger'\nstale_after_ms = 5000";
     let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
     let mut reader = bench.reader().await;
     let (sent, _) = bench.message(&bench.network.salma, 3, 1);
@@ -358,7 +363,8 @@ async fn a_robot_stops_when_no_majority_of_the_voters_answers_while_its_node_sti
     if !network::isolated(&|| ()) {
         return;
     }
-    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    let more = "direction = 'from_ledger'\nstale_after_ms = 3000";
+    let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
     let mut reader = bench.reader().await;
     let salma = &bench.network.salma;
     let alive = async {

@@ -107,6 +107,7 @@ fn routes_that_differ_in_one_setting_are_not_the_same() {
     for more in ["batch_max = 2", "max_rate_hz = 5", "topic = '/x'", "qos = { depth = 3 }", "sample_bytes_max = 64"] {
         assert_ne!(of(up).text(), of(&format!("{up}\n{more}")).text(), "{more}");
     }
+    assert_ne!(of(up).text(), of(&format!("{up}\nholder_topic = '/holder'")).text());
     let down = "direction = 'from_ledger'";
     for more in ["max_age_ms = 5", "stop_hex = '00010000ff'", "goal_topic = '/goal'", "side_door = 'stop'"] {
         assert_ne!(of(down).text(), of(&format!("{down}\n{more}")).text(), "{more}");

@@ -1,10 +1,14 @@
 //! Takes the samples of one topic.
 
-use std::{collections::BTreeMap, sync::Arc, time::Instant};
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use futures::StreamExt;
 use ledger_gate::sample::Sample;
-use rustdds::{DataReaderStatus, GUID, StatusEvented, no_key::SimpleDataReader};
+use rustdds::{DataReaderStatus, GUID, StatusEvented, Timestamp, no_key::SimpleDataReader};
 use tokio::{task::JoinHandle, time::interval};
 
 use super::{
@@ -13,8 +17,10 @@ use super::{
     graph::{Graph, Role},
     intake::{Intake, Verdict},
     matched::Matches,
+    misfit::remedy,
 };
 use crate::{
+    count::Complaint,
     door::{Door, Entry},
     error::Result,
     mark::Mark,
@@ -65,6 +71,7 @@ impl Reader {
             participant: participant.clone(),
             door,
             marks: BTreeMap::new(),
+            complaint: Complaint::default(),
         };
         participant.graph.add(Role::Reads, guid);
         Ok(Self { queue, matched, guid, graph: Arc::clone(&participant.graph), pump: tokio::spawn(pump.run(source)) })
@@ -111,6 +118,7 @@ struct Pump {
     door: Option<Arc<Door>>,
     /// The marks of writers that were looked up.
     marks: BTreeMap<[u8; 16], Option<Mark>>,
+    complaint: Complaint,
 }
 
 impl Pump {
@@ -123,11 +131,11 @@ impl Pump {
         loop {
             tokio::select! {
                 sample = samples.next() => match sample {
-                    Some(Ok(change)) => self.take(change.writer_guid, change.sequence_number.into(), change.sample),
-                    Some(Err(error)) => {
-                        self.queue.count_dropped();
-                        tracing::warn!(topic = %self.topic, %error, "a sample was dropped");
+                    Some(Ok(change)) => {
+                        let waited = self.waited(change.source_timestamp());
+                        self.take(change.writer_guid, change.sequence_number.into(), change.sample, waited);
                     }
+                    Some(Err(error)) => self.drop_unreadable(&error),
                     None => break,
                 },
                 status = statuses.next() => match status {
@@ -142,16 +150,19 @@ impl Pump {
         self.queue.close();
     }
 
-    fn take(&mut self, writer: GUID, sequence: i64, sample: Sample) {
+    /// How long a sample was on its way, by the time that its publisher gave it. That lies far back where this process stood still
+    /// and the sample waited in a socket. It says something only if its clock is ours: other hosts have other clocks.
+    fn waited(&self, sent: Option<Timestamp>) -> Duration {
+        sent.filter(|_| self.participant.is_alone).map_or(Duration::ZERO, since)
+    }
+
+    fn take(&mut self, writer: GUID, sequence: i64, sample: Sample, waited: Duration) {
         let source = writer.to_bytes();
         if self.matches.with_endpoints(|present| self.intake.judge(source, sequence, present)) != Verdict::Admit {
             return;
         }
         if sample.wire().len() > self.sample_bytes_max {
-            self.queue.count_dropped();
-            let (bytes, bytes_max) = (sample.wire().len(), self.sample_bytes_max);
-            tracing::warn!(topic = %self.topic, bytes, bytes_max, "a sample was dropped: larger than the limit");
-            return;
+            return self.drop_large(sample.wire().len());
         }
         let received = Instant::now();
         if let Some(door) = self.door.clone() {
@@ -161,7 +172,22 @@ impl Pump {
             }
         }
         let sequence = u64::try_from(sequence).unwrap_or_default();
-        self.queue.push(Incoming { sample, source, sequence, received });
+        self.queue.push(Incoming { sample, source, sequence, received, waited });
+    }
+
+    fn drop_large(&mut self, bytes: usize) {
+        self.queue.count_dropped();
+        if let Some(not_logged) = self.complaint.worth("large", Instant::now()) {
+            let bytes_max = self.sample_bytes_max;
+            tracing::warn!(topic = %self.topic, bytes, bytes_max, not_logged, "a sample was dropped: larger than sample_bytes_max");
+        }
+    }
+
+    fn drop_unreadable(&mut self, error: &dyn std::error::Error) {
+        self.queue.count_dropped();
+        if let Some(not_logged) = self.complaint.worth("unreadable", Instant::now()) {
+            tracing::warn!(topic = %self.topic, %error, not_logged, "a sample was dropped: no CDR, so its publisher has another `type` than this route");
+        }
     }
 
     /// The mark of a writer. Discovery knew it before its first sample was let in; a writer that is not found there has left.
@@ -192,13 +218,41 @@ impl Pump {
             }
             DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. } => {
                 self.matches.refused();
-                let policy = format!("{last_policy_id:?}");
-                tracing::warn!(topic = %self.topic, policy, "a publisher offers less than this route requests");
+                let (policy, remedy) = (format!("{last_policy_id:?}"), remedy(Role::Reads, *last_policy_id));
+                if let Some(not_logged) = self.complaint.worth(remedy, Instant::now()) {
+                    tracing::warn!(topic = %self.topic, policy, not_logged, "a publisher offers less than this route requests: {remedy}");
+                }
             }
             DataReaderStatus::SampleLost { count } => {
                 tracing::debug!(topic = %self.topic, lost = count.count(), "samples were lost before they reached the bridge");
             }
             _ => {}
         }
+    }
+}
+
+/// How long ago that was by the clock of this host; zero if it lies ahead, or is no time.
+fn since(sent: Timestamp) -> Duration {
+    if sent == Timestamp::ZERO {
+        return Duration::ZERO;
+    }
+    // In parts of a second of which there are 2^32.
+    let ticks = Timestamp::now().to_ticks().saturating_sub(sent.to_ticks());
+    let micros = (u128::from(ticks) * 1_000_000) >> 32_u32;
+    Duration::from_micros(u64::try_from(micros).unwrap_or(u64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_that_lies_ahead_or_is_none_makes_no_sample_old() {
+        let ahead = Timestamp::from_ticks(Timestamp::now().to_ticks() + (60 << 32));
+        for sent in [Timestamp::ZERO, Timestamp::INVALID, Timestamp::INFINITE, ahead] {
+            assert_eq!(since(sent), Duration::ZERO, "{sent:?}");
+        }
+        let before = Timestamp::from_ticks(Timestamp::now().to_ticks() - (60 << 32));
+        assert!(since(before) >= Duration::from_secs(60));
     }
 }

@@ -3,14 +3,15 @@
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex, PoisonError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use bytes::Bytes;
 use futures::{StreamExt, future::BoxFuture};
 use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample};
 use rustdds::{
-    DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic, dds::result::WriteError,
+    DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic,
+    dds::{qos::QosPolicyId, result::WriteError},
     no_key::DataWriter,
 };
 use tokio::{task::AbortHandle, time::interval};
@@ -20,8 +21,10 @@ use super::{
     encoding::{Payload, Raw, offered},
     graph::Role,
     matched::Matches,
+    misfit::remedy,
 };
 use crate::{
+    count::Complaint,
     error::{Error, Explained, Result},
     mark::Mark,
     names::{TopicName, TypeName},
@@ -144,7 +147,8 @@ impl Writer {
             publisher.create_datawriter_no_key(&self.dds_topic, Some(policies)).map_err(failed)?;
         let writer = Arc::new(writer);
         self.participant.graph.add(Role::Writes, writer.guid());
-        let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.to_string(), matches)).abort_handle();
+        let remedy = |policy| remedy(Role::Writes, policy);
+        let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.to_string(), matches, remedy)).abort_handle();
         Ok(Endpoint { output: writer, watcher })
     }
 }
@@ -179,14 +183,15 @@ impl<const ID: u8> Output for DataWriter<Payload, Raw<ID>> {
     }
 }
 
-/// Follows the status of a DDS writer until it is dropped.
+/// Follows the status of a DDS writer until it is dropped. `remedy` tells what brings it together with a reader.
 pub(super) async fn watch<const ID: u8>(
     writer: Arc<DataWriter<Payload, Raw<ID>>>,
     topic: String,
     mut matches: Matches,
+    remedy: fn(QosPolicyId) -> &'static str,
 ) {
     let mut statuses = writer.as_async_status_stream();
-    let mut alive = interval(ALIVE_EVERY);
+    let (mut alive, mut complaint) = (interval(ALIVE_EVERY), Complaint::default());
     loop {
         let status = tokio::select! {
             status = statuses.next() => status,
@@ -200,8 +205,15 @@ pub(super) async fn watch<const ID: u8>(
             }
             DataWriterStatus::OfferedIncompatibleQos { last_policy_id, .. } => {
                 matches.refused();
-                let policy = format!("{last_policy_id:?}");
-                tracing::warn!(topic, policy, "a subscriber requests more than this route offers");
+                let (policy, remedy) = (format!("{last_policy_id:?}"), remedy(last_policy_id));
+                if let Some(not_logged) = complaint.worth(remedy, Instant::now()) {
+                    tracing::warn!(
+                        topic,
+                        policy,
+                        not_logged,
+                        "a subscriber requests more than this route offers: {remedy}"
+                    );
+                }
             }
             _ => {}
         }

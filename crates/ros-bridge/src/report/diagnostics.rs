@@ -43,13 +43,13 @@ pub struct Status {
     pub name: String,
     /// The reason of the level, for people.
     pub message: String,
-    /// Its counters, by name.
+    /// Its counters, by name; of a route also `holder`, who holds its service.
     pub values: Vec<(String, String)>,
 }
 
 impl Status {
-    /// That of a route, with its counters.
-    pub(super) fn of_route(summary: &RouteSummary, state: State<'_>) -> Self {
+    /// That of a route, with its counters and the holders of its service.
+    pub(super) fn of_route(summary: &RouteSummary, holder: String, state: State<'_>) -> Self {
         let (level, message) = match state {
             State::Waits(reason) => (Level::Error, format!("waits: {reason}")),
             State::Unknown => (Level::Stale, "the ledger gives no sign of life".to_owned()),
@@ -63,7 +63,9 @@ impl Status {
             State::Works => (Level::Ok, "carries what comes".to_owned()),
         };
         let name = format!("{} {}", summary.service, summary.direction);
-        Self { level, name, message, values: values(summary) }
+        let mut values = values(summary);
+        values.push(("holder".to_owned(), holder));
+        Self { level, name, message, values }
     }
 }
 
@@ -151,19 +153,19 @@ mod tests {
         let summary = summary();
         let silence = |is_fault| Silence { name: "x", reason: "why".to_owned(), is_fault };
         let (fault, pause) = (silence(true), silence(false));
-        let level = |state| Status::of_route(&summary, state).level;
+        let level = |state| Status::of_route(&summary, String::new(), state).level;
         assert_eq!(level(State::Works), Level::Ok);
         assert_eq!(level(State::Silent(&pause)), Level::Ok);
         assert_eq!(level(State::Silent(&fault)), Level::Warn);
         assert_eq!(level(State::Waits("LGR-3012")), Level::Error);
         assert_eq!(level(State::Unknown), Level::Stale);
         assert_eq!(level(State::Beside { others: 1, topic: "/cmd_vel" }), Level::Warn);
-        assert_eq!(Status::of_route(&summary, State::Silent(&fault)).message, "silent: why");
+        assert_eq!(Status::of_route(&summary, String::new(), State::Silent(&fault)).message, "silent: why");
     }
 
     #[test]
-    fn the_message_has_the_counters_under_the_names_of_the_summary() {
-        let status = Status::of_route(&summary(), State::Works);
+    fn the_message_has_the_counters_under_the_names_of_the_summary_and_the_holders() {
+        let status = Status::of_route(&summary(), "Org1/Farhad, Org1/Salma".to_owned(), State::Works);
         let now = UNIX_EPOCH + Duration::new(1_700_000_000, 5);
         let message = typed::of(TYPE).unwrap();
         let sample = typed::sample(&message, &array("bridge", "Org1/Salma", &[status], now)).unwrap();
@@ -174,6 +176,8 @@ mod tests {
             "name: 'bridge: T/cmd_vel to_ledger'",
             "hardware_id: Org1/Salma",
             "value: NOT_HOLDER 3",
+            "key: holder",
+            "Org1/Farhad, Org1/Salma",
         ] {
             assert!(yaml.contains(wanted), "{wanted}: {yaml}");
         }

@@ -1,5 +1,7 @@
 //! The neighbours on the topics of a bridge, and their meaning for its routes.
 
+mod strangers;
+
 use std::{
     collections::BTreeMap,
     sync::Arc,
@@ -9,6 +11,7 @@ use std::{
 use rustdds::QosPolicies;
 use tokio::task::AbortHandle;
 
+use self::strangers::Met;
 use crate::{
     dds::{Change, Neighbour, Role, encoding::accepted},
     mark::Mark,
@@ -17,7 +20,6 @@ use crate::{
     queue::Limits,
     roster::{Roster, Watched},
     route::{kind::Beside, local::Local, silence::Surroundings},
-    shm::OtherPublisher,
 };
 
 /// At most so many lines about those who come and leave ...
@@ -26,9 +28,6 @@ const LINES_MAX: u32 = 20;
 const LINES_IN: Duration = Duration::from_secs(10);
 /// Most publishers of other bridges that are listened to.
 const LISTENED_MAX: usize = 16;
-
-/// For so long a publisher in shared memory that says to be a bridge's may be unknown on DDS.
-const INTRODUCTION: Duration = Duration::from_secs(5);
 
 /// The known neighbours.
 pub(super) struct Neighbourhood {
@@ -39,25 +38,10 @@ pub(super) struct Neighbourhood {
     listened: BTreeMap<[u8; 16], AbortHandle>,
     /// How many use each route's topic in shared memory, when last looked at, by the numbers of the routes.
     in_memory: BTreeMap<usize, usize>,
-    /// The publishers beside each route in shared memory, by the numbers of the routes.
+    /// The publishers beside each route, by the numbers of the routes.
     met: BTreeMap<usize, Met>,
     lines: Lines,
     warnings: Lines,
-}
-
-/// Publishers beside a route in shared memory.
-#[derive(Debug, Default)]
-struct Met {
-    /// Since when each is there, and whether it was told.
-    since: BTreeMap<u128, (Instant, bool)>,
-}
-
-/// Those of them that count.
-#[derive(Debug, PartialEq, Eq)]
-struct Strangers {
-    count: usize,
-    /// The processes of those that did not count before.
-    news: Vec<Option<u32>>,
 }
 
 /// Limits lines in their rate.
@@ -166,19 +150,27 @@ impl Neighbourhood {
         }
     }
 
-    /// Looks who publishes on the topic of a route that delivers commands there, other than bridges of the same service.
+    /// Looks who publishes on the topic of a route that delivers commands there, other than an earlier run of this bridge.
     fn look_beside(&mut self, watched: &Watched, now: Instant) {
         if !watched.is_command || watched.route.kind.takes_in() {
             return;
         }
         let topic = watched.dds_topic();
-        let (bridges, others): (Vec<&Neighbour>, Vec<&Neighbour>) = (self.known.values())
-            .filter(|neighbour| neighbour.topic == topic && neighbour.role == Role::Publisher)
-            .partition(|neighbour| neighbour.mark == Some(watched.mark));
-        let in_memory = self.met.entry(watched.number).or_default().look(strangers(watched, &bridges), now);
-        watched.counters.lock().live.beside = others.len().saturating_add(in_memory.count);
+        let is_beside = |neighbour: &&Neighbour| neighbour.topic == topic && neighbour.role == Role::Publisher;
+        let on_dds: Vec<&Neighbour> = self.known.values().filter(is_beside).collect();
+        let in_memory = watched.in_memory.as_ref().map_or_else(Vec::new, crate::shm::Peers::publishers);
+        let strangers = self.met.entry(watched.number).or_default().look(&on_dds, watched.mark, in_memory, now);
+        watched.counters.lock().live.beside = strangers.count;
         let (service, topic) = (&watched.route.service, watched.topic.as_str());
-        for process in in_memory.news {
+        if strangers.has_marked_news && self.warnings.may_tell(now) {
+            tracing::warn!(
+                service,
+                topic,
+                "a publisher beside this bridge on {topic} has its mark, and is no earlier run of it: that would have left; \
+                 stop the other bridge of {service}, or who copies the mark"
+            );
+        }
+        for process in strangers.news {
             if self.warnings.may_tell(now) {
                 tracing::warn!(
                     service,
@@ -272,25 +264,6 @@ impl Neighbourhood {
     }
 }
 
-impl Met {
-    /// These are there now.
-    fn look(&mut self, found: Vec<OtherPublisher>, now: Instant) -> Strangers {
-        self.since.retain(|id, _| found.iter().any(|publisher| publisher.id == *id));
-        let mut strangers = Strangers { count: 0, news: Vec::new() };
-        for OtherPublisher { id, process, bridge } in found {
-            let (since, is_told) = self.since.entry(id).or_insert((now, false));
-            if bridge.is_some() && now.saturating_duration_since(*since) < INTRODUCTION {
-                continue;
-            }
-            strangers.count = strangers.count.saturating_add(1);
-            if !std::mem::replace(is_told, true) {
-                strangers.news.push(process);
-            }
-        }
-        strangers
-    }
-}
-
 impl Drop for Neighbourhood {
     fn drop(&mut self) {
         self.listened.values().for_each(AbortHandle::abort);
@@ -299,14 +272,6 @@ impl Drop for Neighbourhood {
 
 fn count_in_memory(watched: &Watched) -> usize {
     watched.in_memory.as_ref().map_or(0, crate::shm::Peers::count)
-}
-
-/// The publishers in shared memory that belong to none of these bridges: their nodes are known by their participants of DDS.
-fn strangers(watched: &Watched, bridges: &[&Neighbour]) -> Vec<OtherPublisher> {
-    let mut found = watched.in_memory.as_ref().map_or_else(Vec::new, crate::shm::Peers::publishers);
-    let is_of = |of: [u8; 16]| bridges.iter().any(|bridge| bridge.guid.first_chunk::<12>() == of.first_chunk::<12>());
-    found.retain(|publisher| !publisher.bridge.is_some_and(is_of));
-    found
 }
 
 fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
@@ -365,7 +330,9 @@ fn meaning(watched: &Watched, neighbour: &Neighbour, came: bool) -> Option<Line>
         return Some(Line::Note(format!("a {role} on {topic} has left")));
     }
     Some(if neighbour.type_name != watched.dds_type() {
-        Line::Warning(format!("a {role} on {topic} has another type: nothing passes"))
+        Line::Warning(format!(
+            "a {role} on {topic} has another type: nothing passes until it has the `type` of this route"
+        ))
     } else if neighbour.role == Role::Publisher && is_bridge(neighbour, watched.mark) {
         Line::Warning(format!(
             "another bridge publishes on {topic} what came from the ledger, and this route takes {topic} to {service}: \
@@ -398,17 +365,5 @@ mod tests {
         assert_eq!(lines.not_told(later), Some(80));
         assert_eq!(lines.not_told(later), None);
         assert!(lines.may_tell(later));
-    }
-
-    #[test]
-    fn who_says_to_be_a_bridge_in_shared_memory_has_some_seconds_to_prove_it_on_dds() {
-        let (start, mut met) = (Instant::now(), Met::default());
-        let of = |bridge| vec![OtherPublisher { id: 7, process: Some(9), bridge }];
-        let strangers = |count, news: &[Option<u32>]| Strangers { count, news: news.to_vec() };
-        assert_eq!(met.look(of(None), start), strangers(1, &[Some(9)]));
-        assert_eq!(met.look(of(None), start), strangers(1, &[]), "told once");
-        assert_eq!(met.look(Vec::new(), start), strangers(0, &[]));
-        assert_eq!(met.look(of(Some([1; 16])), start), strangers(0, &[]));
-        assert_eq!(met.look(of(Some([1; 16])), start + INTRODUCTION), strangers(1, &[Some(9)]));
     }
 }

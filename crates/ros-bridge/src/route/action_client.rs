@@ -1,7 +1,9 @@
 //! The robot's side of actions: goals that pass the gate are set here, and what the robot says of them goes to the ledger.
 //!
-//! A goal whose right has ended is cancelled, and again each second until the robot says that it has ended.
+//! A goal whose right has ended is cancelled, and again each second until the robot says that it has ended. So is a goal that an
+//! earlier bridge has left, and one whose server has left and comes back.
 
+mod earlier;
 mod said;
 
 use std::{
@@ -12,7 +14,7 @@ use std::{
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
 use ledger_contract::replies;
-use ledger_gate::{gate::Passed, sample::Sample};
+use ledger_gate::{gate::Passed, sample::Sample, service::Service};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
@@ -21,12 +23,12 @@ use tokio::{
     time::{sleep_until, timeout},
 };
 
-use self::said::Said;
+use self::{earlier::Earlier, said::Said};
 use super::{
-    Stop,
+    Clocks, Stop,
     actions::{
         FEEDBACK, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, RUN_MS_MAX, STATUS, cancel_of, feedback, goal_of,
-        is_accepted, is_over, is_unknown_or_over, over_in, result_patience, split_request, status,
+        goals_in, is_accepted, is_over, is_unknown_or_over, result_patience, split_request, status,
     },
     calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Waiting, patience, reply_to},
     kind::{self, Beside, Kind, Opened, Opening, Plan, STALE_AFTER, STALE_KEY},
@@ -40,6 +42,7 @@ use crate::{
     error::Error,
     names::Interface,
     queue::{Incoming, Limits, Queue},
+    standing::Asker,
 };
 
 /// The setting of how long the server is waited for.
@@ -118,6 +121,8 @@ impl Settings {
 
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
         let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = &opening;
+        let (came, clocks) = (Instant::now(), Clocks::start());
+        let earlier = Earlier::new(Some(clocks.now().wall));
         let participant = local.participant();
         let client = |exchange: Exchange| participant.client(&exchange, *mark, route.sample_bytes_max);
         let clients = Clients {
@@ -139,6 +144,7 @@ impl Settings {
         let to = kind::submitted(gateway, &answered, Arc::clone(&answers), None, of_replies).await?;
         let (hand, handed, rests) = Hand::until_rest(clients.goals.matched().clone(), self.stale_after);
         let from = kind::gated(&opening, service.clone(), hand, counters.clone()).await?;
+        let is_used = may_be_used(service.clone(), Arc::clone(&opening.asker), came);
         let desk = Desk {
             clients,
             feedback,
@@ -150,14 +156,27 @@ impl Settings {
             waiting: Waiting::new(self.patience),
             results: Waiting::new(self.results),
             goals: Goals::new(self.goal),
+            earlier,
+            clocks,
             said: Said::new(self.feedback_every),
             last: 0,
             account: Account::new(&route.service, counters.clone()),
             service: route.service.clone(),
         };
-        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
+        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone(), is_used));
         Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
     }
+}
+
+/// May goals have been set through the ledger before that moment? Where the voters do not say how the service stands, they may.
+async fn may_be_used(service: Service, asker: Arc<Asker>, since: Instant) -> bool {
+    let is_new = |service: &Service| service.epoch == 0 && service.needs_grant();
+    if !is_new(&service) {
+        return true;
+    }
+    let answer = asker.ask(since).await;
+    let certified = answer.and_then(|answered| answered.standing.service(&service.service));
+    !certified.is_ok_and(|certified| is_new(&certified))
 }
 
 /// The words for a cause of silence.
@@ -221,6 +240,8 @@ struct Desk {
     waiting: Waiting<(Part, Number), Call>,
     results: Waiting<(Part, Number), Call>,
     goals: Goals,
+    earlier: Earlier,
+    clocks: Clocks,
     said: Said,
     /// The number of the last message to the ledger.
     last: u64,
@@ -229,8 +250,15 @@ struct Desk {
 }
 
 impl Desk {
-    /// Runs until it is told to end, or the middleware ends. Then the goals that run are cancelled.
-    async fn run(mut self, mut stop: Stop) {
+    /// Runs until it is told to end, or the middleware ends. Then the goals that run are cancelled. `is_used`: may goals have been set
+    /// before? Nothing passes the gate until the voters have answered, so this waits for them, too.
+    async fn run(mut self, mut stop: Stop, is_used: impl Future<Output = bool>) {
+        tokio::select! {
+            () = stopped(&mut stop) => {}
+            is_used = is_used => if !is_used {
+                self.earlier = Earlier::new(None);
+            }
+        }
         let mut look = tokio::time::interval(LOOK_EVERY);
         loop {
             let late = [self.waiting.due(), self.results.due(), self.goals.due()].into_iter().flatten().min();
@@ -253,10 +281,10 @@ impl Desk {
                 () = sleep_until(late.unwrap_or_else(Instant::now).into()), if late.is_some() => self.expire(),
                 () = sleep_until(said.unwrap_or_else(Instant::now).into()), if said.is_some() => self.say(),
                 _ = look.tick() => self.look(),
-                Some(status) = self.status.next() => self.state(&status.sample),
+                Some(status) = self.status.next() => self.state(&status),
                 Some(feedback) = self.feedback.next() => self.hear(&feedback.sample),
             }
-            if self.goals.is_empty() {
+            if self.goals.rests() {
                 self.rests.send_if_modified(|rests| std::mem::replace(rests, self.known) != self.known);
             }
         }
@@ -368,15 +396,21 @@ impl Desk {
         }
     }
 
-    /// Takes the states of the goals, and passes them on while some of them are of the ledger's.
-    fn state(&mut self, sample: &Sample) {
+    /// Takes the states of the goals, and passes them on while some of them are of the ledger's, or may have been.
+    fn state(&mut self, Incoming { sample, source, .. }: &Incoming) {
         let Some(message) = super::calls::message_of(sample) else { return };
-        let was_empty = self.goals.is_empty();
-        for goal in over_in(&message) {
-            self.goals.ended(&goal);
+        let (was_empty, states) = (self.goals.is_empty(), goals_in(&message));
+        for stated in states.iter().filter(|stated| stated.is_over()) {
+            self.goals.ended(&stated.goal);
         }
-        if !was_empty {
+        let earlier = self.earlier.look(*source, &states, self.clocks.now().wall);
+        if !was_empty || earlier.is_some() {
             self.keep(STATUS, GoalId::default(), message);
+        }
+        for goal in earlier.into_iter().flatten() {
+            if self.goals.found(goal, Instant::now()) {
+                self.cancel(&[goal], "it ran when the bridge came");
+            }
         }
     }
 
@@ -403,7 +437,7 @@ impl Desk {
         let Ok(sample) = reply_to(request, message) else { return };
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
-        self.answers.push(Incoming { sample, source: [0; 16], sequence, received });
+        self.answers.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
     }
 
     /// Gives up what nobody has answered, and cancels what runs for too long.
@@ -419,11 +453,16 @@ impl Desk {
         self.cancel(&overdue, "it has not ended in time");
     }
 
-    /// Without its server no goal runs.
+    /// A server that has left may only stand still: when it comes back, its goals are cancelled.
     fn look(&mut self) {
-        if !self.goals.is_empty() && self.clients.goals.matched().now().matched == 0 {
-            tracing::warn!(service = self.service, "the action server has left, and its goals with it");
-            self.goals.forget();
+        if self.clients.goals.matched().now().matched > 0 {
+            let back = self.goals.come_back(Instant::now());
+            self.cancel(&back, "its server has come back");
+        } else if self.goals.leave() {
+            tracing::warn!(
+                service = self.service,
+                "the action server has left: its goals are cancelled if it comes back"
+            );
         }
     }
 }

@@ -23,7 +23,7 @@ use super::{
     Stop, actions,
     actions::{
         CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, STATUS, cancel_of,
-        goal_of, is_accepted, is_over, over_in, request_of, result_patience,
+        goal_of, goals_in, is_accepted, is_over, request_of, result_patience,
     },
     calls::{Account, CALLS_MAX, Handed, PATIENCE, TOO_MANY, Told, Waiting, Ways, answers_of, patience, split},
     kind::{Beside, Kind, Opened, Opening, Plan},
@@ -101,6 +101,7 @@ impl Settings {
             results: Waiting::new(self.results),
             ids: BTreeMap::new(),
             goals: Goals::new(None),
+            callers: BTreeMap::new(),
             alive_every: (lease / ALIVE_IN_LEASE).clamp(ALIVE_EVERY_MIN, ALIVE_EVERY_MAX),
             last: 0,
             account: Account::new(&route.service, counters.clone()),
@@ -164,6 +165,8 @@ struct Desk {
     /// The numbers of the requests by the ids of their transactions.
     ids: BTreeMap<Hash, u64>,
     goals: Goals,
+    /// The clients of the goals, as far as they are there.
+    callers: BTreeMap<GoalId, Caller>,
     alive_every: Duration,
     /// The number of the last request.
     last: u64,
@@ -203,8 +206,9 @@ impl Desk {
             self.account.refuse(TOO_MANY, &format!("{CALLS_MAX} goals or requests have not ended"));
             return self.say_no(&call);
         }
-        if part == Part::Goal {
+        if part == Part::Goal && !self.goals.has(&goal) {
             self.goals.ask(goal);
+            self.callers.insert(goal, call.caller.clone());
         }
         let sequence = self.submit(part, &message);
         let waiting = if part == Part::Result { &mut self.results } else { &mut self.waiting };
@@ -216,15 +220,39 @@ impl Desk {
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
         if let Ok(sample) = request_of(part, message) {
-            self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received });
+            self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
         }
         sequence
     }
 
-    /// While goals run, and somebody is there for whom they do, the grant is used.
+    /// While a goal runs whose client is there, the grant is used. A goal whose client has left is cancelled, and again while the grant
+    /// is used for others. It does not keep the grant itself: when the lease ends, the robot's bridge cancels it.
     fn live(&mut self) {
-        if !self.goals.is_empty() && self.servers.goals.matched().now().matched > 0 && self.account.may_call() {
+        self.callers.retain(|goal, _| self.goals.has(goal));
+        if self.goals.is_empty() || !self.account.may_call() {
+            return;
+        }
+        let (now, before) = (Instant::now(), self.callers.len());
+        self.callers.retain(|goal, caller| {
+            let is_there = self.servers.goals.is_there(caller);
+            if !is_there {
+                tracing::warn!(
+                    robot = self.robot,
+                    goal = hex::encode(goal),
+                    "the client of a goal has left: it is cancelled"
+                );
+                self.goals.give_up(goal, now);
+            }
+            is_there
+        });
+        let is_used = !self.callers.is_empty();
+        if is_used {
             self.submit(Part::Alive, &[]);
+        }
+        if is_used || self.callers.len() < before {
+            for goal in self.goals.overdue(now) {
+                self.submit(Part::Cancel, &cancel_of(goal));
+            }
         }
     }
 
@@ -290,8 +318,8 @@ impl Desk {
                     }
                 }
                 STATUS => {
-                    for goal in over_in(&message) {
-                        self.goals.ended(&goal);
+                    for stated in goals_in(&message).iter().filter(|stated| stated.is_over()) {
+                        self.goals.ended(&stated.goal);
                     }
                     self.tell(&message, |desk| &desk.status);
                 }
@@ -320,7 +348,9 @@ impl Desk {
     fn learn(&mut self, call: &Call, message: &[u8]) {
         match call.part {
             Part::Goal => {
-                self.goals.answered(&call.goal, is_accepted(message), Instant::now());
+                if self.goals.answered(&call.goal, is_accepted(message), Instant::now()) {
+                    self.submit(Part::Cancel, &cancel_of(call.goal));
+                }
             }
             Part::Result if message.first().is_some_and(|state| is_over(*state)) => {
                 self.goals.ended(&call.goal);

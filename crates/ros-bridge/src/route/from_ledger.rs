@@ -41,7 +41,7 @@ use tokio::{sync::watch, time::sleep_until};
 use self::{confidential::Reading, demand::Demand, settings::Settings};
 use super::{
     Clocks, Stop,
-    holder::{self, Holder},
+    holder::{self, Holder, Holders},
     kind::Kind,
     local::{Outlet, changed},
     pace::{Pace, RATE_KEY},
@@ -106,7 +106,7 @@ fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
 }
 
 /// The answer to a question.
-type Answer = Result<Arc<Answered>, Rejection>;
+pub(super) type Answer = Result<Arc<Answered>, Rejection>;
 
 /// A route from a service to a local topic.
 struct FromLedger {
@@ -140,8 +140,6 @@ struct FromLedger {
     judged: Instant,
     renewed: Instant,
     complaint: Complaint,
-    /// Beside the other complaints: a holder may be slowed down and refused in turn.
-    clamps: Complaint,
 }
 
 impl FromLedger {
@@ -182,13 +180,11 @@ impl FromLedger {
             judged: Instant::now(),
             renewed: Instant::now(),
             complaint: Complaint::default(),
-            clamps: Complaint::default(),
         };
         opened.read_confidential()?;
-        // Without an answer the route waits for one, and nothing passes.
+        // Nobody waits for the answer: until it comes nothing passes, and a robot that was left moving is stopped at once.
         opened.ask();
-        let answer = answer(&mut opened.question).await;
-        opened.answered(answer).await;
+        opened.counters.lock().live.waiting = Some("the voters have not said yet how the robot stands".to_owned());
         Ok(opened)
     }
 
@@ -381,7 +377,10 @@ impl FromLedger {
         topic_for(&service, &self.route)?;
         self.stopping.learn(stop_for(&service, &self.route, self.settings.stop.as_ref())?, &service);
         let acts = self.guard.answered(&service, standing, self.clocks.steady(*asked), self.clocks.now());
-        self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
+        let mut counts = self.counters.lock();
+        counts.live.needs_grant = service.needs_grant() && service.is_command();
+        counts.live.holder = Holders::of(&self.route.service, &standing.grants).names();
+        drop(counts);
         self.service = service;
         self.read_confidential()?;
         Ok(acts)
@@ -424,6 +423,9 @@ impl FromLedger {
     fn tell_holders(&self) {
         let live = &mut self.counters.lock().live;
         live.held = self.guard.gate().is_held();
+        if !live.held {
+            live.holder.clear();
+        }
         if !self.guard.gate().is_closed() {
             live.waiting = None;
         }
@@ -472,7 +474,7 @@ impl FromLedger {
 }
 
 /// The answer to the question under way; waits for ever if there is none.
-async fn answer(question: &mut Option<BoxFuture<'static, Answer>>) -> Answer {
+pub(super) async fn answer(question: &mut Option<BoxFuture<'static, Answer>>) -> Answer {
     let Some(asked) = question else { return std::future::pending().await };
     let answer = asked.await;
     *question = None;

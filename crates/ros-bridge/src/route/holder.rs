@@ -1,13 +1,23 @@
-//! The holders of the service on a local topic, as JSON in a `std_msgs/msg/String`, for programs without a ledger client.
+//! The holders of the service on a local topic, as JSON in a `std_msgs/msg/String`, for programs without a ledger client; and
+//! their names, for the diagnostics.
 //!
-//! They come from what the voters have signed.
+//! The topic shows what the voters have signed.
 
+mod following;
+
+use std::collections::BTreeSet;
+
+use ledger_api::v1::Delivery;
 use ledger_contract::Grant;
-use ledger_gate::standing::Standing;
+use ledger_gate::{
+    service::{Released, read as read_event},
+    standing::Standing,
+};
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use serde_json::{Value, json};
 
+pub(super) use self::following::Following;
 use super::{latched::Latched, local::Local};
 use crate::{mark::Mark, names::TopicName};
 
@@ -62,6 +72,39 @@ impl Holder {
     }
 }
 
+/// The names of the holders of a service.
+#[derive(Debug, Default)]
+pub(super) struct Holders(BTreeSet<String>);
+
+impl Holders {
+    /// Those of a service among these grants.
+    pub(super) fn of(service: &str, grants: &[Grant]) -> Self {
+        Self(grants.iter().filter(|grant| grant.service == service).map(|grant| grant.holder.clone()).collect())
+    }
+
+    /// Takes note of grants of the service that have begun or ended, as a node tells of them. An identity has one at a time.
+    pub(super) fn hear(&mut self, delivery: &Delivery) {
+        for event in &delivery.events {
+            match event.name.as_str() {
+                "granted" | "renewed" => {
+                    self.0.extend(read_event::<Grant>(&event.payload).map(|grant| grant.holder));
+                }
+                "released" => {
+                    if let Some(released) = read_event::<Released>(&event.payload) {
+                        self.0.remove(&released.holder);
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// The names, with commas between; empty if there are none.
+    pub(super) fn names(&self) -> String {
+        self.0.iter().map(String::as_str).collect::<Vec<_>>().join(", ")
+    }
+}
+
 fn state(service: &str, grants: &[Grant], stopped: bool) -> Value {
     let held = grants.iter().filter(|grant| grant.service == service);
     let holders: Vec<Value> = held
@@ -73,7 +116,31 @@ fn state(service: &str, grants: &[Grant], stopped: bool) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bytes::Bytes;
+    use ledger_api::v1::EventRecord;
     use ledger_gate::fixture::grant;
+
+    fn told(name: &str, payload: &Value) -> Delivery {
+        let payload = Bytes::from(payload.to_string());
+        let event = EventRecord { name: name.to_owned(), payload, ..EventRecord::default() };
+        Delivery { events: vec![event], ..Delivery::default() }
+    }
+
+    #[test]
+    fn the_names_of_the_holders_follow_the_grants_that_begin_and_end() {
+        let (salma, farhad) = (grant("Org1/Salma", 3), grant("Org1/Farhad", 4));
+        let other = Grant { service: "T/arm".to_owned(), ..grant("Org1/Lara", 9) };
+        let mut holders = Holders::of(&salma.service, &[salma.clone(), other]);
+        assert_eq!(holders.names(), "Org1/Salma");
+        holders.hear(&told("granted", &json!(farhad)));
+        holders.hear(&told("renewed", &json!(salma)));
+        assert_eq!(holders.names(), "Org1/Farhad, Org1/Salma");
+        for Grant { service, holder, epoch, .. } in [&salma, &farhad] {
+            let released = json!({ "service": service, "holder": holder, "epoch": epoch, "reason": "released" });
+            holders.hear(&told("released", &released));
+        }
+        assert_eq!(holders.names(), "");
+    }
 
     #[test]
     fn the_holders_of_this_service_are_shown_and_whether_the_robot_is_stopped() {

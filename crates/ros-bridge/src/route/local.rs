@@ -75,7 +75,7 @@ impl Local {
             None => None,
         };
         let (matched, in_memory) = (reader.matched().clone(), shm.as_ref().map(shm::Subscriber::peers));
-        let topic = TopicInlet { reader, open: Box::new(open), qos, participant, lost: 0, shm };
+        let topic = TopicInlet { topic: topic.clone(), reader, open: Box::new(open), qos, participant, lost: 0, shm };
         Ok((Inlet::Topic(Box::new(topic)), matched, in_memory))
     }
 
@@ -128,6 +128,7 @@ pub(crate) enum Inlet {
 
 /// Where samples of a topic come in.
 pub(crate) struct TopicInlet {
+    topic: TopicName,
     reader: Reader,
     /// Opens a reader in the place of the one before.
     open: Open<Reader>,
@@ -136,18 +137,28 @@ pub(crate) struct TopicInlet {
     participant: Participant,
     /// Samples that readers before this one have lost.
     lost: u64,
+    /// None if it is not used, or has ended.
     shm: Option<shm::Subscriber>,
 }
 
 impl TopicInlet {
     async fn next(&mut self) -> Option<Incoming> {
-        match &mut self.shm {
-            None => self.reader.next().await,
-            Some(shm) => tokio::select! {
-                incoming = self.reader.next() => incoming,
-                incoming = shm.next() => incoming,
-            },
+        if let Some(shm) = &mut self.shm {
+            tokio::select! {
+                incoming = self.reader.next() => return incoming,
+                incoming = shm.next() => if incoming.is_some() {
+                    return incoming;
+                },
+            }
+            let topic = self.topic.as_str();
+            tracing::warn!(
+                topic,
+                "shared memory is not used for {topic} any more, only DDS, until this bridge starts again"
+            );
+            self.lost = self.lost.saturating_add(shm.dropped());
+            self.shm = None;
         }
+        self.reader.next().await
     }
 
     fn follow(&mut self) {
@@ -222,6 +233,13 @@ impl Inlet {
             Self::Topic(topic) => topic.dropped(),
             Self::Calls(queue) => queue.dropped(),
         }
+    }
+
+    /// Loses shared memory as a fault would take it away.
+    #[cfg(test)]
+    pub(crate) fn break_down_shared_memory(&self) {
+        let Self::Topic(topic) = self else { return };
+        topic.shm.iter().for_each(shm::Subscriber::break_down);
     }
 }
 

@@ -165,6 +165,6 @@ impl Desk {
         let Ok(sample) = reply_to(request, message) else { return };
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
-        self.answers.push(Incoming { sample, source: [0; 16], sequence, received });
+        self.answers.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
     }
 }

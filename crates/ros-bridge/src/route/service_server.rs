@@ -144,7 +144,7 @@ impl Desk {
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
         self.waiting.insert(sequence, Call { caller, id: None }, received);
-        self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received });
+        self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
     }
 
     fn hear(&mut self, told: Told) {

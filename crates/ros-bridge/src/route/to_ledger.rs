@@ -1,12 +1,16 @@
 //! From the local graph to the ledger: every sample becomes a signed transaction, in the order in which they came.
 //!
 //! Nothing waits for an earlier verdict, and no batch waits to be filled. When the ledger is slower than the topic,
-//! the newest samples replace the oldest that wait, and that is counted.
+//! the newest samples replace the oldest that wait, and that is counted. A command that has waited for longer than its service
+//! allows is dropped, and counted: with a signature it would be new.
 
 mod latch;
 mod outcome;
 mod publishing;
 mod sealing;
+
+#[cfg(test)]
+mod tests;
 
 use std::{
     sync::Arc,
@@ -19,6 +23,7 @@ use futures::{
     stream::FuturesUnordered,
 };
 use ledger_api::Subscription;
+use ledger_contract::Grant;
 use ledger_gate::ABAC;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
@@ -27,13 +32,14 @@ use tokio::{sync::mpsc, time::sleep_until};
 
 use self::{
     latch::{KEYS as LATCH_KEYS, Latch},
-    outcome::Outcome,
+    outcome::{LEFT_OUT, Outcome, TOO_OLD},
     publishing::Publishing,
     sealing::Sealing,
 };
 use super::{
     Clocks, Stop,
     calls::Told,
+    holder::{self, Following, Holder, Holders},
     kind::{Beside, Given, Kind, Opened, Opening, Plan},
     local::Inlet,
     pace::{Pace, RATE_KEY, read_rate},
@@ -47,7 +53,7 @@ use crate::{
     door::Door,
     fit::Fit,
     gateway::{Gateway, ask},
-    names::Interface,
+    names::{Interface, TopicName},
     queue::{Incoming, Queue},
     service::{Authorization, Caller},
 };
@@ -69,11 +75,11 @@ pub(super) static KIND: Kind = Kind {
     carries: Interface::Message,
     right: "publish",
     other_end: Role::Publisher,
-    keys: &["batch_max", RATE_KEY, LATCH_KEYS[0], LATCH_KEYS[1]],
+    keys: &["batch_max", RATE_KEY, LATCH_KEYS[0], LATCH_KEYS[1], holder::KEY],
     read,
     discovered: Some(|terms| {
         let (max_rate_hz, latched) = (terms.max_rate_hz, latch::Terms::default());
-        Arc::new(Settings { batch_max: 1, max_rate_hz, latched, held_only: terms.needs_grant })
+        Arc::new(Settings { batch_max: 1, max_rate_hz, latched, held_only: terms.needs_grant, holder: None })
     }),
     silence,
     beside,
@@ -90,6 +96,8 @@ struct Settings {
     latched: latch::Terms,
     /// Is nothing submitted without the grant that the service asks for?
     held_only: bool,
+    /// Where it is shown who holds the service.
+    holder: Option<TopicName>,
 }
 
 fn read(section: &mut Section<'_, '_>, _given: &Given<'_>) -> Arc<dyn Plan> {
@@ -101,7 +109,7 @@ fn read(section: &mut Section<'_, '_>, _given: &Given<'_>) -> Arc<dyn Plan> {
         section.conflict(["batch_max", RATE_KEY], found, "one of them: with a rate each sample goes alone".to_owned());
     }
     let (batch_max, latched) = (usize::try_from(batch_max).unwrap_or(1), latch::Terms::read(section));
-    Arc::new(Settings { batch_max, max_rate_hz, latched, held_only: false })
+    Arc::new(Settings { batch_max, max_rate_hz, latched, held_only: false, holder: holder::read(section) })
 }
 
 impl Plan for Settings {
@@ -112,7 +120,7 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, context, local, service, topic, mark, counters, qos, stop, .. } = opening;
+        let Opening { route, gateway, context, local, service, topic, mark, asker, counters, qos, stop } = opening;
         let max_age = Duration::from_millis(service.max_age_ms);
         let door = Arc::new(Door::new(mark, &route.service, max_age, Arc::clone(local.delivered())));
         let (inlet, matched, in_memory) =
@@ -123,13 +131,22 @@ impl Settings {
         let opened = ToLedger::open(gateway, &route.service, inlet, self, counters).await?;
         // A command that is said again would move the robot again.
         let latch = (!service.is_command()).then(|| Latch::new(self.latched));
-        let mut opened = ToLedger { withholds: self.held_only, latch, ..opened };
+        let max_age = service.is_command().then_some(max_age);
+        let mut opened = ToLedger { withholds: self.held_only, max_age, latch, ..opened };
         opened.sealing = Sealing::new(Arc::clone(&opened.gateway), context.network, service.confidential);
         // Who needs a grant and has none shares when it begins.
         if opened.publishing.epoch > 0 || !service.needs_grant() {
             opened.sealing.renew_if_confidential(&opened.publishing);
         }
-        Ok(Opened { in_memory, running: opened.run(stop).boxed() })
+        let running = match &self.holder {
+            Some(shown) => {
+                let holder = Holder::open(Some(shown), [topic].into_iter(), local, mark).await?;
+                let following = Following::new(holder, &*opened.gateway, (asker, &service), opened.from_height);
+                following.beside(opened.run(stop)).boxed()
+            }
+            None => opened.run(stop).boxed(),
+        };
+        Ok(Opened { in_memory, running })
     }
 }
 
@@ -142,13 +159,18 @@ pub(super) async fn half(
     told: Option<mpsc::UnboundedSender<Told>>,
     counters: Counters,
 ) -> Result<impl FnOnce(Stop) -> BoxFuture<'static, ()> + use<>, Rejection> {
-    let settings = Settings { batch_max: 1, max_rate_hz: None, latched: latch::Terms::default(), held_only: false };
+    let settings =
+        Settings { batch_max: 1, max_rate_hz: None, latched: latch::Terms::default(), held_only: false, holder: None };
     let opened = ToLedger::open(gateway, service, (Inlet::Calls(calls), Fit::none()), &settings, counters).await?;
     Ok(move |stop| ToLedger { told, ..opened }.run(stop).boxed())
 }
 
 /// The words for a cause of silence.
 fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
+    // It was dropped here: the ledger has not seen it.
+    if let Cause::Refused { name: TOO_OLD | LEFT_OUT, line, .. } = cause {
+        return fault("refused", line.to_owned());
+    }
     let topic = facts.topic;
     let alone = if facts.surroundings.bridges > 0 {
         let reason = format!("only a bridge publishes on {topic}, and what came from the ledger is not taken in");
@@ -177,10 +199,13 @@ struct ToLedger {
     fit: Fit,
     /// Does nothing go out while the user holds no grant?
     withholds: bool,
+    /// The age beyond which a command is dropped; none for all that is no command.
+    max_age: Option<Duration>,
     /// The last samples of a latched topic; none for commands.
     latch: Option<Latch>,
     clocks: Clocks,
     publishing: Publishing,
+    holders: Holders,
     sealing: Sealing,
     /// Where the subscription begins.
     from_height: u64,
@@ -208,9 +233,9 @@ impl ToLedger {
         let mut publishing = Publishing { service: service.to_owned(), me: caller.id, epoch: 0, last_seq: 0, as_of: 0 };
         let (now, as_of) = authorization(Arc::clone(&gateway), height, service.to_owned()).await?;
         publishing.learn(as_of, now.epoch, now.next_seq);
-        counters.lock().live.held = publishing.epoch > 0;
+        let (grants, _): (Vec<Grant>, u64) = ask(&*gateway, height, ABAC, "grants", &[service]).await?;
         let sealing = Sealing::new(Arc::clone(&gateway), Hash::ZERO, false);
-        Ok(Self {
+        let opened = Self {
             gateway,
             sealing,
             inlet,
@@ -219,9 +244,11 @@ impl ToLedger {
             counters,
             fit,
             withholds: false,
+            max_age: None,
             latch: None,
             clocks: Clocks::start(),
             publishing,
+            holders: Holders::of(service, &grants),
             from_height: height.saturating_add(1),
             complaint: Complaint::default(),
             replaced: Complaint::default(),
@@ -229,7 +256,9 @@ impl ToLedger {
             refreshed: None,
             under_way_bytes: 0,
             told: None,
-        })
+        };
+        opened.tell_grant(None);
+        Ok(opened)
     }
 
     /// Runs until it is told to end, or the middleware ends.
@@ -256,6 +285,7 @@ impl ToLedger {
                     Ok(delivery) => {
                         let held = self.publishing.epoch;
                         self.publishing.hear(&delivery);
+                        self.holders.hear(&delivery);
                         self.hear_of_readers(&delivery, held);
                         self.tell_grant(Some(Instant::now()));
                     }
@@ -286,7 +316,8 @@ impl ToLedger {
                 }
                 () = sleep_until(paced.unwrap_or_else(Instant::now).into()), if has_room && paced.is_some() => {
                     // The grant may have ended meanwhile.
-                    let waited = self.pace.take(Instant::now()).filter(|_| !self.is_withheld());
+                    let waited = self.pace.take(Instant::now());
+                    let waited = waited.filter(|waited| !self.is_withheld() && !self.is_too_old(waited));
                     under_way.extend(waited.map(|waited| self.submit(waited)));
                 }
                 () = sleep_until(again.unwrap_or_else(Instant::now).into()), if has_room && again.is_some() => {
@@ -298,10 +329,10 @@ impl ToLedger {
                     }
                 }
                 incoming = self.inlet.next(), if has_room => match incoming {
-                    Some(incoming) if self.fits(&incoming) => match self.latch.as_mut().filter(|_| self.inlet.is_latched()) {
-                        Some(latch) => latch.keep(incoming, Instant::now()),
-                        None => under_way.extend(self.in_its_turn(incoming).map(|now| self.submit(now))),
-                    },
+                    Some(incoming) if self.fits(&incoming) => {
+                        let now = self.keep(incoming).and_then(|incoming| self.in_its_turn(incoming));
+                        under_way.extend(now.map(|now| self.submit(now)));
+                    }
                     Some(_) => {}
                     None => {
                         tracing::error!(service = self.publishing.service, "the local topic ended");
@@ -313,10 +344,11 @@ impl ToLedger {
         self.counters.lock().summary.replaced = self.inlet.dropped();
     }
 
-    /// Tells the reporter how the own grant stands, and when the ledger was heard.
+    /// Tells the reporter how the own grant stands, who holds the service, and when the ledger was heard.
     fn tell_grant(&self, heard: Option<Instant>) {
         let live = &mut self.counters.lock().live;
         live.held = self.publishing.epoch > 0;
+        live.holder = self.holders.names();
         live.heard = heard.or(live.heard);
     }
 
@@ -354,13 +386,6 @@ impl ToLedger {
     /// Submits the last samples of a latched topic, all together.
     fn say_latched(&mut self) -> Option<BoxFuture<'static, Outcome>> {
         let (latch, now) = (self.latch.as_mut()?, Instant::now());
-        if latch.was_crowded() {
-            let service = &self.publishing.service;
-            tracing::warn!(
-                service,
-                "not all publishers of this latched topic fit into one call: the oldest are left out"
-            );
-        }
         let samples = latch.take(|source| self.inlet.has_publisher(source), now);
         if samples.is_empty() {
             return None;

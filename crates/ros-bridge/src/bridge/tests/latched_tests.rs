@@ -77,6 +77,32 @@ async fn what_several_latched_publishers_said_before_the_bridge_came_goes_to_the
 }
 
 #[tokio::test]
+async fn samples_of_a_latched_topic_for_which_a_call_has_no_room_are_counted() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("open", "direction = 'to_ledger'\nlatched_depth = 100", feed).await;
+    let (topic, message) = names();
+    // A hundred of each are more than the 512 of a call.
+    let writers = [1_u64, 2, 3, 4, 5, 6].map(|own| (own, bench.graph.writer(&topic, &message, &latched()).unwrap()));
+    let counted = async {
+        let mut due = tokio::time::interval(Duration::from_millis(10));
+        for number in 1_u64.. {
+            due.tick().await;
+            for (own, writer) in &writers {
+                // No publisher repeats another one.
+                let body: Vec<u8> = [*own, number, 0, 0, 0, 0].into_iter().flat_map(u64::to_le_bytes).collect();
+                writer.write(&Sample::new(CDR_LE, &body).unwrap()).unwrap();
+            }
+            if bench.bridge.summary().routes[0].gate.contains_key("left_out") {
+                return;
+            }
+        }
+    };
+    tokio::time::timeout(DEADLINE, counted).await.unwrap();
+}
+
+#[tokio::test]
 async fn commands_of_latched_publishers_go_to_the_ledger_one_by_one_and_are_never_said_again() {
     if !network::isolated(&|| ()) {
         return;

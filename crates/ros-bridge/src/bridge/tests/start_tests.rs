@@ -84,6 +84,11 @@ async fn of_two_routes_that_close_a_circle_by_the_topic_of_their_service_the_sec
 
 /// The first message on `/diagnostics` with these words.
 async fn diagnosis(bench: &Bench, words: &str) -> String {
+    diagnosis_with(bench, |yaml| yaml.contains(words)).await
+}
+
+/// The first message on `/diagnostics` of which that holds.
+async fn diagnosis_with(bench: &Bench, holds: impl Fn(&str) -> bool) -> String {
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
     let (topic, message) = (TopicName::parse("/diagnostics").unwrap(), TypeName::parse(kind).unwrap());
     let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
@@ -91,7 +96,7 @@ async fn diagnosis(bench: &Bench, words: &str) -> String {
     let heard = async {
         loop {
             let yaml = array.decode(reader.next().await.unwrap().sample.wire()).unwrap().to_yaml(None);
-            if yaml.contains(words) {
+            if holds(&yaml) {
                 break yaml;
             }
         }
@@ -137,12 +142,47 @@ async fn diagnostics_show_each_route_and_why_it_is_silent() {
 }
 
 #[tokio::test]
-async fn a_program_that_comes_late_hears_who_holds_the_service_and_then_that_nobody_does() {
+async fn diagnostics_name_the_holder_on_the_robots_side_and_on_a_users() {
     if !network::isolated(&|| ()) {
         return;
     }
-    let more = "direction = 'from_ledger'\nholder_topic = '/t/holder'";
-    let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    for direction in ["from_ledger", "to_ledger"] {
+        let more = format!("direction = '{direction}'");
+        let bench = bench("exclusive", &more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+        let named = |name: &'static str| diagnosis_with(&bench, move |yaml| yaml.contains(name));
+        named("value: Org1/Salma").await;
+        bench.fake.set_free();
+        bench.fake.deliver(micros(), "released", &released("Org1/Salma", 3), None);
+        diagnosis_with(&bench, |yaml| yaml.contains("key: holder") && !yaml.contains("Org1/Salma")).await;
+        bench.fake.set_holder("Org1/Farhad", 4, 60_000);
+        bench.fake.deliver(micros(), "granted", &json!(held_by("Org1/Farhad", 4, 60_000)), None);
+        named("value: Org1/Farhad").await;
+        bench.bridge.stop().await;
+    }
+}
+
+/// The event of a grant that has ended.
+fn released(holder: &str, epoch: u64) -> serde_json::Value {
+    json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "reason": "released" })
+}
+
+#[tokio::test]
+async fn a_program_that_comes_late_hears_who_holds_the_service_and_then_that_nobody_does() {
+    if network::isolated(&|| ()) {
+        shows_the_holder("from_ledger").await;
+    }
+}
+
+#[tokio::test]
+async fn a_program_on_a_users_side_hears_who_holds_the_service_too() {
+    if network::isolated(&|| ()) {
+        shows_the_holder("to_ledger").await;
+    }
+}
+
+async fn shows_the_holder(direction: &str) {
+    let more = format!("direction = '{direction}'\nholder_topic = '/t/holder'");
+    let bench = bench("exclusive", &more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
     let (topic, kind) = (TopicName::parse("/t/holder").unwrap(), TypeName::parse("std_msgs/msg/String").unwrap());
     let latched = Qos { durability: crate::qos::Durability::TransientLocal, ..Qos::default() };
     let mut reader = bench.graph.reader(&topic, &kind, &latched, Limits::default()).unwrap();
@@ -153,9 +193,8 @@ async fn a_program_that_comes_late_hears_who_holds_the_service_and_then_that_nob
     };
     let first = hear(&mut reader).await;
     assert!(first.contains("Org1/Salma") && first.contains(r#""epoch":3"#), "{first}");
-    let released = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 3, "reason": "released" });
     bench.fake.set_free();
-    bench.fake.deliver(micros(), "released", &released, None);
+    bench.fake.deliver(micros(), "released", &released("Org1/Salma", 3), None);
     let second = hear(&mut reader).await;
     assert!(second.contains(r#""holders":[]"#), "{second}");
 }
@@ -166,8 +205,11 @@ async fn the_topic_of_the_holder_is_not_that_of_the_route() {
         return;
     }
     let network = Network::until(2900);
-    let text = format!("shared_memory = false\n{TWIST_ROUTE}\ndirection = 'from_ledger'\nholder_topic = '/cmd_vel'");
-    let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
-    let refused = Bridge::start_with(config, Fake::new("exclusive", &network), &context(&network)).await.unwrap_err();
-    assert_eq!(refused.message, "two kinds of messages cannot share a topic");
+    for direction in ["from_ledger", "to_ledger"] {
+        let route = format!("{TWIST_ROUTE}\ndirection = '{direction}'\nholder_topic = '/cmd_vel'");
+        let config = Config::parse(&format!("shared_memory = false\n{route}"), Path::new(""), |_| ()).unwrap();
+        let fake = Fake::new("exclusive", &network);
+        let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
+        assert_eq!(refused.message, "two kinds of messages cannot share a topic", "{direction}");
+    }
 }

@@ -23,6 +23,19 @@ async fn a_bridge_that_comes_back_stops_the_robot_that_the_one_before_it_left_mo
 }
 
 #[tokio::test]
+async fn a_bridge_that_comes_back_stops_the_robot_before_the_voters_have_answered() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.hangs.store(true, Ordering::Relaxed)).await;
+    assert_eq!(bench.fake.given_up.load(Ordering::Relaxed), 0, "the route is open before anybody has given up");
+    let mut robot = bench.reader().await;
+    for time in 1..=3 {
+        assert_eq!(robot.hear().await, stop(), "time {time}");
+    }
+}
+
+#[tokio::test]
 async fn a_driver_that_falls_silent_stands_still_long_before_its_lease_ends_and_drives_on_with_its_next_command() {
     if !network::isolated(&|| ()) {
         return;

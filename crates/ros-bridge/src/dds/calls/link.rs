@@ -59,6 +59,8 @@ const QOS: Qos = Qos {
     depth: 100,
     keyed: false,
 };
+/// The change that brings another node together with that.
+const REMEDY: &str = "services are reliable and volatile, so change the other node";
 
 /// The two topics of a link, and how it is announced.
 pub(super) struct Ends {
@@ -162,7 +164,10 @@ impl Link {
             matched,
             hearers,
             unacknowledged: AtomicUsize::new(0),
-            tasks: [tokio::spawn(pump.run(source)), tokio::spawn(watch(writer, ends.writes.0.clone(), heard))],
+            tasks: [
+                tokio::spawn(pump.run(source)),
+                tokio::spawn(watch(writer, ends.writes.0.clone(), heard, |_| REMEDY)),
+            ],
             topic: ends.writes.0,
         })
     }
@@ -271,6 +276,10 @@ impl Pump {
                 }
                 sample = samples.next() => match sample {
                     Some(Ok(change)) => {
+                        // DDS has told of its writer before: whoever takes it finds that there.
+                        while let Some(status) = source.try_recv_status() {
+                            self.note(&status);
+                        }
                         let related = change.related_sample_identity();
                         self.take(change.writer_guid, change.sequence_number.into(), related, &change.sample);
                     }
@@ -278,15 +287,7 @@ impl Pump {
                     None => break,
                 },
                 status = statuses.next() => match status {
-                    Some(DataReaderStatus::SubscriptionMatched { current, writer, .. }) => {
-                        self.matches.changed(writer, current.count_change());
-                    }
-                    Some(DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. }) => {
-                        self.matches.refused();
-                        let policy = format!("{last_policy_id:?}");
-                        tracing::warn!(topic = self.topic, policy, "a peer offers less than services need");
-                    }
-                    Some(_) => {}
+                    Some(status) => self.note(&status),
                     None => break,
                 },
                 // Nobody is woken when DDS ends, so it is looked at again.
@@ -294,6 +295,27 @@ impl Pump {
             }
         }
         tracing::error!(topic = self.topic, "DDS has ended: nothing is read any more");
+    }
+
+    fn note(&mut self, status: &DataReaderStatus) {
+        match status {
+            DataReaderStatus::SubscriptionMatched { current, writer, .. } => {
+                self.matches.changed(*writer, current.count_change());
+            }
+            DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. } => {
+                self.matches.refused();
+                let policy = format!("{last_policy_id:?}");
+                if let Some(not_logged) = self.complaint.worth("qos", Instant::now()) {
+                    tracing::warn!(
+                        topic = self.topic,
+                        policy,
+                        not_logged,
+                        "a peer offers less than services need: {REMEDY}"
+                    );
+                }
+            }
+            _ => {}
+        }
     }
 
     fn take(&mut self, writer: GUID, sequence: i64, related: Option<SampleIdentity>, sample: &Sample) {

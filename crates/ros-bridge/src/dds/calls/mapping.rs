@@ -30,9 +30,17 @@ impl Mapping {
     }
 }
 
-/// The request that a reply is for, as its client knows it.
+/// A client that has called, and the request as it knows it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Caller {
+pub struct Caller {
+    /// The writer of the request.
+    pub(super) writer: GUID,
+    pub(super) request: Named,
+}
+
+/// The request that a reply is for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Named {
     /// The reply has this in front.
     InFront(Header),
     /// The reply names this beside it.
@@ -41,7 +49,7 @@ pub enum Caller {
 
 /// The bytes in front of a message: little endian, as all that is taken in here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Header {
+pub(super) struct Header {
     /// The number of the client.
     pub(super) client: u64,
     /// The client's number of the request.

@@ -7,7 +7,7 @@ use super::{
     super::{Matched, Participant},
     Exchange,
     link::{Arrival, Ends, Link, Of},
-    mapping::{Caller, Header, Mapping, named},
+    mapping::{Caller, Header, Mapping, Named, named},
 };
 use crate::{error::Result, mark::Mark};
 
@@ -48,11 +48,16 @@ impl Server {
     /// # Errors
     /// [`crate::error::Error::Slow`], [`crate::error::Error::Dds`].
     pub fn reply(&self, caller: &Caller, message: &[u8]) -> Result<()> {
-        match caller {
-            Caller::InFront(header) => self.0.write(header.before(message), None),
-            Caller::Beside(request) => self.0.write(Bytes::copy_from_slice(message), Some(*request)),
+        match &caller.request {
+            Named::InFront(header) => self.0.write(header.before(message), None),
+            Named::Beside(request) => self.0.write(Bytes::copy_from_slice(message), Some(*request)),
         }
         .map(drop)
+    }
+
+    /// Is the client that has called still there?
+    pub fn is_there(&self, caller: &Caller) -> bool {
+        self.0.matched().has(&caller.writer.to_bytes())
     }
 
     /// The clients of others.
@@ -63,15 +68,15 @@ impl Server {
 
 /// The request in a message; none if it is too short to be one.
 fn request(Arrival { message, writer, sequence, related }: Arrival) -> Option<Request> {
-    match Mapping::of(writer.to_bytes()) {
+    let (request, message) = match Mapping::of(writer.to_bytes()) {
         Mapping::InFront => {
             let (header, message) = Header::split(&message)?;
-            Some(Request { message, caller: Caller::InFront(header) })
+            (Named::InFront(header), message)
         }
         Mapping::Beside => {
             let writer_guid = named(related).unwrap_or(writer);
-            let caller = Caller::Beside(SampleIdentity { writer_guid, sequence_number: sequence.into() });
-            Some(Request { message, caller })
+            (Named::Beside(SampleIdentity { writer_guid, sequence_number: sequence.into() }), message)
         }
-    }
+    };
+    Some(Request { message, caller: Caller { writer, request } })
 }

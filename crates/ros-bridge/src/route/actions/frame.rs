@@ -107,24 +107,46 @@ pub(in crate::route) fn is_over(state: u8) -> bool {
     matches!(state, 4..=6)
 }
 
-/// The goals that have ended by a status, `action_msgs/msg/GoalStatusArray`: a length, and for each goal its id, a time, its state.
-pub(in crate::route) fn over_in(status: &[u8]) -> Vec<GoalId> {
-    let mut over = Vec::new();
-    let Some((length, _)) = status.split_first_chunk::<4>() else { return over };
+/// A goal in a status.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::route) struct Stated {
+    pub(in crate::route) goal: GoalId,
+    /// When the server has accepted it, by the server's clock (microseconds since 1970).
+    pub(in crate::route) accepted: u64,
+    pub(in crate::route) state: u8,
+}
+
+impl Stated {
+    /// Has it ended?
+    pub(in crate::route) fn is_over(&self) -> bool {
+        is_over(self.state)
+    }
+}
+
+/// The goals of a status, `action_msgs/msg/GoalStatusArray`: a length, and for each goal its id, a time, its state.
+pub(in crate::route) fn goals_in(status: &[u8]) -> Vec<Stated> {
+    let mut goals = Vec::new();
+    let Some((length, _)) = status.split_first_chunk::<4>() else { return goals };
     let count = usize::try_from(u32::from_le_bytes(*length)).unwrap_or(usize::MAX).min(STATES_MAX);
     let mut at = 4_usize;
     for _ in 0..count {
-        let Some(id) = status.get(at..).and_then(|rest| rest.first_chunk::<16>()) else { break };
+        let Some(goal) = status.get(at..).and_then(|rest| rest.first_chunk::<16>()) else { break };
         // The time is aligned to four bytes; the state is one.
-        let state = (at + 16).next_multiple_of(4) + 8;
-        match status.get(state) {
-            Some(state) if is_over(*state) => over.push(*id),
-            Some(_) => {}
-            None => break,
-        }
-        at = state + 1;
+        let time = (at + 16).next_multiple_of(4);
+        let Some((accepted, state)) = status.get(time..).and_then(time_and_state) else { break };
+        goals.push(Stated { goal: *goal, accepted, state });
+        at = time + 9;
     }
-    over
+    goals
+}
+
+/// A `builtin_interfaces/msg/Time` in microseconds, and the byte behind it.
+fn time_and_state(bytes: &[u8]) -> Option<(u64, u8)> {
+    let (seconds, rest) = bytes.split_first_chunk::<4>()?;
+    let (nanoseconds, rest) = rest.split_first_chunk::<4>()?;
+    let seconds = u64::try_from(i32::from_le_bytes(*seconds)).unwrap_or(0);
+    let micros = seconds * 1_000_000 + u64::from(u32::from_le_bytes(*nanoseconds) / 1000);
+    Some((micros, *rest.first()?))
 }
 
 #[cfg(test)]
@@ -154,20 +176,32 @@ mod tests {
     }
 
     #[test]
-    fn the_goals_that_are_over_are_read_from_a_status_however_it_is_cut_off() {
+    fn the_goals_of_a_status_are_read_however_it_is_cut_off() {
         let mut status = 3_u32.to_le_bytes().to_vec();
         for (goal, state) in [(7_u8, 4_u8), (8, 2), (9, 5)] {
             status.extend([goal; 16]);
             status.resize(status.len().next_multiple_of(4), 0);
-            status.extend([0; 8]);
+            status.extend(i32::from(goal).to_le_bytes());
+            status.extend(5_999_u32.to_le_bytes());
             status.push(state);
         }
-        assert_eq!(over_in(&status), [[7; 16], [9; 16]]);
+        let of = |goal: u8, state| Stated { goal: [goal; 16], accepted: u64::from(goal) * 1_000_000 + 5, state };
+        let all = [of(7, 4), of(8, 2), of(9, 5)];
+        assert_eq!(goals_in(&status), all);
+        assert_eq!(all.map(|stated| stated.is_over()), [true, false, true]);
         for length in 0..status.len() {
-            assert!(over_in(&status[..length]).len() < 2, "{length}");
+            let cut = goals_in(&status[..length]);
+            assert!(cut.len() < 3 && all.starts_with(&cut), "{length}");
         }
         status[..4].copy_from_slice(&u32::MAX.to_le_bytes());
-        assert_eq!(over_in(&status).len(), 2, "a length that lies");
+        assert_eq!(goals_in(&status), all, "a length that lies");
+    }
+
+    #[test]
+    fn a_time_before_1970_is_none() {
+        let bytes = [(-1_i32).to_le_bytes(), 7_000_u32.to_le_bytes()].concat();
+        assert_eq!(time_and_state(&[&bytes[..], &[2]].concat()), Some((7, 2)));
+        assert_eq!(time_and_state(&bytes), None);
     }
 
     #[test]

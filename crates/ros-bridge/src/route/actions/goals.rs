@@ -26,6 +26,19 @@ enum State {
     Runs(Option<Instant>),
     /// It is being cancelled, and is again at that time.
     Ends(Instant),
+    /// Its server has left, and is to cancel it when it comes back.
+    Left,
+}
+
+impl State {
+    /// The goal is to be cancelled: now if it runs, and when it is accepted if it is not yet.
+    fn stop(&mut self, now: Instant) {
+        match self {
+            Self::Asked { stopped } => *stopped = true,
+            Self::Runs(_) => *self = Self::Ends(now),
+            Self::Ends(_) | Self::Left => {}
+        }
+    }
 }
 
 impl Goals {
@@ -41,6 +54,11 @@ impl Goals {
     /// Has every goal ended?
     pub(in crate::route) fn is_empty(&self) -> bool {
         self.goals.is_empty()
+    }
+
+    /// Does none run, as far as it can be known? Where the server has left, nobody can stop anything.
+    pub(in crate::route) fn rests(&self) -> bool {
+        self.goals.values().all(|state| *state == State::Left)
     }
 
     /// Has this goal been set here, and not ended?
@@ -67,9 +85,16 @@ impl Goals {
 
     /// The server has not answered in time. The goal is to be cancelled, in case that it has heard of it.
     pub(in crate::route) fn unanswered(&mut self, goal: &GoalId, now: Instant) {
-        if let Some(state) = self.goals.get_mut(goal) {
+        if let Some(state) = self.goals.get_mut(goal).filter(|state| **state != State::Left) {
             *state = State::Ends(now + AGAIN);
         }
+    }
+
+    /// A goal that another bridge has set is to be cancelled. False if it is known here.
+    pub(in crate::route) fn found(&mut self, goal: GoalId, now: Instant) -> bool {
+        let is_new = !self.has(&goal);
+        self.goals.entry(goal).or_insert(State::Ends(now + AGAIN));
+        is_new
     }
 
     /// A goal has ended. True if it was known.
@@ -77,27 +102,40 @@ impl Goals {
         self.goals.remove(goal).is_some()
     }
 
-    /// The server is gone, and every goal with it.
-    pub(in crate::route) fn forget(&mut self) {
-        self.goals.clear();
+    /// The server has left: it may be gone, or stand still. True if it had goals.
+    pub(in crate::route) fn leave(&mut self) -> bool {
+        let had_goals = !self.rests();
+        self.goals.values_mut().for_each(|state| *state = State::Left);
+        had_goals
+    }
+
+    /// A server is there: answers with the goals that are to be cancelled now because theirs had left.
+    pub(in crate::route) fn come_back(&mut self, now: Instant) -> Vec<GoalId> {
+        let mut back = Vec::new();
+        for (goal, state) in self.goals.iter_mut().filter(|(_, state)| **state == State::Left) {
+            *state = State::Ends(now + AGAIN);
+            back.push(*goal);
+        }
+        back
     }
 
     /// The robot is to stop: answers with the goals that are to be cancelled now.
     pub(in crate::route) fn stop(&mut self, now: Instant) -> Vec<GoalId> {
-        for state in self.goals.values_mut() {
-            match state {
-                State::Asked { stopped } => *stopped = true,
-                State::Runs(_) => *state = State::Ends(now),
-                State::Ends(_) => {}
-            }
-        }
+        self.goals.values_mut().for_each(|state| state.stop(now));
         self.overdue(now)
+    }
+
+    /// Nobody waits for this goal any more: it is to be cancelled.
+    pub(in crate::route) fn give_up(&mut self, goal: &GoalId, now: Instant) {
+        if let Some(state) = self.goals.get_mut(goal) {
+            state.stop(now);
+        }
     }
 
     /// When a goal is to be cancelled next.
     pub(in crate::route) fn due(&self) -> Option<Instant> {
         let due = self.goals.values().filter_map(|state| match state {
-            State::Asked { .. } => None,
+            State::Asked { .. } | State::Left => None,
             State::Runs(until) => *until,
             State::Ends(again) => Some(*again),
         });
@@ -158,6 +196,52 @@ mod tests {
         goals.ask([2; 16]);
         goals.unanswered(&[2; 16], start);
         assert_eq!(goals.overdue(start + AGAIN), [[2; 16]]);
+    }
+
+    #[test]
+    fn the_goals_of_a_server_that_has_left_are_cancelled_when_it_comes_back_and_not_before() {
+        let (mut goals, start) = (Goals::new(Some(Duration::from_secs(5))), Instant::now());
+        goals.ask(GOAL);
+        goals.answered(&GOAL, true, start);
+        goals.ask([2; 16]);
+        assert!(!goals.rests() && goals.come_back(start).is_empty(), "it has not left");
+        assert!(goals.leave() && !goals.leave(), "that is news once");
+        assert!(goals.rests() && !goals.is_empty(), "there is nothing to stop, and all to be cancelled");
+        assert!(!goals.answered(&[2; 16], true, start));
+        goals.unanswered(&[2; 16], start);
+        assert_eq!((goals.stop(start + AGAIN).len(), goals.due()), (0, None), "nobody is there to be asked");
+        let back = start + Duration::from_secs(20);
+        assert_eq!(goals.come_back(back), [GOAL, [2; 16]]);
+        assert!(!goals.rests() && goals.come_back(back).is_empty(), "once");
+        assert!(goals.ended(&[2; 16]));
+        assert_eq!(goals.overdue(back + AGAIN), [GOAL], "until it has ended");
+        assert!(goals.ended(&GOAL) && goals.rests());
+    }
+
+    #[test]
+    fn a_goal_of_an_earlier_bridge_is_cancelled_until_it_has_ended() {
+        let (mut goals, start) = (Goals::new(None), Instant::now());
+        goals.ask([2; 16]);
+        assert!(goals.found(GOAL, start) && !goals.rests());
+        assert!(!goals.found(GOAL, start) && !goals.found([2; 16], start), "they are known");
+        assert_eq!(goals.overdue(start + AGAIN), [GOAL]);
+        assert!(goals.ended(&GOAL) && goals.has(&[2; 16]));
+    }
+
+    #[test]
+    fn a_goal_for_which_nobody_waits_any_more_is_cancelled_alone() {
+        let (mut goals, start) = (Goals::new(None), Instant::now());
+        for goal in [GOAL, [2; 16], [3; 16]] {
+            goals.ask(goal);
+        }
+        goals.answered(&GOAL, true, start);
+        goals.answered(&[2; 16], true, start);
+        goals.give_up(&GOAL, start);
+        goals.give_up(&[3; 16], start);
+        assert_eq!(goals.overdue(start), [GOAL]);
+        assert_eq!(goals.overdue(start), [[0; 16]; 0], "once");
+        assert!(goals.answered(&[3; 16], true, start), "when it is accepted");
+        assert_eq!(goals.overdue(start + AGAIN), [GOAL, [3; 16]], "until they have ended");
     }
 
     #[test]

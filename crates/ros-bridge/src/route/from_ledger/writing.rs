@@ -40,7 +40,7 @@ impl FromLedger {
         counts.live.came = Some(Instant::now());
         counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(clamped).unwrap_or(u64::MAX));
         if clamped > 0
-            && let Some(not_logged) = self.clamps.worth("clamped", Instant::now())
+            && let Some(not_logged) = self.complaint.worth("clamped", Instant::now())
         {
             let service = &self.route.service;
             tracing::warn!(service, not_logged, "the gate slowed a message down to the limit of its creator's grant");

@@ -8,8 +8,10 @@ use std::{
     time::{Duration, Instant},
 };
 
+use ledger::transaction::TRANSACTION_BYTES_MAX;
 use ledger_settings::Section;
 
+use super::{ToLedger, outcome::LEFT_OUT};
 use crate::queue::Incoming;
 
 /// The keys of the settings.
@@ -20,8 +22,8 @@ const GATHER: Duration = Duration::from_millis(100);
 const RETRY_PAUSE: Duration = Duration::from_secs(2);
 /// Most samples of a call.
 const SAMPLES_MAX: usize = 512;
-/// Most bytes of a call: all publishers say theirs again with each change.
-const BYTES_MAX: usize = 1024 * 1024 - 64 * 1024;
+/// Most bytes of the samples of a call: those of a transaction without its head, and without what it adds to each sample.
+const BYTES_MAX: usize = TRANSACTION_BYTES_MAX - 64 * 1024;
 const DEPTH_MAX: u64 = 100;
 const AGAIN_S_MIN: u64 = 10;
 const AGAIN_S_MAX: u64 = 86_400;
@@ -59,8 +61,6 @@ pub(super) struct Latch {
     publishers: BTreeMap<[u8; 16], VecDeque<Incoming>>,
     /// When the samples are to be said.
     due: Option<Instant>,
-    /// Have samples been left out, because there is no room for them?
-    crowded: bool,
 }
 
 impl Latch {
@@ -68,16 +68,20 @@ impl Latch {
         Self { terms, ..Self::default() }
     }
 
-    /// Keeps a sample in the place of the oldest of its publisher.
-    pub(super) fn keep(&mut self, incoming: Incoming, now: Instant) {
+    /// Keeps a sample in the place of the oldest of its publisher. Answers how many have no room now: the oldest of all, or this one
+    /// if it is larger than a call.
+    fn keep(&mut self, incoming: Incoming, now: Instant) -> u64 {
+        if incoming.sample.wire().len() > BYTES_MAX {
+            return 1;
+        }
         let samples = self.publishers.entry(incoming.source).or_default();
         samples.push_back(incoming);
         while samples.len() > self.terms.depth {
             samples.pop_front();
         }
-        self.make_room();
         let soon = now + GATHER;
         self.due = Some(self.due.map_or(soon, |due| due.min(soon)));
+        self.make_room()
     }
 
     /// When the samples are to be said; none if there are none.
@@ -104,27 +108,42 @@ impl Latch {
         self.due = Some(now + RETRY_PAUSE);
     }
 
-    /// Were samples left out since the last time?
-    pub(super) fn was_crowded(&mut self) -> bool {
-        std::mem::take(&mut self.crowded)
-    }
-
-    /// The oldest leave until all fit into one call.
-    fn make_room(&mut self) {
+    /// The oldest leave until all fit into one call. Answers how many.
+    fn make_room(&mut self) -> u64 {
+        let mut left_out = 0;
         loop {
             let all = || self.publishers.values().flatten();
             let bytes: usize = all().map(|incoming| incoming.sample.wire().len()).sum();
             if bytes <= BYTES_MAX && all().count() <= SAMPLES_MAX {
-                return;
+                return left_out;
             }
             let oldest = |(_, samples): &(&[u8; 16], &VecDeque<Incoming>)| samples.front().map(|first| first.received);
-            let Some(source) = self.publishers.iter().min_by_key(oldest).map(|(source, _)| *source) else { return };
+            let Some(source) = self.publishers.iter().min_by_key(oldest).map(|(source, _)| *source) else {
+                return left_out;
+            };
             if let Some(samples) = self.publishers.get_mut(&source) {
                 samples.pop_front();
             }
             self.publishers.retain(|_, samples| !samples.is_empty());
-            self.crowded = true;
+            left_out += 1;
         }
+    }
+}
+
+impl ToLedger {
+    /// Keeps a sample of a latched topic until all are said, and tells of those that are left out. Gives any other sample back.
+    pub(super) fn keep(&mut self, incoming: Incoming) -> Option<Incoming> {
+        let Some(latch) = self.latch.as_mut().filter(|_| self.inlet.is_latched()) else { return Some(incoming) };
+        let now = Instant::now();
+        let left_out = latch.keep(incoming, now);
+        self.counters.lock().live.came = Some(now);
+        if left_out > 0 {
+            let why = format!(
+                "a call of a latched topic has room for {SAMPLES_MAX} samples and {BYTES_MAX} bytes: not for all"
+            );
+            self.drops(LEFT_OUT, left_out, why, now);
+        }
+        None
     }
 }
 
@@ -132,12 +151,18 @@ impl Latch {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_gate::sample::{CDR_LE, Sample};
+    use ledger_gate::sample::{CDR_LE, HEADER_BYTES, Sample};
 
     fn said(source: u8, number: u8, bytes: usize, received: Instant) -> Incoming {
         let mut body = vec![0; bytes];
         *body.first_mut().unwrap() = number;
-        Incoming { sample: Sample::new(CDR_LE, &body).unwrap(), source: [source; 16], sequence: 0, received }
+        Incoming {
+            sample: Sample::new(CDR_LE, &body).unwrap(),
+            source: [source; 16],
+            sequence: 0,
+            received,
+            waited: Duration::ZERO,
+        }
     }
 
     fn numbers(samples: &[Incoming]) -> Vec<u8> {
@@ -165,15 +190,29 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_make_room_in_the_one_call_and_that_is_told() {
+    fn the_oldest_make_room_in_the_one_call_and_are_counted() {
         let (mut latch, start) = (Latch::default(), Instant::now());
         for number in 0..5 {
             let at = start + Duration::from_millis(u64::from(number));
-            latch.keep(said(number, number, BYTES_MAX / 4, at), at);
+            let left_out = latch.keep(said(number, number, BYTES_MAX / 4, at), at);
+            assert_eq!(left_out, u64::from(number > 2), "three have room");
         }
-        assert!(latch.was_crowded() && !latch.was_crowded());
         let said = latch.take(|_| true, start);
         assert_eq!(numbers(&said), [2, 3, 4]);
         assert!(said.iter().map(|incoming| incoming.sample.wire().len()).sum::<usize>() <= BYTES_MAX);
+    }
+
+    #[test]
+    fn a_sample_is_kept_if_a_transaction_can_hold_it_and_is_never_crowded_out_by_itself() {
+        let (mut latch, start) = (Latch::default(), Instant::now());
+        let at = |ms| start + Duration::from_millis(ms);
+        // A map of 1000 by 1000 cells.
+        assert_eq!(latch.keep(said(1, 1, 1_000_100, at(1)), at(1)), 0);
+        assert_eq!(numbers(&latch.take(|_| true, at(2))), [1]);
+        // With its header it is as large as can be.
+        assert_eq!(latch.keep(said(2, 2, BYTES_MAX - HEADER_BYTES, at(3)), at(3)), 1, "the map makes room");
+        assert_eq!(numbers(&latch.take(|_| true, at(4))), [2]);
+        assert_eq!(latch.keep(said(3, 3, BYTES_MAX, at(5)), at(5)), 1, "it has no room itself");
+        assert_eq!(numbers(&latch.take(|_| true, at(6))), [2]);
     }
 }

@@ -12,6 +12,11 @@ use crate::{
     queue::Incoming,
 };
 
+/// The name of the reason for a command that has waited here for too long.
+pub(super) const TOO_OLD: &str = "too_old";
+/// The name of the reason for samples of a latched topic that no call has room for.
+pub(super) const LEFT_OUT: &str = "left_out";
+
 /// The outcome of samples that were submitted together.
 pub(super) struct Outcome {
     /// The number of the first one.
@@ -51,9 +56,33 @@ impl ToLedger {
         withheld
     }
 
+    /// Has a command waited for longer than the robot's gate would let it pass? It is dropped then: its age counts from the
+    /// signature on.
+    pub(super) fn is_too_old(&mut self, incoming: &Incoming) -> bool {
+        let now = Instant::now();
+        let age = incoming.age(now);
+        let Some(max_age) = self.max_age.filter(|max_age| age > *max_age) else { return false };
+        let (age, max_age) = (age.as_millis(), max_age.as_millis());
+        self.counters.lock().summary.samples_in += 1;
+        self.drops(TOO_OLD, 1, format!("a command waited {age} ms to be signed, and is good for {max_age} ms"), now);
+        true
+    }
+
+    /// Counts samples that were dropped here, and warns of it now and then.
+    pub(super) fn drops(&mut self, name: &'static str, samples: u64, why: String, now: Instant) {
+        if let Some(not_logged) = self.complaint.worth(name, now) {
+            let service = &self.publishing.service;
+            tracing::warn!(service, reason = name, not_logged, "{why}");
+        }
+        let mut counts = self.counters.lock();
+        count(&mut counts.summary.gate, name, samples);
+        counts.live.came = Some(now);
+        counts.live.refused = Some((name, why, now));
+    }
+
     /// May the sample be submitted, and can it be a message of the route's type? One that cannot is counted as refused here.
     pub(super) fn fits(&mut self, incoming: &Incoming) -> bool {
-        if self.is_withheld() {
+        if self.is_withheld() || self.is_too_old(incoming) {
             return false;
         }
         let Err(refused) = self.fit.check(&incoming.sample) else { return true };

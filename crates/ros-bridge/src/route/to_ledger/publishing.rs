@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use ledger_api::v1::EventRecord;
     use ledger_gate::sample::{CDR_LE, Sample};
-    use std::time::Instant;
+    use std::time::{Duration, Instant};
 
     fn publishing() -> Publishing {
         Publishing { service: "T/cmd_vel".into(), me: "Org1/Salma".into(), epoch: 0, last_seq: 0, as_of: 0 }
@@ -97,7 +97,9 @@ mod tests {
     fn samples(count: u64) -> Vec<Incoming> {
         let sample = Sample::new(CDR_LE, &[7]).unwrap();
         let received = Instant::now();
-        (1..=count).map(|sequence| Incoming { sample: sample.clone(), source: [0; 16], sequence, received }).collect()
+        let incoming =
+            |sequence| Incoming { sample: sample.clone(), source: [0; 16], sequence, received, waited: Duration::ZERO };
+        (1..=count).map(incoming).collect()
     }
 
     fn event(height: u64, name: &str, holder: &str, epoch: u64) -> Delivery {
