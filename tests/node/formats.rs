@@ -1,7 +1,8 @@
 //! Files of earlier releases are opened by this one: a data directory, a backup of it, a copy of its CA.
 //!
-//! `tests/fixtures/formats/NAME.tar.gz` is what a node of some day left, with its `expected.json`. None is ever changed. The one of
-//! a new release is made by `STORE_FORMATS=NAME` and this test, with that release's program.
+//! `tests/fixtures/formats/NAME.tar.gz` is what a node of that release left, with its `expected.json`. None is changed once that
+//! release is out: until then its rules of execution may change. It is made by `STORE_FORMATS=NAME` and this test, with that
+//! release's program.
 
 use crate::own_network::isolated;
 use crate::support::ctl::verify;

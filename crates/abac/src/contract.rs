@@ -344,6 +344,10 @@ impl Chaincode for AccessControl {
         let _ = end::organisation_removed(ctx, &self.decider, organisation);
     }
 
+    fn authority_lost(&self, ctx: &mut Context<'_>, issuer: &[u8; 32]) {
+        let _ = end::authority_lost(ctx, &self.decider, issuer);
+    }
+
     fn events(&self) -> &'static [&'static str] {
         &EVENTS
     }

@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use ledger_api::tls::{
-    Refusal, ServerTrust, TlsError, TlsIdentity, TrustSource, client_config, client_config_expecting, client_identity,
-    refusal, server_config,
+    Refusal, ServerTrust, TlsError, TlsIdentity, TrustSource, Trusted, client_config, client_config_expecting,
+    client_identity, refusal, server_config,
 };
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
@@ -220,13 +220,24 @@ async fn nodes_connect_to_nodes() {
 }
 
 #[tokio::test]
-async fn a_chain_through_an_intermediate_is_accepted_on_both_sides() {
+async fn a_chain_through_an_intermediate_is_accepted_on_both_sides_once_it_is_declared_there() {
     let (ca, _, network) = setting();
     let below = ca.below("ica.org1");
     let salma = below.issue(&params("Salma", "member"), &[below.der()]);
-    let node = below.issue(&params("node1", "node"), &[below.der(), ca.der()]);
-    let config = client_config(Some(salma), roots(&ca)).unwrap();
-    assert_eq!(connect(config, node, &network).await.caller().unwrap().id(), "Org1/Salma");
+    let node = || below.issue(&params("node1", "node"), &[below.der(), ca.der()]);
+    let mut declared = Msps::new();
+    declared.insert(Msp::new("Org1", &[ca.der()], &[below.der()]).unwrap()).unwrap();
+    let declared = Arc::new(declared);
+    let config = client_config(Some(salma.clone()), ServerTrust::Roots(Arc::clone(&declared))).unwrap();
+    // Whoever has lost the authority goes on presenting it.
+    let refused = connect(config.clone(), node(), &network).await.refused_by_server();
+    assert_eq!(refused, (CertificateError::UnknownIssuer, AlertDescription::UnknownCA));
+    *network.msps.lock().unwrap() = declared;
+    assert_eq!(connect(config, node(), &network).await.caller().unwrap().id(), "Org1/Salma");
+    for trust in [roots(&ca), ServerTrust::Learnt(Arc::new(Trusted::new(ca.msps("Org1"), None)))] {
+        let config = client_config(Some(salma.clone()), trust).unwrap();
+        assert!(matches!(connect(config, node(), &network).await.refused_by_client(), Refusal::Identity(_)));
+    }
 }
 
 #[tokio::test]

@@ -40,6 +40,8 @@ pub struct Msp {
     organisation: String,
     roots: Vec<Authority>,
     intermediates: Vec<Authority>,
+    /// SHA-256 of the distinguished name of each authority that leads to a root.
+    standing: BTreeSet<[u8; 32]>,
     /// The units that name roles; none: our own words.
     units: Option<Units>,
 }
@@ -87,12 +89,15 @@ impl Msp {
         if roots.is_empty() {
             return Err(malformed(format!("no root of {organisation}"), "at least one root of each organisation"));
         }
-        Ok(Self {
-            organisation: organisation.to_owned(),
-            roots: Authority::all(roots)?,
-            intermediates: Authority::all(intermediates)?,
-            units: None,
-        })
+        let (roots, intermediates) = (Authority::all(roots)?, Authority::all(intermediates)?);
+        let standing = standing(&roots, &intermediates);
+        Ok(Self { organisation: organisation.to_owned(), roots, intermediates, standing, units: None })
+    }
+
+    /// The authorities that vouch for somebody, each by the SHA-256 of its distinguished name: the roots, and the declared
+    /// intermediates whose issuer is one of these.
+    pub fn standing(&self) -> &BTreeSet<[u8; 32]> {
+        &self.standing
     }
 
     /// The same with units of its own that name roles; none: our own words.
@@ -146,6 +151,20 @@ impl Msp {
 
     fn authorities(&self) -> impl Iterator<Item = &Authority> {
         self.roots.iter().chain(&self.intermediates)
+    }
+}
+
+/// The names of the authorities that lead to a root.
+fn standing(roots: &[Authority], intermediates: &[Authority]) -> BTreeSet<[u8; 32]> {
+    let mut names: BTreeSet<&[u8]> = roots.iter().map(|root| &root.certificate.subject_name[..]).collect();
+    loop {
+        let below = intermediates.iter().map(|found| &found.certificate);
+        let below = below.filter(|found| names.contains(&found.issuer_name[..]));
+        let more: BTreeSet<&[u8]> = below.map(|found| &found.subject_name[..]).collect();
+        if more.is_subset(&names) {
+            return names.into_iter().map(|name| Hash::of(&[name]).0).collect();
+        }
+        names.extend(more);
     }
 }
 

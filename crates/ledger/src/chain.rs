@@ -317,7 +317,7 @@ impl Ledger {
         }
     }
 
-    /// Refuses a caller whose certificate was revoked, or whose organisation was removed.
+    /// Refuses a caller whose certificate was revoked, or whose organisation or authority was removed.
     ///
     /// # Errors
     /// [`Code::Revoked`], [`Code::Untrusted`].

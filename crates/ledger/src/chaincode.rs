@@ -96,6 +96,10 @@ pub trait Chaincode: Send + Sync {
     /// what it owned, end in the same block.
     fn organisation_removed(&self, _ctx: &mut Context<'_>, _organisation: &str) {}
 
+    /// Called within the transaction by which an organisation loses an authority, so that the rights of those whom it has
+    /// certified end in the same block. `issuer`: SHA-256 of its distinguished name.
+    fn authority_lost(&self, _ctx: &mut Context<'_>, _issuer: &[u8; 32]) {}
+
     /// The names of all events that it emits, so that who subscribes to another one is told. Empty: it does not say.
     fn events(&self) -> &'static [&'static str] {
         &[]

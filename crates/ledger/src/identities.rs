@@ -152,14 +152,21 @@ impl Identities {
     }
 }
 
-/// Refuses an identity whose organisation was removed. For callers whose certificate was verified when they connected;
+/// Refuses an identity whose organisation was removed, or has lost the authority that vouched for it. For callers whose certificate was verified when they connected;
 /// a transaction's is verified against the organisations of the last block anyway.
 pub(crate) fn check_organisation(identity: &Identity, msps: &Msps) -> Result<(), Rejection> {
-    if msps.get(&identity.organisation).is_some() {
-        return Ok(());
+    let organisation = &identity.organisation;
+    match msps.get(organisation) {
+        Some(msp) if msp.standing().contains(&identity.issuer) => Ok(()),
+        Some(_) => Err(Rejection::new(Code::Untrusted, format!("nobody vouches for {} any more", identity.id()))
+            .found(format!("a certificate of an authority that {organisation} has lost"))
+            .wanted(format!("a certificate of an authority of {organisation}"))
+            .next(format!("ask an admin of {organisation}"))),
+        None => {
+            Err(Rejection::new(Code::Untrusted, format!("{} is of no organisation of this network", identity.id()))
+                .found(format!("{organisation}, which was removed")))
+        }
     }
-    Err(Rejection::new(Code::Untrusted, format!("{} is of no organisation of this network", identity.id()))
-        .found(format!("{}, which was removed", identity.organisation)))
 }
 
 /// Refuses an identity whose certificate was revoked.

@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds; what two organisations attest stays until they attest something newer; voters certify what executing a block gave, its events included; revocation lists count, organisations come in with words of their own for roles, and P-384 signs; admins name registrars, and other attributes revoke the certificates before; a long transaction may be signed by its id |
+//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds; what two organisations attest stays until they attest something newer; voters certify what executing a block gave, its events included; revocation lists count, rights end with the authority that vouched for them, organisations come in with words of their own for roles, and P-384 signs; admins name registrars, and other attributes revoke the certificates before; a long transaction may be signed by its id |
 //!
 //! ```
 //! use ledger::Rules;
@@ -100,6 +100,11 @@ impl Rules {
 
     /// Does a certificate with other attributes revoke those that a name had before?
     pub(crate) const fn attributes_replace(self) -> bool {
+        self.0 >= 3
+    }
+
+    /// Do the rights of people end in the block in which their authority is lost?
+    pub(crate) const fn ends_rights_of_lost_authorities(self) -> bool {
         self.0 >= 3
     }
 

@@ -156,6 +156,14 @@ pub(crate) fn identity_revoked(
     queue::revoked(ctx, decider, &revoked.issuer, &revoked.serial)
 }
 
+/// Ends the rights of all whom an authority has certified.
+pub(crate) fn authority_lost(ctx: &mut Context<'_>, decider: &Decider, issuer: &[u8; 32]) -> Result<(), Rejection> {
+    for serial in store::serials(ctx, issuer) {
+        identity_revoked(ctx, decider, &Revocation { issuer: *issuer, serial })?;
+    }
+    Ok(())
+}
+
 /// Ends the grants of an organisation's members, and takes its robots out of service: nobody can govern them any more.
 pub(crate) fn organisation_removed(
     ctx: &mut Context<'_>,

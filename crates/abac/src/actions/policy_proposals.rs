@@ -2,7 +2,7 @@
 //!
 //! A proposal names its content, so an approval counts for exactly these bytes. It stands until it is enacted or withdrawn, and
 //! replaces only the set that was in force when it was made. An approval counts for [`APPROVAL_LIFE`], once for each admin, and
-//! ends with a revoked certificate.
+//! ends with a revoked certificate. No organisation takes the room of another one's admins.
 //!
 //! Nobody is locked out by an organisation's own rule: after [`BREAK_GLASS_AFTER`] one of its admins enacts a proposal without
 //! it. Meanwhile any other admin of the organisation sees the proposal and can withdraw it. The rule of the network stays.
@@ -18,16 +18,15 @@ use crate::records::principal::Principal;
 use crate::records::proposed::{self, Approval, Proposed};
 use crate::records::{policy_set, store};
 use bytes::Bytes;
-use ledger::{Context, Paging};
+use ledger::{ADMINS_PER_ORGANISATION_MAX, Context, Paging};
 use ledger_contract::{PolicyApproval, PolicyProposal, PolicyProposalTexts};
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
+use std::collections::BTreeMap;
 
 /// Most proposals of one organisation.
 const PROPOSALS_MAX: usize = 8;
-/// Most approvals of one proposal.
-const APPROVALS_MAX: usize = 256;
 /// For how long an approval counts, in microseconds of block time: seven days.
 const APPROVAL_LIFE: u64 = 7 * 24 * 3600 * 1_000_000;
 /// How long a proposal must have stood before it is enacted without the organisation's own rule: three days of block time.
@@ -94,10 +93,15 @@ pub(super) fn approve(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     let counted: Vec<Approval> = proposed.counted(now).cloned().collect();
     let same = |other: &Approval| other.principal.id() == own.principal.id();
     proposed.approved = counted.into_iter().filter(|other| !same(other)).collect();
-    if proposed.approved.len() >= APPROVALS_MAX {
-        return Err(Rejection::new(Code::LimitExceeded, "so many admins approve this proposal already")
-            .found(format!("{} approvals", proposed.approved.len()))
-            .wanted(format!("at most {APPROVALS_MAX}")));
+    let organisation = &own.principal.organisation;
+    let theirs = proposed.approved.iter().filter(|other| other.principal.organisation == *organisation).count();
+    if theirs >= ADMINS_PER_ORGANISATION_MAX {
+        return Err(Rejection::new(
+            Code::LimitExceeded,
+            format!("so many admins of {organisation} approve this already"),
+        )
+        .found(format!("{theirs} approvals"))
+        .wanted(format!("at most {ADMINS_PER_ORGANISATION_MAX} of each organisation")));
     }
     proposed.approved.push(own);
     let told = keep(ctx, &proposed)?;
@@ -196,7 +200,8 @@ pub(crate) fn show(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejec
 /// The approval of the caller.
 fn approval(ctx: &Context<'_>) -> Result<Approval, Rejection> {
     let until = ctx.block_time().saturating_add(APPROVAL_LIFE);
-    Ok(Approval { principal: Principal::of(ctx.submitter()?), until })
+    let principal = Principal { attributes: BTreeMap::new(), ..Principal::of(ctx.submitter()?) };
+    Ok(Approval { principal, until })
 }
 
 /// Refuses a proposal that was made from another set than the one in force.
@@ -209,7 +214,7 @@ fn check_base(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<(), Rejectio
 fn find(ctx: &Context<'_>, args: Arguments<'_>) -> Result<Proposed, Rejection> {
     let id = args.text(0, "ID")?;
     let is_id = id.len() == ID_DIGITS && id.bytes().all(|digit| digit.is_ascii_hexdigit());
-    let proposed = if is_id { store::read(ctx, &store::proposed_key(id))? } else { None };
+    let proposed = if is_id { proposed::find(ctx, id)? } else { None };
     proposed.ok_or_else(|| {
         Rejection::new(Code::NotFound, "no proposed set of policies has this id")
             .found(shown(id))
@@ -220,13 +225,13 @@ fn find(ctx: &Context<'_>, args: Arguments<'_>) -> Result<Proposed, Rejection> {
 
 /// Removes a proposal, and its texts where nothing else has them.
 fn end(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<(), Rejection> {
-    ctx.delete(&store::proposed_key(&proposed.id));
+    proposed::remove(ctx, &proposed.id)?;
     policy_set::forget(ctx, &proposed.organisation, &proposed.policies)
 }
 
 /// Writes a proposal, and answers with what counts of it now.
 fn keep(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<Bytes, Rejection> {
-    store::write(ctx, &store::proposed_key(&proposed.id), proposed)?;
+    proposed::write(ctx, proposed)?;
     store::json(&told(ctx, proposed)?)
 }
 

@@ -3,14 +3,16 @@
 use super::policies::{self, Made};
 use super::{policy_rules, reachable, robots};
 use crate::arguments::{Arguments, shown};
+use crate::policy::Texts;
 use crate::policy::decider::Decider;
 use crate::policy::limits::{self, POLICY_BYTES_MAX};
-use crate::policy::{Texts, texts};
+use crate::policy::texts::{self, POLICIES_MAX};
 use crate::records::{policy_set, store};
 use bytes::Bytes;
 use ledger::{Context, Quorum};
 use ledger_contract::{PolicyChange, PolicyDraft, PolicySet, PolicySetTexts, PolicyText};
 use ledger_rejection::{Code, Rejection};
+use std::collections::BTreeSet;
 
 /// Longest set as an argument, in bytes of JSON: twice its texts.
 const DRAFT_BYTES_MAX: usize = 2 * limits::STEPS_MAX as usize;
@@ -83,16 +85,18 @@ pub(super) fn read(
     let base = newest(ctx, organisation, &in_force)?;
     check_base(organisation, made_from.unwrap_or(base), base)?;
     let own_rule = policy_rules::own(ctx, organisation)?;
-    let (texts, restored_rule) = match (policies, restores) {
-        (Some(policies), None) => (texts_of(ctx, decider, &policies)?, None),
+    let (policies, restored_rule) = match (policies, restores) {
+        (Some(policies), None) => (policies, None),
         (None, Some(version)) => {
             let set = find(ctx, organisation, version)?;
             let policies = policy_set::texts(ctx, organisation, &set.policies)?;
-            (texts_of(ctx, decider, &policies)?, Some(policy_rules::parse(set.approvals.as_deref())?))
+            (policies, Some(policy_rules::parse(set.approvals.as_deref())?))
         }
         _ => return Err(args.bad(0, "SET_JSON", "both of policies and restores, or none of them".to_owned(), wanted)),
     };
-    policies::check_number(ctx, organisation, texts.len())?;
+    // Before they are validated, which takes long.
+    policies::check_number(ctx, organisation, policies.len())?;
+    let texts = texts_of(ctx, decider, &policies)?;
     limits::steps_of_all(&texts)?;
     let rule = match approvals.as_deref() {
         None => restored_rule.unwrap_or_else(|| own_rule.clone()),
@@ -123,9 +127,15 @@ fn texts_of(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Re
 
 /// Policies that are not on the ledger, each acceptable there.
 pub(super) fn checked(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Result<Texts, Rejection> {
-    let mut texts = Texts::new();
+    if policies.len() > POLICIES_MAX {
+        return Err(Rejection::new(Code::LimitExceeded, "the set has too many policies")
+            .found(policies.len().to_string())
+            .wanted(format!("at most {POLICIES_MAX}"))
+            .next("put several rules into one policy"));
+    }
+    let (mut texts, mut ids) = (Texts::new(), BTreeSet::new());
     for PolicyText { id, text } in policies {
-        if id.is_empty() || id.len() > policies::ID_BYTES_MAX || texts.iter().any(|(known, _)| known == id) {
+        if id.is_empty() || id.len() > policies::ID_BYTES_MAX || !ids.insert(id) {
             return Err(Rejection::new(Code::BadArgument, "the name of a policy is not usable")
                 .found(shown(id))
                 .wanted(format!("a name of its own of at most {} bytes for each", policies::ID_BYTES_MAX))

@@ -61,7 +61,7 @@ fn check_reporter(submitter: &Identity, robot: &Robot) -> Result<(), Rejection> 
     Err(Rejection::new(Code::NotOwner, format!("{} may not report a side door of {name}", submitter.id()))
         .found(format!("role {} of {}", submitter.role, submitter.organisation))
         .wanted(format!("the robot {owner}/{name} itself, or a node of {owner}"))
-        .next(format!("run the robot's bridge as {owner}/{name}: ledgerctl ca register {name} --role robot")))
+        .next(format!("run the robot's bridge as {owner}/{name}: ledgerctl identity register {name} --role robot")))
 }
 
 /// Refuses a report that comes too soon after the last one.

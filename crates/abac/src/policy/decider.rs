@@ -167,7 +167,7 @@ impl Decider {
         if texts::bounded(ctx) {
             limits::steps(text)?;
         }
-        self.engine.check(Defaults::of(ctx.rules()).schema, sharing::known(ctx), text)
+        self.engine_for(ctx)?.check(Defaults::of(ctx.rules()).schema, sharing::known(ctx), text)
     }
 
     /// The faults of a text as a policy, with their places.
@@ -309,8 +309,13 @@ impl Decider {
     ) -> bool {
         let (object, time) = (Object::Service(target, action), milliseconds(ctx.block_time()));
         let question = question(ctx, principal, object, (texts::hash(texts), false), time);
-        let answer = self.engine.decide(question, || Ok(texts.clone()));
+        let answer = self.engine_for(ctx).and_then(|engine| engine.decide(question, || Ok(texts.clone())));
         answer.is_ok_and(|answer| matches!(answer.verdict, Verdict::Permit(_) | Verdict::Closed(_)))
+    }
+
+    /// The engine for policies that are not in force: no block waits while a question asks about them.
+    fn engine_for(&self, ctx: &Context<'_>) -> Result<&Engine, Rejection> {
+        if ctx.is_query() { self.aside() } else { Ok(&self.engine) }
     }
 
     /// The engine for questions that no block waits for.

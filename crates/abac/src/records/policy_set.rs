@@ -86,7 +86,7 @@ pub(crate) fn texts(
 /// Forgets all sets, texts and proposals of an organisation that leaves.
 pub(crate) fn forget_all(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
     for proposed in proposed::all(ctx)?.into_iter().filter(|proposed| proposed.organisation == organisation) {
-        ctx.delete(&store::proposed_key(&proposed.id));
+        proposed::remove(ctx, &proposed.id)?;
     }
     for prefix in [store::sets_prefix(organisation), store::texts_prefix(organisation)] {
         for (key, _) in ctx.range(&prefix, usize::MAX) {

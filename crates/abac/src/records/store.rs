@@ -38,6 +38,7 @@
 //! | `set/<organisation>/<version, 16 hex digits>` | a numbered set of policies, without its texts; the newest are kept |
 //! | `text/<organisation>/<SHA-256>` | Cedar text of a policy in a kept set, or in a proposal |
 //! | `proposed/<id>` | a set that waits for approvals, or to be applied |
+//! | `approving/<issuer>/<serial>/<id>` | nothing: finds what a revoked certificate has approved |
 //! | `approvals/` | the network's rule for who must agree to a set |
 //!
 //! ␀ is a NUL byte: topics and identities contain `/`, so a `/` could not tell where one ends.
@@ -47,6 +48,7 @@ use ledger::Context;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::collections::BTreeSet;
 
 /// The key of a robot.
 pub(crate) fn robot_key(name: &str) -> Vec<u8> {
@@ -209,6 +211,24 @@ pub(crate) fn open_prefix(service: &str) -> Vec<u8> {
 /// The prefix of the tasks of a certificate that have not ended.
 pub(crate) fn submitted_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
     format!("submitted/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
+/// The prefix of the proposed sets of policies that a certificate has approved.
+pub(crate) fn approving_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
+    format!("approving/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
+/// The serial numbers of an authority's certificates that have something here which ends with them.
+pub(crate) fn serials(ctx: &Context<'_>, issuer: &[u8; 32]) -> BTreeSet<Vec<u8>> {
+    let mut serials = BTreeSet::new();
+    for kind in ["certificate", "waiting", "asking", "submitted", "reading", "approving"] {
+        let prefix = format!("{kind}/{}/", hex::encode(issuer)).into_bytes();
+        for (key, _) in ctx.range(&prefix, usize::MAX) {
+            let rest = key.strip_prefix(&prefix[..]).unwrap_or_default();
+            serials.extend(rest.split(|byte| *byte == b'/').next().and_then(|serial| hex::decode(serial).ok()));
+        }
+    }
+    serials
 }
 
 /// The prefix of the tasks of a service by the time (microseconds) at which they join the line or expire.

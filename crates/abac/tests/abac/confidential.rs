@@ -188,6 +188,8 @@ fn a_key_from_before_a_change_of_readers_policies_or_the_robot_is_refused() {
         fleet.ok(&owner(), "reader", &[POSES, "none", "Org1/Third"]);
     });
     stale(&mut fleet, "one is revoked", &mut |fleet| fleet.revoke(&reader.identity));
+    reader.enter(&mut fleet, POSES).unwrap();
+    stale(&mut fleet, "its authority is lost", &mut |fleet| fleet.lose_authority(&reader.identity));
     stale(&mut fleet, "policies", &mut |fleet| {
         fleet.ok(
             &owner(),

@@ -283,6 +283,16 @@ impl Fleet {
         .unwrap();
     }
 
+    /// A block in which an organisation loses the authority that has certified this identity.
+    pub(crate) fn lose_authority(&mut self, who: &Identity) {
+        self.block(|fleet, overlay, events| {
+            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
+            fleet.abac.authority_lost(&mut ctx, &who.issuer);
+            Ok(Bytes::new())
+        })
+        .unwrap();
+    }
+
     /// A block with a call that the network has approved.
     pub(crate) fn approved(&mut self, function: &str, args: &[&str]) {
         self.block(|fleet, overlay, events| {

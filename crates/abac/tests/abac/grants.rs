@@ -188,6 +188,24 @@ fn revocation_ends_the_grants_of_that_certificate_in_its_block() {
 }
 
 #[test]
+fn the_grants_of_all_whom_an_authority_has_certified_end_in_the_block_in_which_it_is_lost() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    let mut other = salma();
+    other.issuer = [0; 32];
+    fleet.lose_authority(&other);
+    assert_eq!(fleet.get::<Vec<Grant>>(&salma(), "grants", &[]).len(), 2);
+    let since = fleet.events.len();
+    fleet.lose_authority(&salma());
+    let mut told = fleet.told(since);
+    told.sort_unstable();
+    assert_eq!(told, [("released", HUSKY), ("released", TURTLEBOT)]);
+    assert_eq!(fleet.newest::<Released>("released").reason, Reason::Revoked);
+    assert_eq!(fleet.next_deadline(), None);
+}
+
+#[test]
 fn the_grants_of_an_organisation_end_in_the_block_that_removes_it() {
     let mut fleet = Fleet::of_the_paper();
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);

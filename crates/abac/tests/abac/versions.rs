@@ -192,6 +192,25 @@ fn a_set_that_was_made_from_another_one_than_that_in_force_is_refused() {
 }
 
 #[test]
+fn no_organisation_takes_the_room_of_another_ones_admins() {
+    let mut fleet = two_of_admins();
+    let proposed = propose(&mut fleet, &owner(), &set("more"));
+    let strange = |number: u8| identity("Org1", &format!("admin{number}"), Role::Admin, &[], 100 + number);
+    for number in 0..16 {
+        fleet.ok(&strange(number), "policy", &["approve", &proposed.id]);
+    }
+    let refused = fleet.refused(&strange(16), Code::LimitExceeded, "policy", &["approve", &proposed.id]);
+    assert!(refused.message.contains("admins of Org1"), "{refused}");
+    fleet.ok(&strange(3), "policy", &["approve", &proposed.id]);
+    fleet.ok(&second(), "policy", &["approve", &proposed.id]);
+    fleet.lose_authority(&strange(0));
+    let standing: PolicyProposal = fleet.get(&owner(), "policy", &["approve", &proposed.id]);
+    let approved: Vec<_> = standing.approved.iter().map(|approval| approval.who.as_str()).collect();
+    assert_eq!(approved, ["Org2/second", "Org2/admin"], "approvals end with the authority");
+    fleet.ok(&owner(), "policy", &["enact", &proposed.id]);
+}
+
+#[test]
 fn a_set_with_a_fault_is_refused_whole() {
     let mut fleet = Fleet::of_the_paper();
     let two = |one: &str, other: &str| {
@@ -214,6 +233,9 @@ fn a_set_with_a_fault_is_refused_whole() {
     let many = (0..=QUOTAS.policies).map(|number| policy(&format!("p{number}"), ALL)).collect();
     let draft = PolicyDraft { policies: Some(many), ..PolicyDraft::default() };
     fleet.refused(&owner(), Code::QuotaReached, "policy", &["apply", &json(&draft)]);
+    // Nobody asks about as many either: each is validated.
+    let asked = Ask { action: "acquire".into(), service: HUSKY.into(), policies: draft.policies, ..Ask::default() };
+    fleet.refused(&salma(), Code::LimitExceeded, "can", &[&serde_json::to_string(&asked).unwrap()]);
     assert_eq!(history(&mut fleet), []);
     fleet.refused(&salma(), Code::NotAdmin, "policy", &["apply", &json(&set(""))]);
 }

@@ -47,11 +47,11 @@ impl Trusted {
         *self.learnt.write().unwrap_or_else(PoisonError::into_inner) = learnt;
     }
 
-    fn verify(&self, own: &[u8], presented: &[CertificateDer<'_>], now: u64) -> Result<Identity, IdentityError> {
-        let verified = self.enrolled.verify_for(Usage::Server, own, presented, now);
+    fn verify(&self, own: &[u8], now: u64) -> Result<Identity, IdentityError> {
+        let verified = self.enrolled.verify_for(Usage::Server, own, &[], now);
         let learnt = self.learnt.read().unwrap_or_else(PoisonError::into_inner).clone();
         match (verified, learnt) {
-            (Err(refused), Some(learnt)) => learnt.verify_for(Usage::Server, own, presented, now).map_err(|_| refused),
+            (Err(refused), Some(learnt)) => learnt.verify_for(Usage::Server, own, &[], now).map_err(|_| refused),
             (verified, _) => verified,
         }
     }
@@ -71,7 +71,8 @@ pub enum ServerTrust {
 }
 
 impl ServerTrust {
-    /// Checks what a server presented: its certificate first. `now` is the wall clock in microseconds since the UNIX
+    /// Checks what a server presented: its certificate first. Where the organisations are known, only the authorities count
+    /// that they have declared (decision 35): one that its root has revoked is none of these. `now` is the wall clock in microseconds since the UNIX
     /// epoch; [`ServerTrust::Network`] has its own. With [`ServerTrust::Fingerprint`] the organisation in the answer
     /// means nothing: no MSP is known yet that would name it.
     ///
@@ -80,10 +81,10 @@ impl ServerTrust {
     pub fn verify(&self, chain: &[CertificateDer<'_>], now: u64) -> Result<Identity, Refusal> {
         let (own, presented) = chain.split_first().ok_or(Refusal::NoCertificate)?;
         let identity = match self {
-            Self::Roots(msps) => msps.verify_for(Usage::Server, own, presented, now)?,
-            Self::Learnt(trusted) => trusted.verify(own, presented, now)?,
+            Self::Roots(msps) => msps.verify_for(Usage::Server, own, &[], now)?,
+            Self::Learnt(trusted) => trusted.verify(own, now)?,
             Self::Network(source) => {
-                let found = source.msps().verify_for(Usage::Server, own, presented, source.now())?;
+                let found = source.msps().verify_for(Usage::Server, own, &[], source.now())?;
                 if source.revoked(&found) {
                     return Err(Refusal::Revoked { id: found.id() });
                 }
@@ -176,7 +177,8 @@ fn configure(
 }
 
 /// The identity of a connected client from the certificates that it presented (`peer_certificates()` of the
-/// connection), checked anew: for a long connection, ask again. `None` if it came without a certificate.
+/// connection), checked anew: for a long connection, ask again. Only the authorities count that its organisation has declared.
+/// `None` if it came without a certificate.
 ///
 /// # Errors
 /// [`Refusal`]: why the certificate is not accepted (any more).
@@ -184,8 +186,8 @@ pub fn client_identity(
     certificates: Option<&[CertificateDer<'_>]>,
     trust: &dyn TrustSource,
 ) -> Result<Option<Identity>, Refusal> {
-    let Some((own, presented)) = certificates.and_then(<[_]>::split_first) else { return Ok(None) };
-    let identity = trust.msps().verify_for(Usage::Client, own, presented, trust.now())?;
+    let Some(own) = certificates.and_then(<[_]>::first) else { return Ok(None) };
+    let identity = trust.msps().verify_for(Usage::Client, own, &[], trust.now())?;
     if trust.revoked(&identity) {
         return Err(Refusal::Revoked { id: identity.id() });
     }

@@ -156,7 +156,7 @@ async fn who_chooses_nodes_stays_with_them() {
     let (first, second) = (Fake::start(&authority).await, Fake::start(&authority).await);
     tells(&first, &[&first, &second]);
     let credentials = authority.context(&[&first]).credentials().unwrap();
-    let options = Options { deadline: Duration::from_millis(500), ..Options::default() };
+    let options = Options { deadline: Duration::from_secs(5), ..Options::default() };
     let client = Client::connect_with(vec![first.address()], credentials, options).await.unwrap();
     first.stop().await;
     client.invoke("abac", "acquire", Vec::new()).await.unwrap_err();

@@ -206,7 +206,7 @@ async fn an_unknown_outcome_names_the_id() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
     node.script(|_, _| Reaction::Ignore);
-    let client = impatient(&authority.context(&[&node]), 300).await;
+    let client = impatient(&authority.context(&[&node]), 5_000).await;
     let transaction = client.prepare(call("a")).unwrap();
     let id = transaction.id();
     let refused = client.submit(transaction).await.unwrap_err();
@@ -220,7 +220,7 @@ async fn what_was_sent_before_the_node_went_away_is_unknown() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
     node.script(|_, _| Reaction::CommitSilently);
-    let client = impatient(&authority.context(&[&node]), 600).await;
+    let client = impatient(&authority.context(&[&node]), 5_000).await;
     let pending = client.submit_nowait(&client.prepare(call("a")).unwrap());
     until("the node has it", || !node.received().is_empty()).await;
     node.stop().await;
@@ -291,7 +291,7 @@ async fn what_was_only_refused_is_not_called_unknown() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
     node.script(|_, _| Reaction::Refuse(Rejection::new(Code::NoLeader, "no leader is known")));
-    let client = impatient(&authority.context(&[&node]), 400).await;
+    let client = impatient(&authority.context(&[&node]), 5_000).await;
     assert_eq!(client.invoke("abac", "acquire", Vec::new()).await.unwrap_err().code, Code::NoLeader);
 }
 
@@ -299,7 +299,7 @@ async fn what_was_only_refused_is_not_called_unknown() {
 async fn without_any_node_a_transaction_fails_as_unreachable() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
-    let client = impatient(&authority.context(&[&node]), 400).await;
+    let client = impatient(&authority.context(&[&node]), 5_000).await;
     node.stop().await;
     // A question finds the connection broken; from then on nothing is sent into it.
     assert_eq!(client.status().await.unwrap_err().code, Code::Unreachable);

@@ -127,6 +127,23 @@ fn an_intermediate_verifies_when_declared_and_when_presented() {
 }
 
 #[test]
+fn an_authority_stands_while_it_leads_to_a_root() {
+    let (root, other) = (Ca::new("root.org1"), Ca::new("root.org2"));
+    let middle = root.below(ca_params("middle.org1"));
+    let low = middle.below(ca_params("low.org1"));
+    let names = |intermediates: &[&Ca]| {
+        let ders: Vec<_> = intermediates.iter().map(|ca| ca.der()).collect();
+        Msp::new("Org1", &[root.der()], &ders).unwrap().standing().len()
+    };
+    let foreign = other.below(ca_params("foreign"));
+    assert_eq!((names(&[]), names(&[&middle]), names(&[&low, &middle])), (1, 2, 3));
+    assert_eq!((names(&[&low]), names(&[&foreign])), (1, 1));
+    let salma = network([Msp::new("Org1", &[root.der()], &[low.der(), middle.der()]).unwrap()]);
+    let salma = salma.verify(&low.user("Salma"), NONE, NOW).unwrap();
+    assert!(Msp::new("Org1", &[root.der()], &[middle.der(), low.der()]).unwrap().standing().contains(&salma.issuer));
+}
+
+#[test]
 fn an_expired_intermediate_verifies_nothing_any_more() {
     let root = Ca::new("root.org1");
     let mut short = ca_params("ica.org1");

@@ -315,6 +315,11 @@ impl<'a> Context<'a> {
         self.tell(|chaincode, ctx| chaincode.organisation_removed(ctx, organisation))
     }
 
+    /// Tells every installed chaincode that an organisation has lost an authority (see [`super::Chaincode::authority_lost`]).
+    pub(crate) fn tell_authority_lost(&mut self, issuer: &[u8; 32]) -> Result<(), Rejection> {
+        self.tell(|chaincode, ctx| chaincode.authority_lost(ctx, issuer))
+    }
+
     fn tell(&mut self, hook: impl Fn(&dyn Chaincode, &mut Context<'_>)) -> Result<(), Rejection> {
         let (environment, depth) = (self.environment, self.depth + 1);
         // The end of somebody's rights must not fail because there are many.

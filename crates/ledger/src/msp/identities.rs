@@ -75,6 +75,9 @@ pub struct IdentityRecord {
     /// Block time at which everything of this name was last revoked or cancelled, microseconds; 0 = never.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voided: u64,
+    /// Block time at which its attributes were last changed, microseconds; 0 = never.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub changed: u64,
     /// The certificates it has received, oldest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub certificates: Vec<IssuedCertificate>,

@@ -132,11 +132,19 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
     store::write(ctx, &organisation_key(name), organisation)
 }
 
-/// Writes an organisation of which an authority was taken.
-pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) -> Result<(), Rejection> {
+/// Writes an organisation with other authorities. The rights end of those for whom nobody vouches any more.
+pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) -> Result<Bytes, Rejection> {
+    let before = find(ctx, &organisation.name)?;
     store::write(ctx, &organisation_key(&organisation.name), organisation)?;
-    ctx.emit("organisation_updated", &organisation.name, json(&describe(organisation)?)?);
-    Ok(())
+    let described = json(&describe(organisation)?)?;
+    ctx.emit("organisation_updated", &organisation.name, described.clone());
+    if let Some(before) = before.filter(|_| ctx.rules().ends_rights_of_lost_authorities()) {
+        let (before, after) = (before.msp()?, organisation.msp()?);
+        for lost in before.standing().difference(after.standing()) {
+            ctx.tell_authority_lost(lost)?;
+        }
+    }
+    Ok(described)
 }
 
 /// Argument of `update_organisation`: the complete new lists.
@@ -172,10 +180,7 @@ pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     }
     let msps = trusted_with(ctx, &organisation)?;
     check_not_locked_out(ctx, caller, &msps)?;
-    store::write(ctx, &organisation_key(&organisation.name), &organisation)?;
-    let answer = json(&describe(&organisation)?)?;
-    ctx.emit("organisation_updated", &organisation.name, answer.clone());
-    Ok(answer)
+    replace(ctx, &organisation)
 }
 
 /// Argument of `remove_organisation`.

@@ -1,4 +1,4 @@
-//! Refusals before ordering, as nodes tell them: gathered per identity, service and code, so that a flood is one line.
+//! Refusals before ordering, as nodes tell them: gathered per identity, service, function and code, so that a flood is one line.
 //!
 //! The ledger judges nothing of it: it is the word of the node that signed it. It keeps only when a node told last, so that
 //! no node fills the chain.
@@ -26,7 +26,7 @@ pub const REFUSALS_PAUSE: u64 = 1_000_000;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TellRefusals {
-    /// One line for each identity, service and code.
+    /// One line for each identity, service, function and code.
     pub refusals: Vec<Refused>,
 }
 

@@ -230,7 +230,7 @@ fn forget_intermediates(
     if changed == *organisation {
         return Ok(());
     }
-    organisations::replace(ctx, &changed)
+    organisations::replace(ctx, &changed).map(drop)
 }
 
 /// The certificates of an authority that are known to have ended.

@@ -300,6 +300,35 @@ fn what_a_node_knows_from_before_the_ledger_is_listed_revoked_and_renewed_like_e
 }
 
 #[test]
+fn a_name_from_before_the_ledger_is_not_looked_like_and_its_old_attributes_end_when_they_are_changed() {
+    let mut network = carried();
+    let (used, unused) = (member(&network, "Old"), member(&network, "Old"));
+    let mut known = network.known(&used, "Old", Role::Member);
+    known.certificates.extend(network.known(&unused, "Old", Role::Member).certificates);
+    let carry = CarryCa { identities: vec![known], ..network.carry(0, "Org1", "Org1/node1") };
+    network.node(1, "carry_ca", &[&serde_json::to_string(&carry).unwrap()]).unwrap();
+    assert_eq!(code(&register(&mut network, 1, "0ld", "")), Code::AlreadyRegistered);
+    assert_eq!(code(&network.call(&used, "withdraw", &["00000000"])), Code::NotAdmin);
+    // Without a change all certificates stay.
+    let next = member(&network, "Old");
+    renewed(&mut network, &next).unwrap();
+    assert_eq!(network.event_names(), ["certified"]);
+    // With other attributes those go that say the old ones, and the one of which nothing is known.
+    register(&mut network, 1, "Old", r#","again":true,"attributes":{"Husky":"true"}"#).unwrap();
+    let json = ledger_identity::certificate::encode_attributes(&[("Husky".into(), "true".into())].into()).unwrap();
+    let husky = network.cas[0].user_as(["Old", "member"], KeyKind::Ed25519, |params| {
+        let oid = ledger_identity::certificate::ATTRIBUTES_OID;
+        params.custom_extensions.push(testkit::rcgen::CustomExtension::from_oid_content(oid, json));
+    });
+    by_secret(&mut network, &husky).unwrap();
+    assert_eq!(network.event_names(), ["revoked", "revoked", "revoked", "certified"]);
+    for old in [&used, &unused, &next] {
+        assert_eq!(code(&network.call(old, "withdraw", &["00000000"])), Code::Revoked);
+    }
+    assert_eq!(code(&network.call(&husky, "withdraw", &["00000000"])), Code::NotAdmin);
+}
+
+#[test]
 fn an_invitation_is_listed_and_taken_back_by_who_proposed_it() {
     let mut network = Network::new(1, 1);
     let key = Hash([3; 32]);

@@ -269,11 +269,16 @@ fn an_intermediate_that_its_root_revokes_vouches_for_nobody() {
     }
     let (boss, nadia) = (other.user("Boss", "admin", KeyKind::P256), middle.user("Nadia", "client", KeyKind::P256));
     assert_eq!(code(&story.network.call(&nadia, "withdraw", &["00000000"])), Code::NotAdmin);
+    let connected = story.network.ledger.msps().verify(&nadia.certificate, &[], story.network.time).unwrap();
+    story.network.ledger.check_revoked(&connected).unwrap();
     let revoked = Certificate::parse(&middle.root()).unwrap().serial;
     let argument = json!({"list": hex::encode(story.list(&[revoked]).signed(&root))}).to_string();
     story.network.call(&boss, "record_revocation_list", &[&argument]).unwrap();
     assert_eq!(story.network.event_names(), ["organisation_updated", "revocation_list"]);
     assert_eq!(code(&story.network.call(&nadia, "withdraw", &["00000000"])), Code::Untrusted);
+    let refused = story.network.ledger.check_revoked(&connected).unwrap_err();
+    assert!(refused.code == Code::Untrusted && refused.found.contains("an authority that Org4 has lost"), "{refused}");
+    assert_eq!(code(&story.network.ask(&boss, "nodes", &[])), Code::Ok);
     assert_eq!(code(&story.network.call(&boss, "approve", &["00000000"])), Code::NotFound);
 }
 

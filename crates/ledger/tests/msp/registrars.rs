@@ -101,6 +101,23 @@ fn a_registrar_gives_no_secret_of_a_name_that_has_more_or_was_revoked_and_cancel
 }
 
 #[test]
+fn a_registrar_becomes_nobody_whom_it_has_not_registered_and_no_other_registrar() {
+    let (mut network, farhad) = with_registrar();
+    let again = value!({"again": true});
+    by_admin(&mut network, "Salma", &in_department("sales")).unwrap();
+    let refused = register(&mut network, &farhad, "Salma", &again);
+    assert_eq!(code(&refused), Code::NotAdmin);
+    assert!(refused.unwrap_err().found.contains("Org1/Salma, whom Org1/Admin registered"));
+    // One of its own whom an admin has made a registrar of more.
+    register(&mut network, &farhad, "Bob", &in_department("sales")).unwrap();
+    register(&mut network, &farhad, "Bob", &again).unwrap();
+    network.admin(1, "set_registrar", &[r#"{"name":"Bob","affiliation":"ops","attributes":["Husky"]}"#]).unwrap();
+    assert_eq!(code(&register(&mut network, &farhad, "Bob", &again)), Code::NotAdmin);
+    network.admin(1, "set_registrar", &[r#"{"name":"Bob"}"#]).unwrap();
+    register(&mut network, &farhad, "Bob", &again).unwrap();
+}
+
+#[test]
 fn the_right_of_a_registrar_ends_by_an_admins_word_and_with_its_name() {
     let (mut network, farhad) = with_registrar();
     let known: Vec<SetRegistrar> = network.query("registrars", &[]);

@@ -8,7 +8,7 @@ use super::super::carriers::check_may_issue;
 use super::super::organisations;
 use super::super::revocations;
 use super::super::store::{self, issued_key, json};
-use super::registration::{check, make_room, unknown};
+use super::registration::{check, keep_look, make_room, unknown};
 use super::{
     CERTIFICATES_MAX, ENROLMENT_REPEAT_MAX, IdentityRecord, IssuedCertificate, LocalSecret, RENEWAL_PAUSE, Use, find,
     is_revoked, write,
@@ -89,6 +89,7 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
         (Some(known), _) => known,
         (None, Ground::Local(_)) => {
             make_room(ctx, &organisation)?;
+            keep_look(ctx, &organisation, &holder.name)?;
             created(&organisation, &holder.name, holder.role, holder.attributes.clone(), caller)
         }
         (None, _) => return Err(unknown(&organisation, &holder.name)),
@@ -122,12 +123,17 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     json(&Recorded { certificate })
 }
 
-/// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away.
+/// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away. One that
+/// was issued beside the ledger, and has never signed, says nothing here: it goes if the attributes have changed since.
 fn end_others(ctx: &mut Context<'_>, record: &IdentityRecord, holder: &Identity, by: &str) -> Result<(), Rejection> {
     for issued in &record.certificates {
         let der = ctx.get(&issued_key(&issued.fingerprint));
-        let said = der.and_then(|der| Certificate::parse(&der).ok()?.attributes().ok());
-        if said.is_none_or(|said| said == holder.attributes) {
+        let der = der.or_else(|| ctx.get(&store::known_certificate_key(&issued.fingerprint)));
+        let stays = match der.and_then(|der| Certificate::parse(&der).ok()?.attributes().ok()) {
+            Some(said) => said == holder.attributes,
+            None => issued.recorded > record.changed || record.changed == 0,
+        };
+        if stays {
             continue;
         }
         let serial = hex::decode(&issued.serial).unwrap_or_default();
@@ -264,6 +270,7 @@ fn created(
         secret: None,
         local: None,
         voided: 0,
+        changed: 0,
         certificates: Vec::new(),
     }
 }
@@ -304,6 +311,7 @@ pub(in super::super) fn adopt(
         Some(record) => record.clone(),
         None => {
             make_room(ctx, organisation)?;
+            keep_look(ctx, organisation, &name)?;
             created(organisation, &name, role, attributes, caller)
         }
     };

@@ -132,10 +132,19 @@ impl<'a> Registering<'a> {
         }
     }
 
-    /// May it give a new secret to this registered name? A name that was revoked comes back by an admin's word alone.
+    /// May it give a new secret to this registered name? The secret makes its bearer that person: so a registrar gives it to those
+    /// whom it has registered itself, and to no registrar. A name that was revoked comes back by an admin's word alone.
     pub(super) fn check_again(&self, ctx: &Context<'_>, known: &IdentityRecord) -> Result<(), Rejection> {
         if self.bounds.is_none() {
             return Ok(());
+        }
+        if known.by != self.caller.id() {
+            return Err(
+                self.beyond(format!("{}, whom {} registered", known.id(), known.by), "a name that it registered")
+            );
+        }
+        if ctx.get(registrar_key(&known.organisation, &known.name).as_bytes()).is_some() {
+            return Err(self.beyond(format!("{}, who is a registrar", known.id()), "a name without that right"));
         }
         if known.voided > 0 || known.certificates.last().is_some_and(|newest| is_revoked(ctx, newest)) {
             return Err(self.beyond(format!("{}, which was revoked", known.id()), "a name that was not revoked"));

@@ -67,7 +67,8 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
             registering.check_again(ctx, &known)?;
             let attributes = if attributes.is_empty() { known.attributes.clone() } else { attributes };
             registering.check(None, &attributes)?;
-            IdentityRecord { attributes, secret, local: None, by: caller.id(), ..known }
+            let changed = if attributes == known.attributes { known.changed } else { now };
+            IdentityRecord { attributes, secret, local: None, changed, by: caller.id(), ..known }
         }
         (Some(known), false) => {
             return Err(registered_for(&known, "a new name").next(format!(
@@ -94,6 +95,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
                 secret,
                 local: None,
                 voided: 0,
+                changed: 0,
                 certificates: Vec::new(),
             }
         }
@@ -142,6 +144,19 @@ fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<()
         }
     }
     keys.iter().try_for_each(|key| store::write(ctx, key, &name))
+}
+
+/// A name that is known already, by a certificate of its own, keeps others from looking like it. Two that look alike stay.
+pub(super) fn keep_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<(), Rejection> {
+    if !ctx.rules().names_are_readable() {
+        return Ok(());
+    }
+    for key in look_keys(organisation, name) {
+        if ctx.get(key.as_bytes()).is_none() {
+            store::write(ctx, &key, &name)?;
+        }
+    }
+    Ok(())
 }
 
 /// Voids the secrets of a name; forgets it if it never had a certificate.
