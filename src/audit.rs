@@ -1,21 +1,26 @@
 //! The audit: keeps an index of who did what, beside the work, and answers from it.
 //!
 //! ```text
-//! audit    follows executed blocks, seconds behind them, or at once when somebody asks
-//!   rows   the decisions of one block
+//! audit             follows executed blocks, seconds behind them, or at once when somebody asks
+//!   rows            the decisions of one block
+//!     action        the actions that policies decide about
+//!     certificates  whose they are, and which of them end
 //! ```
 //!
 //! The threads that order and execute know nothing of it: it reads blocks as any other reader does. After a start it goes on
 //! where it was. An index that is lost is made again from the blocks that the node has.
 
+mod action;
+mod certificates;
 mod rows;
 
 use crate::blocks::Blocks;
 use crate::space::Space;
 use ledger::{Ledger, Outcome};
 use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::audit::{Block, Index, Known, Page, Question, Row};
+use ledger_storage::audit::{Block, Holder, Index, Known, Page, Question, Row};
 use ledger_storage::layout::AUDIT_DIRECTORY;
 use ledger_storage::state::SledStore;
 use rows::Names;
@@ -25,6 +30,8 @@ use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
+/// The chaincode of robots.
+const ABAC: &str = "abac";
 /// Time between two writes of the index, unless blocks are large.
 const EVERY: Duration = Duration::from_secs(2);
 /// How long it takes blocks at once.
@@ -132,6 +139,15 @@ impl Audit {
     }
 
     fn take_until(&self, taking: &mut Taking, deadline: Instant) -> Result<(), Rejection> {
+        let taken = self.take_blocks(taking, deadline);
+        if taken.is_err() {
+            // The same blocks come again, and must tell again whom they name.
+            taking.names = Names::default();
+        }
+        taken
+    }
+
+    fn take_blocks(&self, taking: &mut Taking, deadline: Instant) -> Result<(), Rejection> {
         loop {
             let blocks = self.next_blocks(&mut taking.names)?;
             if blocks.is_empty() {
@@ -165,8 +181,16 @@ impl Audit {
     }
 
     fn block(&self, outcome: &Outcome, names: &mut Names) -> Block {
-        let name = |creator: &Hash| self.ledger.creator_name(creator);
-        Block { height: outcome.header.height, time: outcome.header.time, rows: names.rows(outcome, name) }
+        let (rows, holders) = names.rows(outcome, |creator| self.signer(creator));
+        Block { height: outcome.header.height, time: outcome.header.time, rows, holders }
+    }
+
+    /// A creator that the ledger knows.
+    fn signer(&self, creator: &Hash) -> Option<Holder> {
+        let name = self.ledger.creator_name(creator)?;
+        let parsed = Certificate::parse(&self.ledger.certificate(creator).ok()??).ok()?;
+        let certificate = certificates::named(&Hash::of(&[&parsed.issuer_name]), &parsed.serial);
+        Some(Holder { certificate, name })
     }
 
     /// Forgets what is about blocks that the node has dropped.

@@ -13,7 +13,7 @@ use ledger_rejection::{Code, Rejection};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, park, park_timeout};
 use std::time::{Duration, Instant};
 
@@ -33,13 +33,21 @@ pub(crate) struct Awake {
 }
 
 struct Wish {
-    device: Mutex<File>,
+    device: Mutex<Device>,
     /// The device was told so.
     awake: AtomicBool,
     base: Instant,
     /// Until when, in nanoseconds after `base`.
     until: AtomicU64,
     stop: AtomicBool,
+}
+
+struct Device {
+    file: File,
+    /// Since when it has been told to keep the processors awake, if it is.
+    since: Option<Instant>,
+    /// How long it was before that.
+    before: Duration,
 }
 
 impl Awake {
@@ -65,9 +73,9 @@ impl Awake {
         }
     }
 
-    fn by(device: File) -> io::Result<Self> {
+    fn by(file: File) -> io::Result<Self> {
         let wish = Arc::new(Wish {
-            device: Mutex::new(device),
+            device: Mutex::new(Device { file, since: None, before: Duration::ZERO }),
             awake: AtomicBool::new(false),
             base: Instant::now(),
             until: AtomicU64::new(0),
@@ -87,6 +95,14 @@ impl Awake {
             thread.thread().unpark();
         }
     }
+
+    /// For how long the processors were kept awake since the node started.
+    pub(crate) fn held(&self) -> Duration {
+        self.wish.as_ref().map_or(Duration::ZERO, |wish| {
+            let device = wish.device();
+            device.before + device.since.map_or(Duration::ZERO, |since| since.elapsed())
+        })
+    }
 }
 
 impl Drop for Awake {
@@ -99,17 +115,32 @@ impl Drop for Awake {
     }
 }
 
+impl Device {
+    /// Counts the time.
+    fn told(&mut self, awake: bool) {
+        self.before += self.since.take().map_or(Duration::ZERO, |since| since.elapsed());
+        self.since = awake.then(Instant::now);
+    }
+}
+
 impl Wish {
     fn now(&self) -> u64 {
         nanoseconds(self.base.elapsed())
     }
 
+    fn device(&self) -> MutexGuard<'_, Device> {
+        self.device.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Tells the device what is wished, if anything is new.
     fn tell(&self, wished: impl FnOnce() -> Option<i32>) {
-        let mut device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut device = self.device();
         let Some(latency) = wished() else { return };
-        match device.write_all(&latency.to_ne_bytes()) {
-            Ok(()) => self.awake.store(latency == AWAKE, Ordering::Relaxed),
+        match device.file.write_all(&latency.to_ne_bytes()) {
+            Ok(()) => {
+                device.told(latency == AWAKE);
+                self.awake.store(latency == AWAKE, Ordering::Relaxed);
+            }
             Err(error) => tracing::debug!(%error, "the kernel does not take the wish about sleeping processors"),
         }
     }
@@ -168,9 +199,30 @@ mod tests {
     }
 
     #[test]
+    fn the_time_for_which_processors_are_kept_awake_is_counted_and_no_other() {
+        let directory = tempfile::tempdir().unwrap();
+        let awake = Awake::by(File::create(directory.path().join("device")).unwrap()).unwrap();
+        assert_eq!(awake.held(), Duration::ZERO, "nothing is in flight");
+        let grows = |from| {
+            while awake.held() <= from {
+                std::thread::yield_now();
+            }
+        };
+        awake.keep();
+        grows(Duration::ZERO);
+        let wish = awake.wish.as_ref().unwrap();
+        wish.tell(|| Some(ASLEEP));
+        let held = awake.held();
+        assert!(held > Duration::ZERO && awake.held() == held, "{held:?}");
+        wish.tell(|| Some(AWAKE));
+        grows(held);
+    }
+
+    #[test]
     fn the_balanced_profile_wishes_nothing() {
         let awake = Awake::start(Profile::Balanced).unwrap();
         awake.keep();
         assert!(awake.wish.is_none() && awake.thread.is_none());
+        assert_eq!(awake.held(), Duration::ZERO);
     }
 }

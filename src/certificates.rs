@@ -17,7 +17,7 @@ mod keys;
 mod passed;
 mod recent;
 
-pub(crate) use kept::newest_proof;
+pub(crate) use kept::{newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
 
 use crate::peers::{Directory, Peers};

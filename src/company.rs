@@ -13,6 +13,7 @@ mod difference;
 pub(crate) use confirmed::{CONFIRMED_FILE, confirmed_heights};
 
 use crate::catch_up::Asked;
+use crate::clock::Offset;
 use crate::gateway::Links;
 use crate::instance::Fate;
 use crate::peers::{Dialer, Member};
@@ -22,6 +23,7 @@ use ledger_raft::{PeerMessage, Receipt};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::company::{self, Follows, Place, Point, Said};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -44,6 +46,8 @@ pub(crate) struct Company {
     machine: Mutex<Machine>,
     /// Since when no leader is reached.
     cut_off: Mutex<Option<Instant>>,
+    /// The clocks of those that answered the last question, by their numbers.
+    clocks: Mutex<BTreeMap<u64, Offset>>,
     kept: Confirmed,
 }
 
@@ -52,7 +56,7 @@ impl Company {
     pub(crate) fn new(ledger: &Arc<Ledger>, organisation: &str, data: PathBuf) -> Self {
         let kept = Confirmed::of(data);
         let machine = Machine::new(Arc::clone(ledger), organisation, kept.read());
-        Self { machine: Mutex::new(machine), cut_off: Mutex::default(), kept }
+        Self { machine: Mutex::new(machine), cut_off: Mutex::default(), clocks: Mutex::default(), kept }
     }
 
     /// A member told its chain.
@@ -82,6 +86,11 @@ impl Company {
         self.machine().describe()
     }
 
+    /// The clock of that node's machine, if it answered the last question.
+    pub(crate) fn clock_of(&self, id: u64) -> Option<Offset> {
+        self.clocks().get(&id).copied()
+    }
+
     /// For how long this node has reached no leader.
     pub(crate) fn cut_off_for(&self, links: &Links) -> Duration {
         let mut since = self.cut_off.lock().unwrap_or_else(PoisonError::into_inner);
@@ -91,6 +100,10 @@ impl Company {
 
     fn machine(&self) -> MutexGuard<'_, Machine> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn clocks(&self) -> MutexGuard<'_, BTreeMap<u64, Offset>> {
+        self.clocks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -166,7 +179,8 @@ impl Asking {
     async fn ask(&self, members: &[Member], height: u64) -> Vec<Said> {
         let own = self.company.own(height);
         let answers = self.dialer.compare(members, self.ledger.network(), own).await;
-        answers.into_iter().map(|Asked { who, has, at, stranger }| Said { who, has, at, stranger }).collect()
+        *self.company.clocks() = answers.iter().filter_map(|asked| Some((asked.who.id, asked.clock?))).collect();
+        answers.into_iter().map(|Asked { who, has, at, stranger, .. }| Said { who, has, at, stranger }).collect()
     }
 
     /// This node is wrong: it stops serving, and says where that began.

@@ -17,7 +17,7 @@ mod comeback;
 mod identity;
 mod place;
 
-pub(crate) use again::{RejoinOptions, rejoin};
+pub(crate) use again::{RejoinOptions, refuse_rejoining, rejoin};
 pub(crate) use comeback::{advised, check_member, nothing_here, way_back};
 
 use crate::clock::wall;

@@ -9,10 +9,14 @@ use std::time::Instant;
 
 /// Upper bounds of the buckets, in seconds.
 const BOUNDS: [f64; 8] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0];
+/// The same of the gateway, which waits for no disk and no other node.
+const GATEWAY_BOUNDS: [f64; 5] = [0.0001, 0.0005, 0.002, 0.01, 0.1];
 
 /// The histograms of a node. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Meters {
+    /// From a transaction's arrival until it is handed to ordering.
+    pub gateway: Histogram,
     /// From a transaction's arrival to its verdict from a block.
     pub commit: Histogram,
     /// One flush of the log.
@@ -24,7 +28,7 @@ pub(crate) struct Meters {
 impl Default for Meters {
     fn default() -> Self {
         let empty = || Histogram::new(BOUNDS);
-        Self { commit: empty(), flush: empty(), execute: empty() }
+        Self { gateway: Histogram::new(GATEWAY_BOUNDS), commit: empty(), flush: empty(), execute: empty() }
     }
 }
 

@@ -15,7 +15,7 @@ use crate::company::confirmed_heights;
 use crate::config::Config;
 use crate::host::{NodeBuilder, Papers};
 use crate::identity::{Joined, own_membership};
-use crate::join::{check_member, nothing_here};
+use crate::join::{check_member, nothing_here, refuse_rejoining};
 use crate::peers::{Directory, Member};
 use crate::stores::Stores;
 use bytes::Bytes;
@@ -87,6 +87,7 @@ pub(crate) async fn recover(
 impl Survivor {
     fn open(builder: &NodeBuilder, config: &Config) -> Result<Self, Rejection> {
         let genesis = fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
+        refuse_rejoining(config)?;
         let stores = Stores::open(config, &genesis, builder.registry()?)?;
         let (ledger, papers) = (&stores.ledger, Papers::read(config)?);
         let members = Directory::read(ledger).members().to_vec();

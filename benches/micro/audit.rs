@@ -39,7 +39,7 @@ fn block(minute: u64) -> Block {
         rows.extend((0..3).map(|robot| row(minute, robot, "granted")));
         rows.push(row(minute, 1, "refused"));
     }
-    Block { height: 1 + minute * BLOCKS_PER_MINUTE, time: BEGINS + minute * FOLDED_US, rows }
+    Block { height: 1 + minute * BLOCKS_PER_MINUTE, time: BEGINS + minute * FOLDED_US, rows, ..Block::default() }
 }
 
 pub(super) fn questions(criterion: &mut Criterion) {

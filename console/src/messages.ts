@@ -2,8 +2,9 @@
 
 import { fromBinary } from "@bufbuild/protobuf";
 import { TransactionBodySchema, TransactionSchema } from "./gen/ledgerd/v1/transaction_pb";
-import { hex, own, text } from "./bytes";
+import { text } from "./bytes";
 import { now } from "./ledger";
+import { shown } from "./payload";
 import { hasEnded, isDenied } from "./refusal";
 import { gateway } from "./session";
 
@@ -18,17 +19,7 @@ export interface Message {
   seq: number;
   epoch: number;
   latencyMs: number;
-  values: Record<string, number> | undefined;
-  raw: string;
-}
-
-// A Twist in CDR: six doubles, behind the four bytes that say the byte order.
-export function twist(payload: Uint8Array): Record<string, number> | undefined {
-  if (payload.length < 52) return undefined;
-  const isLittle = payload[1] === 1;
-  const view = new DataView(payload.buffer, payload.byteOffset + 4);
-  const names = ["linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z"];
-  return Object.fromEntries(names.map((name, at) => [name, view.getFloat64(at * 8, isLittle)]));
+  words: string;
 }
 
 // One point of the charts for each second.
@@ -85,9 +76,8 @@ export class Messages {
     const { epoch, first_seq: seq, count } = JSON.parse(json) as { epoch: number; first_seq: number; count: number };
     const body = fromBinary(TransactionBodySchema, fromBinary(TransactionSchema, encoded).body);
     const latencyMs = Math.max(0, (now() - (Number(body.notAfter) - SIGNED_FOR)) / 1000);
-    const payload = own(body.args[body.args.length - 1] ?? new Uint8Array());
-    const values = this.isTwist ? twist(payload) : undefined;
-    this.last.unshift({ at: Date.now() * 1000, seq: seq + count - 1, epoch, latencyMs, values, raw: hex(payload.slice(0, 32)) });
+    const words = shown(body.args[body.args.length - 1] ?? new Uint8Array(), this.isTwist);
+    this.last.unshift({ at: Date.now() * 1000, seq: seq + count - 1, epoch, latencyMs, words });
     this.last.length = Math.min(this.last.length, LAST_MAX);
     const second = this.tick();
     second.count += count;

@@ -1,10 +1,11 @@
 //! Figures of `/metrics`, as pages register them.
 
-use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::registry::{Registry, Unit};
 use std::sync::atomic::AtomicU64;
+use std::time::Duration;
 
 /// Labels with their values.
 pub(super) type Labels = Vec<(&'static str, String)>;
@@ -19,6 +20,11 @@ pub(super) fn number(registry: &mut Registry, name: &str, help: &str, value: u64
 /// A time in seconds.
 pub(super) fn seconds(registry: &mut Registry, name: &str, help: &str, value: f64) {
     registry.register_with_unit(name, help, Unit::Seconds, ConstGauge::new(value));
+}
+
+/// A time that only grows, in seconds; the name gets `_total`.
+pub(super) fn seconds_in_all(registry: &mut Registry, name: &str, help: &str, value: Duration) {
+    registry.register_with_unit(name, help, Unit::Seconds, ConstCounter::new(value.as_secs_f64()));
 }
 
 /// A size in bytes.

@@ -26,7 +26,7 @@ impl Watched for WatchedNode {
     }
 
     fn register(&self, registry: &mut Registry) -> Result<(), Rejection> {
-        metrics::register(registry, &self.node.status()?, self.node.meters());
+        metrics::register(registry, &self.node.status()?, &self.node.meters, self.node.awake.held());
         if let Some(bridge) = &self.bridge {
             bridge::register(registry, &bridge.look());
         }

@@ -1,19 +1,20 @@
 //! The rows of one block: its decisions about control, what was commanded, and what was refused.
 
+use super::{ABAC, action, certificates};
 use ledger::Outcome;
 use ledger::msp::{Refused, TellRefusals};
 use ledger::transaction::Transaction;
 use ledger_abac::MessageEvent;
 use ledger_hash::Hash;
-use ledger_storage::audit::Row;
+use ledger_storage::audit::{Holder, Row};
 use ledger_storage::result::{EmittedEvent, Event, TransactionResult};
 use serde_json::Value;
 use std::collections::HashMap;
 
-/// The chaincode of robots.
-const ABAC: &str = "abac";
 /// The function of `msp` that revokes a person.
 const REVOKE: &str = "revoke_identity";
+/// The function of `msp` that revokes the certificates of a person with other attributes than the new one.
+const RECORD: &str = "record_certificate";
 /// Names of creators that are remembered.
 const NAMES_MAX: usize = 4096;
 /// Longest text of a row, bytes.
@@ -40,7 +41,11 @@ const WORDS: [&str; 12] = [
 
 /// The names of creators by their certificates.
 #[derive(Default)]
-pub(super) struct Names(HashMap<Hash, String>);
+pub(super) struct Names {
+    known: HashMap<Hash, String>,
+    /// Holders that no block has told yet.
+    new: Vec<Holder>,
+}
 
 /// One call of a block.
 #[derive(Default)]
@@ -49,12 +54,18 @@ struct Call {
     chaincode: String,
     function: String,
     subject: String,
+    /// The person whose certificates it ends, if it says so.
+    revoked: String,
     transaction: Hash,
 }
 
 impl Names {
-    /// The rows of a block. `name` finds the name of a creator.
-    pub(super) fn rows(&mut self, outcome: &Outcome, name: impl Fn(&Hash) -> Option<String>) -> Vec<Row> {
+    /// The rows of a block, and the holders of certificates whom it shows. `signer` finds a creator.
+    pub(super) fn rows(
+        &mut self,
+        outcome: &Outcome,
+        signer: impl Fn(&Hash) -> Option<Holder>,
+    ) -> (Vec<Row>, Vec<Holder>) {
         let mut rows: Vec<Row> = Vec::new();
         let mut last: Option<(u32, Call)> = None;
         for EmittedEvent { index, event } in &outcome.events {
@@ -63,31 +74,39 @@ impl Names {
             }
             let call = match (index, last.take()) {
                 (Some(index), Some((of, call))) if *index == of => call,
-                (Some(index), _) => self.call(outcome, *index, &name),
+                (Some(index), _) => self.call(outcome, *index, &signer),
                 (None, _) => Call::default(),
             };
+            if event.chaincode == ledger::msp::NAME && event.name == "certified" {
+                self.new.extend(certificates::certified(event));
+            }
             rows.extend(of_event(event, &call).into_iter().map(|row| at(outcome, row)));
             fold_last(&mut rows);
             last = index.map(|index| (index, call));
         }
         for (index, result) in (0u32..).zip(&outcome.results).filter(|(_, result)| result.code != 0) {
-            rows.push(at(outcome, of_refusal(&self.call(outcome, index, &name), result)));
+            rows.push(at(outcome, of_refusal(&self.call(outcome, index, &signer), result)));
             fold_last(&mut rows);
         }
-        rows
+        (rows, std::mem::take(&mut self.new))
     }
 
-    fn call(&mut self, outcome: &Outcome, index: u32, name: impl Fn(&Hash) -> Option<String>) -> Call {
+    fn call(&mut self, outcome: &Outcome, index: u32, signer: impl Fn(&Hash) -> Option<Holder>) -> Call {
         let place = index as usize;
         let encoded = outcome.transactions.get(place).cloned().unwrap_or_default();
         let Ok(transaction) = Transaction::decode(encoded) else { return Call::default() };
         let body = transaction.body();
         // Nobody has signed what was refused for its signature.
         let is_signed = outcome.results.get(place).is_some_and(|result| result.not_after.is_some());
-        let creator = if is_signed { self.name(&transaction.creator(), name) } else { String::new() };
+        let creator = if is_signed { self.name(&transaction.creator(), signer) } else { String::new() };
         let argument = match body.function.as_str() {
             REVOKE => name_in(body.args.first()).unwrap_or_default().into(),
             _ => body.args.first().map(|argument| String::from_utf8_lossy(argument)).unwrap_or_default(),
+        };
+        let revoked = match body.function.as_str() {
+            REVOKE => creator.split_once('/').map(|(organisation, _)| format!("{organisation}/{argument}")),
+            RECORD => certified(outcome, index),
+            _ => None,
         };
         let is_name =
             argument.len() <= TEXT_BYTES_MAX && argument.chars().all(|c| c.is_alphanumeric() || "/_-.:*".contains(c));
@@ -96,21 +115,30 @@ impl Names {
             chaincode: body.chaincode.clone(),
             function: body.function.clone(),
             subject: if is_name { argument.into_owned() } else { String::new() },
+            revoked: revoked.unwrap_or_default(),
             transaction: outcome.ids.get(place).copied().unwrap_or(Hash::ZERO),
         }
     }
 
-    fn name(&mut self, creator: &Hash, name: impl Fn(&Hash) -> Option<String>) -> String {
-        if let Some(known) = self.0.get(creator) {
+    fn name(&mut self, creator: &Hash, signer: impl Fn(&Hash) -> Option<Holder>) -> String {
+        if let Some(known) = self.known.get(creator) {
             return known.clone();
         }
-        let Some(found) = name(creator) else { return String::new() };
-        if self.0.len() >= NAMES_MAX {
-            self.0.clear();
+        let Some(holder) = signer(creator) else { return String::new() };
+        if self.known.len() >= NAMES_MAX {
+            self.known.clear();
         }
-        self.0.insert(*creator, found.clone());
-        found
+        let name = holder.name.clone();
+        self.known.insert(*creator, name.clone());
+        self.new.push(holder);
+        name
     }
+}
+
+/// The person to whom a call gives a certificate.
+fn certified(outcome: &Outcome, call: u32) -> Option<String> {
+    let mut events = outcome.events.iter().filter(|emitted| emitted.index == Some(call));
+    events.find(|emitted| emitted.event.name == "certified").map(|emitted| emitted.event.subject.clone())
 }
 
 /// The name in an argument that is a JSON object.
@@ -159,6 +187,11 @@ fn of_event(event: &Event, call: &Call) -> Vec<Row> {
         (ABAC, "message") => vec![of_message(event, call)],
         (ledger::msp::NAME, "refused") => of_telling(event, call),
         (ABAC, _) => vec![of_abac(event, call)],
+        (_, "revocation_list") => {
+            let list = of_msp(event, call);
+            let listed = certificates::listed(event, &list);
+            std::iter::once(list).chain(listed).collect()
+        }
         _ => vec![of_msp(event, call)],
     }
 }
@@ -166,6 +199,8 @@ fn of_event(event: &Event, call: &Call) -> Vec<Row> {
 fn of_message(event: &Event, call: &Call) -> Row {
     let told: Option<MessageEvent> = serde_json::from_slice(&event.payload).ok();
     let (epoch, count) = told.map_or((0, 1), |told| (told.epoch, told.count));
+    // Under a grant they were decided with it.
+    let action = if epoch == 0 { "publish" } else { "" };
     Row {
         decision: "used".into(),
         who: call.creator.clone(),
@@ -173,6 +208,7 @@ fn of_message(event: &Event, call: &Call) -> Row {
         subject: event.subject.clone(),
         count,
         epoch,
+        action: action.into(),
         transaction: bytes(&call.transaction),
         ..Row::default()
     }
@@ -188,6 +224,11 @@ fn of_abac(event: &Event, call: &Call) -> Row {
     let others = others.into_iter().filter(|one| **one != who && *one != by).map(str::to_owned).collect();
     let organisation = text("organisation");
     let about_policies = event.name.starts_with("policy");
+    let action = match event.name.as_str() {
+        "granted" if text("taken").is_empty() => "acquire",
+        "granted" => "override",
+        _ => "",
+    };
     Row {
         decision: event.name.clone(),
         by: if by == who { String::new() } else { by.to_owned() },
@@ -197,6 +238,7 @@ fn of_abac(event: &Event, call: &Call) -> Row {
         epoch: number("epoch"),
         policy_version: number("policy_version").max(number("version")),
         policies: names(&payload, "policies"),
+        action: action.into(),
         detail: words(&payload),
         transaction: bytes(&call.transaction),
         others,
@@ -209,10 +251,11 @@ fn of_msp(event: &Event, call: &Call) -> Row {
     let payload: Value = serde_json::from_slice(&event.payload).unwrap_or_default();
     let text = |field: &str| payload.get(field).and_then(Value::as_str).unwrap_or_default();
     let organisation = Some(text("organisation")).filter(|name| !name.is_empty());
-    // The event names a number; the call says whose certificate it was.
-    let revoked = |name: &str| format!("{}/{name}", organisation.unwrap_or_default());
+    let certificate = if event.name == "revoked" { certificates::revoked(event) } else { None };
     let who = match event.name.as_str() {
-        "revoked" if call.function == REVOKE && !call.subject.is_empty() => revoked(&call.subject),
+        // The event has a number. The call says whose certificate it was, or the index finds it.
+        "revoked" => call.revoked.clone(),
+        "revocation_list" => call.creator.clone(),
         _ if event.subject.contains('/') => event.subject.clone(),
         _ => call.creator.clone(),
     };
@@ -223,6 +266,7 @@ fn of_msp(event: &Event, call: &Call) -> Row {
         subject: event.subject.clone(),
         detail: words(&payload),
         transaction: bytes(&call.transaction),
+        certificate: certificate.unwrap_or_default(),
         organisations: organisation.map(str::to_owned).into_iter().collect(),
         ..Row::default()
     }
@@ -236,6 +280,7 @@ fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
         let (policy_version, policies) = policies(&why);
         Row {
             decision: "refused".into(),
+            action: action::of_call(&chaincode, &function).into(),
             who,
             robot: if chaincode == ABAC { robot(&subject) } else { String::new() },
             subject: if subject.is_empty() { [chaincode, function].join(" ").trim().to_owned() } else { subject },
@@ -260,6 +305,7 @@ fn of_refusal(call: &Call, result: &TransactionResult) -> Row {
     let (policy_version, policies) = policies(&result.message);
     Row {
         decision: "refused".into(),
+        action: action::of_call(&call.chaincode, &call.function).into(),
         who: call.creator.clone(),
         robot: if call.chaincode == ABAC { robot(&call.subject) } else { String::new() },
         subject: if call.subject.is_empty() {

@@ -3,6 +3,7 @@
 use super::{CONFIG_FILE, FILE_BYTES_MAX, Manifest, PAPERS, own};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
+use crate::join::refuse_rejoining;
 use crate::verify::verified;
 use ledger_api::tls::TlsIdentity;
 use ledger_durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
@@ -217,11 +218,12 @@ fn copy_directory(from: &Path, to: &Path) -> Result<(), Rejection> {
     sync_directory(to)
 }
 
-/// Refuses a data directory that is a copy.
+/// Refuses a data directory that is a copy, or that waits for the end of a rejoin.
 ///
 /// # Errors
-/// [`Code::BadFile`] with both ways on.
+/// [`Code::BadFile`] with the ways on.
 pub(crate) fn refuse_restored(config: &Config) -> Result<(), Rejection> {
+    refuse_rejoining(config)?;
     let mark = config.data.join(RESTORED_FILE);
     if fs::symlink_metadata(&mark).is_err() {
         return Ok(());

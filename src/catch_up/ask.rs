@@ -2,6 +2,7 @@
 
 use super::receipt::from_wire;
 use super::{Bootstrap, CatchUp};
+use crate::clock::{Offset, wall};
 use crate::peers::{Dialer, Member};
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
@@ -187,6 +188,8 @@ pub(crate) struct Asked {
     pub at: Option<Point>,
     /// It does not know the asking node as a member.
     pub stranger: bool,
+    /// The clock of its machine.
+    pub clock: Option<Offset>,
 }
 
 impl Dialer {
@@ -200,12 +203,18 @@ impl Dialer {
         let asked = members.iter().filter(|member| member.id != self.me).map(|member| {
             let request = request.clone();
             async move {
-                let answer = async { chain(&self.channel(member).await?, request).await };
+                let answer = async {
+                    let channel = self.channel(member).await?;
+                    let (since, asked) = (Instant::now(), wall());
+                    let chain = chain(&channel, request).await?;
+                    let clock = Offset::of(chain.clock, asked, since.elapsed());
+                    Ok::<_, String>((chain, clock))
+                };
                 let answer = timeout(Duration::from_micros(ASK_TIME_MAX), answer).await;
-                let chain = answer.ok()?.ok().filter(|chain| chain.network == network.as_ref())?;
+                let (chain, clock) = answer.ok()?.ok().filter(|(chain, _)| chain.network == network.as_ref())?;
                 let (hash, digest) = (Hash::from_slice(&chain.block_hash), Hash::from_slice(&chain.digest));
                 let at = hash.zip(digest).map(|(hash, digest)| Point { height: chain.compared_height, hash, digest });
-                Some(Asked { who: who(member), has: holding(&chain), at, stranger: chain.stranger })
+                Some(Asked { who: who(member), has: holding(&chain), at, stranger: chain.stranger, clock })
             }
         });
         asked.collect::<FuturesUnordered<_>>().filter_map(|answer| async move { answer }).collect().await

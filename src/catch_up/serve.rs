@@ -3,6 +3,7 @@
 use super::blocks::to_wire;
 use super::receipt;
 use crate::blocks::Blocks;
+use crate::clock::wall;
 use crate::company::Company;
 use crate::orderer::Seat;
 use crate::peers::Member;
@@ -97,6 +98,7 @@ impl Source {
             you_vote,
             receipts: receipts.into_iter().map(receipt::to_wire).collect(),
             receipt: receipt.map(receipt::to_wire),
+            clock: wall(),
         }
     }
 

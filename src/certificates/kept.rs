@@ -1,9 +1,10 @@
 //! The files: the proof of the newest certified block, those of blocks that changed who governs, and the proofs of lies.
 
-use ledger_durable::{PUBLIC_MODE, create_directory, failed, read, replace};
+use ledger_durable::{PUBLIC_MODE, create_directory, failed, read, rename, replace};
 use ledger_light::proof::PROOF_BYTES_MAX;
 use ledger_light::{DoubleVote, Lie, Proof};
 use ledger_rejection::{Code, Rejection};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// The directory in the data directory.
@@ -70,6 +71,18 @@ pub(crate) fn newest_proof(data: &Path) -> Result<Option<Proof>, Rejection> {
     Kept::open(data)?.newest()
 }
 
+/// Moves the proofs of blocks into another directory: they are of a history that this node leaves. A lie stays one.
+///
+/// # Errors
+/// A fault of the disk.
+pub(crate) fn set_proofs_aside(data: &Path, aside: &Path) -> Result<(), Rejection> {
+    let (from, to) = (Kept::open(data)?, Kept::open(aside)?);
+    for name in from.names()?.iter().filter(|name| name.to_str().and_then(Lied::read).is_none()) {
+        rename(&from.0.join(name), &to.0.join(name))?;
+    }
+    Ok(())
+}
+
 /// The directory of certificates.
 pub(super) struct Kept(PathBuf);
 
@@ -125,10 +138,8 @@ impl Kept {
 
     /// The lies that are kept, in order.
     pub(super) fn lies(&self) -> Result<Vec<Lied>, Rejection> {
-        let unreadable = |error| failed("list", &self.0, &error);
         let mut lies = Vec::new();
-        for entry in std::fs::read_dir(&self.0).map_err(unreadable)? {
-            let name = entry.map_err(unreadable)?.file_name();
+        for name in self.names()? {
             let Some(lied) = name.to_str().and_then(Lied::read) else { continue };
             lies.push(lied.map_err(|()| {
                 Rejection::new(Code::BadFile, "the name of a proof of a lie cannot be read")
@@ -139,6 +150,13 @@ impl Kept {
         }
         lies.sort();
         Ok(lies)
+    }
+
+    /// The names of all files.
+    fn names(&self) -> Result<Vec<OsString>, Rejection> {
+        let names =
+            std::fs::read_dir(&self.0).and_then(|entries| entries.map(|entry| Ok(entry?.file_name())).collect());
+        names.map_err(|error| failed("list", &self.0, &error))
     }
 }
 
@@ -189,5 +207,21 @@ mod tests {
         // A damaged one is as good as none.
         std::fs::write(place.path().join(DIRECTORY).join(NEWEST), b"ledgerd proof v1\0").unwrap();
         assert_eq!(kept.newest().unwrap(), None);
+    }
+
+    #[test]
+    fn all_but_the_proofs_of_lies_is_set_aside() {
+        let (place, aside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let kept = Kept::open(place.path()).unwrap();
+        let certificate = Certificate { statement: statement(5), signatures: Vec::new() };
+        kept.proof(&Proof { certificate, facts: Vec::new() }, true, true).unwrap();
+        std::fs::write(kept.0.join("00000000000000000005.passed"), b"").unwrap();
+        let lies = [Lied::About { height: 3, node: 2 }, Lied::Voted { term: 4, node: 2 }];
+        lies.iter().for_each(|lied| kept.lie(*lied, b"lie").unwrap());
+        set_proofs_aside(place.path(), aside.path()).unwrap();
+        assert_eq!((kept.names().unwrap().len(), kept.lies().unwrap()), (2, lies.to_vec()));
+        let moved = Kept::open(aside.path()).unwrap();
+        assert_eq!((moved.names().unwrap().len(), moved.lies().unwrap()), (3, Vec::new()));
+        assert!(moved.newest().unwrap().is_some() && kept.newest().unwrap().is_none());
     }
 }

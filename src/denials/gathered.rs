@@ -1,4 +1,4 @@
-//! Refusals that are not on the ledger yet: one line for each identity, service and code, and one for the rest.
+//! Refusals that are not on the ledger yet: one line for each identity, function, service and code, and one for the rest.
 
 use ledger::msp::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSED_TEXT_MAX, Refused, TellRefusals};
 use ledger::transaction::NAME_BYTES_MAX;
@@ -12,8 +12,8 @@ const NAMED_BYTES_MAX: usize = REFUSALS_BYTES_MAX - 2 * LINE_BYTES;
 /// Lines with an identity. The last one of a telling is for all others.
 const NAMED_MAX: usize = REFUSALS_MAX - 1;
 
-/// A refusal: who, chaincode, subject and number of the code.
-type Key = (String, String, String, u32);
+/// A refusal: who, chaincode, subject, function and number of the code.
+type Key = (String, String, String, String, u32);
 
 /// One refusal, as it came.
 #[derive(Clone, Debug, Default)]
@@ -66,7 +66,8 @@ impl Gathered {
     }
 
     fn fold(&mut self, refused: Refused) {
-        let key = (refused.who.clone(), refused.chaincode.clone(), refused.subject.clone(), refused.code);
+        let Refused { who, chaincode, subject, function, code, .. } = &refused;
+        let key = (who.clone(), chaincode.clone(), subject.clone(), function.clone(), *code);
         if let Some(known) = self.named.get_mut(&key) {
             return join(known, refused);
         }
@@ -98,7 +99,7 @@ fn join(known: &mut Refused, more: Refused) {
     if more.last >= known.last {
         known.last = more.last;
         known.sample = more.sample.or(known.sample);
-        (known.function, known.why, known.found) = (more.function, more.why, more.found);
+        (known.why, known.found) = (more.why, more.found);
     }
 }
 
@@ -188,5 +189,17 @@ mod tests {
         assert_eq!(told.len(), 1);
         let line = &told[0];
         assert_eq!((line.count, line.first, line.last, line.sample), (3, 5, 9, Some(Hash([2; 32]))));
+    }
+
+    #[test]
+    fn refusals_of_two_functions_are_two_lines_so_that_each_says_what_was_refused() {
+        let mut gathered = Gathered::default();
+        for function in ["take", "acquire", "take"] {
+            let (who, subject) = ("Org1/Farhad".into(), "Husky/cmd_vel".into());
+            gathered.add(One { who, subject, function: function.into(), code: 3002, ..One::default() });
+        }
+        let told = gathered.take().unwrap().refusals;
+        let lines: Vec<_> = told.iter().map(|line| (line.function.as_str(), line.count)).collect();
+        assert_eq!(lines, [("acquire", 1), ("take", 2)]);
     }
 }

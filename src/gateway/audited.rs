@@ -99,7 +99,7 @@ impl Owners<'_> {
 
 fn shown(row: Row) -> AuditRow {
     let Row { time, height, decision, who, by, robot, subject, code, count, first, last, last_height, .. } = row;
-    let Row { epoch, policy_version, detail, found, transaction, told_by, policies, .. } = row;
+    let Row { epoch, policy_version, detail, found, transaction, told_by, policies, action, .. } = row;
     AuditRow {
         time,
         height,
@@ -120,5 +120,6 @@ fn shown(row: Row) -> AuditRow {
         transaction,
         told_by,
         policies,
+        action,
     }
 }

@@ -6,6 +6,7 @@ use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::early::Early;
 use crate::memory;
+use crate::meters::observe;
 use crate::orderer::Seat;
 use crate::space::Space;
 use crate::waiters::{Client, Waiters, refused};
@@ -39,6 +40,8 @@ pub(crate) struct Intake {
     pub denials: Arc<Denials>,
     /// Tells robots of stops.
     pub early: Arc<Early>,
+    /// Takes down how long it takes until ordering has a transaction.
+    pub handed_over: Histogram,
     /// Takes down how long verdicts take.
     pub committed: Histogram,
     /// Where the steps of messages are told.
@@ -121,6 +124,7 @@ impl Intake {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
             self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
         }
+        observe(&self.handed_over, since);
         self.tracer.tell(&transaction_id, || Step::since("gateway", wall(since)));
         // Also if nobody can order it.
         if let Some(foreseen) = foreseen {

@@ -1,6 +1,7 @@
 //! The description of a node: its name, its chain, its links to others, and its use.
 
 use super::{Audience, Links};
+use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::certificates::Certificates;
 use crate::clock::Clock;
@@ -15,6 +16,7 @@ use ledger::{Ledger, msp};
 use ledger_api::tls::TlsIdentity;
 use ledger_api::v1::{CertificateStatus, PeerStatus, StatusResponse};
 use ledger_identity::certificate::Certificate;
+use ledger_raft::{ClockDoubt, Role};
 use ledger_rejection::Rejection;
 use ledger_replica::gateway::Shares;
 use ledger_traces::Tracer;
@@ -41,6 +43,8 @@ pub(crate) struct Description {
     pub usage: Usage,
     /// How long the steps of a command take.
     pub meters: Meters,
+    /// Keeps the processors awake.
+    pub awake: Arc<Awake>,
     /// Where the steps of messages are told.
     pub tracer: Tracer,
     /// Where browsers find the console, once there is one.
@@ -76,11 +80,6 @@ pub(crate) struct Usage {
 }
 
 impl Description {
-    /// How long the steps of a command take.
-    pub(crate) fn meters(&self) -> &Meters {
-        &self.meters
-    }
-
     /// The node as it is now.
     ///
     /// # Errors
@@ -92,8 +91,8 @@ impl Description {
         let me = members.iter().find(|member| member.id == self.me.id);
         let leading = ordering.as_ref().map(|ordering| ordering.role);
         let role = match (leading.map(|change| change.role), me) {
-            (Some(ledger_raft::Role::Leader), _) => "leader",
-            (Some(ledger_raft::Role::Candidate), _) => "candidate",
+            (Some(Role::Leader), _) => "leader",
+            (Some(Role::Candidate), _) => "candidate",
             (_, None) => "removed",
             (_, Some(me)) if me.votes() => "follower",
             (_, Some(me)) => me.role(),
@@ -104,16 +103,24 @@ impl Description {
             peers.filter(|peer| peer.node == id).map(|peer| peer.matched).next().unwrap_or_default()
         };
         let others = members.iter().filter(|member| member.id != self.me.id);
-        let peers = others.map(|member| PeerStatus {
-            node_id: member.id,
-            matched: matched(member.id),
-            name: member.name.clone(),
-            organisation: member.organisation.clone(),
-            address: member.address.clone(),
-            role: member.role().into(),
-            voter: member.votes(),
-            connected: self.links.peers.connected(member.id),
+        let peers = others.map(|member| {
+            let clock = self.chain.company.clock_of(member.id);
+            PeerStatus {
+                node_id: member.id,
+                matched: matched(member.id),
+                name: member.name.clone(),
+                organisation: member.organisation.clone(),
+                address: member.address.clone(),
+                role: member.role().into(),
+                voter: member.votes(),
+                connected: self.links.peers.connected(member.id),
+                clock_offset_us: clock.map_or(0, |clock| clock.ahead),
+                clock_error_us: clock.map_or(0, |clock| clock.error),
+            }
         });
+        let now = self.clock.both();
+        // Where several vote, the others judge the clock.
+        let doubt = now.doubt.filter(|_| voters().eq([self.me.id])).map(ClockDoubt::refusal);
         Ok(StatusResponse {
             version: env!("CARGO_PKG_VERSION").into(),
             network: self.chain.ledger.network().0.to_vec().into(),
@@ -131,7 +138,9 @@ impl Description {
             // Ordering reports now and then; what is executed is committed in any case.
             committed: ordering.as_ref().map_or(0, |ordering| ordering.commit).max(tip.height),
             last_index: ordering.as_ref().map_or(0, |ordering| ordering.last).max(tip.height),
-            clock: self.clock.now().max(tip.time),
+            clock: now.clock.max(tip.time),
+            wall_clock: self.clock.wall(),
+            clock_doubt: doubt.map(|doubt| format!("{}: {}", doubt.message, doubt.found)).unwrap_or_default(),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.chain.ledger.registry().names().into_iter().map(str::to_owned).collect(),
             refused: self.usage.denials.counts(),

@@ -262,6 +262,7 @@ impl Wired {
             awake: Arc::clone(awake),
             denials: Arc::clone(&self.engines.outside.denials),
             early: Arc::clone(&self.early),
+            handed_over: self.engines.meters.gateway.clone(),
             committed: self.engines.meters.commit.clone(),
             tracer: self.tracer.clone(),
         };
@@ -295,6 +296,7 @@ impl Wired {
             links: self.links.clone(),
             usage,
             meters: self.engines.meters.clone(),
+            awake: Arc::clone(&self.engines.pace.awake),
             tracer: self.tracer.clone(),
             console: OnceLock::new(),
         }

@@ -4,10 +4,12 @@
 //! ledger for a new one, as itself, and fetches everything from the others. It needs no token and no CA: a node that
 //! carries the CA of its organisation comes back in the same way, and the CA stays where it is.
 //!
-//! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
+//! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing. Until then a mark
+//! keeps the node from starting: without its blocks, a founder would begin the network again, alone.
 
 use super::{Records, enter};
 use crate::backup::{CopiedBlocks, RESTORED_FILE};
+use crate::certificates::set_proofs_aside;
 use crate::company::{CONFIRMED_FILE, DIVERGED_FILE};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
@@ -22,21 +24,27 @@ use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::disk::RealDisk;
-use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY};
+use ledger_storage::layout::{
+    AUDIT_DIRECTORY, BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY,
+};
 use ledger_storage::state::{SledStore, State};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Files that follow from the blocks, hold them, or say what others had.
-const SET_ASIDE: [&str; 7] = [
+/// The mark of a data directory in which a rejoin has begun and has not ended.
+const REJOINING_FILE: &str = "rejoining";
+/// Files that follow from the blocks, hold them, or say what others had. The state goes last: another try needs the
+/// organisations in it.
+const SET_ASIDE: [&str; 8] = [
     BLOCKS_DIRECTORY,
-    STATE_DIRECTORY,
     RESULTS_DIRECTORY,
     SNAPSHOTS_DIRECTORY,
+    AUDIT_DIRECTORY,
     DIVERGED_FILE,
     CONFIRMED_FILE,
     RESTORED_FILE,
+    STATE_DIRECTORY,
 ];
 
 /// The arguments of `ledgerd rejoin`.
@@ -113,7 +121,6 @@ pub(crate) async fn rejoin(
     // Whatever number is there, perhaps from a try that was interrupted: nobody knows what was done with it.
     let id = enter(&client, (&me.organisation, &me.name), &address, Ok).await?;
     let reached = reachable(&client, &msps, &address).await?;
-    let aside = set_aside(data)?;
     let joined = Joined {
         network,
         id,
@@ -123,9 +130,11 @@ pub(crate) async fn rejoin(
         bootstrap: reached.0,
         ca: reached.1,
     };
+    ledger_durable::replace(&data.join(REJOINING_FILE), b"ledgerd rejoin has begun here\n", PUBLIC_MODE)?;
     ledger_durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
-    // Under the old number the blocks of another node must never lie here.
+    let aside = set_aside(data)?;
     copied.map(|copied| copied.put(data)).transpose()?;
+    unmark(data)?;
     Ok(format!(
         "node {0} is node {id} of network {1:?} now, a learner\n\
          set aside  {2}, for whoever looks into the damage; of no use to the node\n\n\
@@ -208,6 +217,7 @@ fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
     let free = (1..u32::MAX).map(|number| data.join(format!("damaged-{number}"))).find(|path| !path.exists());
     let aside = free.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
     ledger_durable::create_directory(&aside)?;
+    set_proofs_aside(data, &aside)?;
     for name in SET_ASIDE {
         let from = data.join(name);
         if fs::symlink_metadata(&from).is_ok() {
@@ -215,4 +225,25 @@ fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
         }
     }
     Ok(aside)
+}
+
+/// The rejoin has ended: the node may start.
+fn unmark(data: &Path) -> Result<(), Rejection> {
+    let mark = data.join(REJOINING_FILE);
+    fs::remove_file(&mark).map_err(|error| ledger_durable::failed("remove", &mark, &error))?;
+    ledger_durable::sync_directory(data)
+}
+
+/// Refuses a data directory in which a rejoin was interrupted.
+///
+/// # Errors
+/// [`Code::BadFile`] with the way on.
+pub(crate) fn refuse_rejoining(config: &Config) -> Result<(), Rejection> {
+    if fs::symlink_metadata(config.data.join(REJOINING_FILE)).is_err() {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadFile, format!("ledgerd rejoin was interrupted in {}", config.data.display()))
+        .found("a node without its old number and blocks, and perhaps without new ones")
+        .wanted("a rejoin that has ended")
+        .next(format!("type it again, with the same options: ledgerd rejoin --config {}", config.file.display())))
 }

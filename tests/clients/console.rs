@@ -44,6 +44,11 @@ fn the_bundle_is_small_and_names_no_place_from_which_a_page_would_load_something
 }
 
 #[test]
+fn a_message_is_shown_as_a_twist_only_where_it_is_one_and_an_envelope_as_encrypted() {
+    ran(Command::new("node").current_dir(console()).arg("tests/payload.mjs"));
+}
+
+#[test]
 fn the_code_of_the_console_is_that_of_the_proto_files() {
     let made = TempDir::new().unwrap();
     ran(Command::new("bash").arg(console().join("generate")).arg(made.path()).arg(python()));

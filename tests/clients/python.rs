@@ -52,6 +52,11 @@ fn enemies_and_broken_things_are_met() {
 }
 
 #[test]
+fn a_machine_that_is_short_of_files_or_space_ends_no_client() {
+    tested("test_shortage.py");
+}
+
+#[test]
 fn ros2_ledger_is_found_and_does_what_it_says() {
     tested("test_ros2.py");
 }

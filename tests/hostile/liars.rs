@@ -36,17 +36,23 @@ async fn leadership_moves_on_demand_of_organisations_with_voters_and_not_often()
     let (fleet, mut nodes) = found();
     let (owner, boss) = (fleet.owner(), fleet.issue("Org1", "Boss", Role::Admin, &[]));
     let (stranger, boss) = (at(&fleet, 3, &owner).await, at(&fleet, 0, &boss).await);
-    let term = until("somebody leads", || async {
+    // On a busy machine somebody else may lead meanwhile, though not because of this.
+    until("ten demands in one term are refused, and nobody else leads", || async {
         let status = stranger.status().await.ok()?;
-        (status.leader_id != 0).then_some(status.term)
+        if status.leader_id == 0 {
+            return None;
+        }
+        for _ in 0..10 {
+            let refused = stranger.transfer_leadership(0).await.unwrap_err();
+            if matches!(refused.code, Code::NoLeader | Code::Timeout) {
+                return None;
+            }
+            assert_eq!(refused.code, Code::NotAdmin, "{refused}");
+            assert!(refused.found.contains("Org2") && refused.wanted.contains("Org1"), "{refused}");
+        }
+        (stranger.status().await.ok()?.term == status.term).then_some(())
     })
     .await;
-    for _ in 0..10 {
-        let refused = stranger.transfer_leadership(0).await.unwrap_err();
-        assert_eq!(refused.code, Code::NotAdmin, "{refused}");
-        assert!(refused.found.contains("Org2") && refused.wanted.contains("Org1"), "{refused}");
-    }
-    assert_eq!(stranger.status().await.unwrap().term, term, "nobody else leads");
 
     let begun = Instant::now();
     let (mut done, mut refused_in_time) = (0, 0);

@@ -1,10 +1,11 @@
 """A client or a server of a ROS 2 action as rmw_cyclonedds has it, for example_interfaces/action/Fibonacci.
 
 actions.py serve DOMAIN NAME [silent|stubborn]  accepts goals; says feedback until the goal has as many numbers as its order
-actions.py send DOMAIN NAME WAIT_S ORDER [cancel]  sets a goal, and cancels it after the first feedback if told so
+actions.py send DOMAIN NAME WAIT_S ORDER [cancel|beside]  sets a goal, and cancels it after the first feedback if told so
 
 A server prints "goal ORDER", "cancel", and "ended STATUS". A silent one accepts nothing, a stubborn one cancels nothing.
-A client prints "matched", "accepted BOOL", "feedback", "cancelling CODE", "result STATUS LENGTH", and the states that it saw.
+A client prints "matched", "accepted BOOL", "feedback", "cancelling CODE", "result STATUS LENGTH", and the states that it saw. One
+beside others says nothing about their feedback.
 """
 
 import os
@@ -140,7 +141,7 @@ def serve():
     said = time.monotonic()
 
     def tell():
-        states = [GoalStatus(GoalInfo(list(goal), 1, 2), goals[goal]["status"]) for goal in goals]
+        states = [GoalStatus(GoalInfo(list(goal), *known["stamp"]), known["status"]) for goal, known in goals.items()]
         status.write(StatusArray(states))
 
     def end(goal, state):
@@ -153,8 +154,10 @@ def serve():
         for request in valid(goals_in, GoalRequest):
             print(f"goal {request.order}", flush=True)
             if "silent" not in words:
-                goals[bytes(request.goal)] = {"order": request.order, "numbers": [0, 1], "status": EXECUTING}
-                goals_out.write(GoalReply(request.client, request.number, True, 1, 2))
+                stamp = divmod(time.time_ns(), 10**9)
+                known = {"order": request.order, "numbers": [0, 1], "status": EXECUTING, "stamp": stamp}
+                goals[bytes(request.goal)] = known
+                goals_out.write(GoalReply(request.client, request.number, True, *stamp))
                 tell()
         for request in valid(cancels_in, CancelRequest):
             goal = bytes(request.goal)
@@ -166,7 +169,7 @@ def serve():
             elif "stubborn" in words:
                 cancels_out.write(CancelReply(request.client, request.number, 1, []))
             else:
-                info = GoalInfo(list(goal), 1, 2)
+                info = GoalInfo(list(goal), *goals[goal]["stamp"])
                 cancels_out.write(CancelReply(request.client, request.number, 0, [info]))
                 end(goal, CANCELED)
         asked += valid(results_in, ResultRequest)
@@ -216,7 +219,8 @@ def send():
                 results_out.write(ResultRequest(own, 1, goal))
         for sample in valid(feedback, Feedback):
             if list(sample.goal) != goal:
-                print("feedback of another", flush=True)
+                if "beside" not in words:
+                    print("feedback of another", flush=True)
             elif not heard:
                 heard = True
                 print("feedback", flush=True)

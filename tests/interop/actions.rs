@@ -5,6 +5,7 @@ use crate::sharing::owner_of;
 use crate::world::{self, Process, World};
 use crate::{call, network};
 use ledger_api::Client;
+use rustix::process::{Pid, Signal, kill_process};
 use std::time::{Duration, Instant};
 
 const TYPE: &str = "example_interfaces/action/Fibonacci";
@@ -12,6 +13,11 @@ const TYPE: &str = "example_interfaces/action/Fibonacci";
 const LONG: &str = "1000000";
 /// A machine under load must not be taken for a network that is silent.
 pub(crate) const PATIENT: &str = "stale_after_ms = 10000";
+
+/// A lease that no test outlives.
+const PATIENTLY: &str = "600000";
+/// A lease that is waited for, and is longer than a client takes to start.
+const SHORTLY: &str = "10000";
 
 /// A network whose robot has the action, in this mode and with a lease of five seconds.
 async fn with_action(mode: &str) -> (World, Client) {
@@ -27,6 +33,14 @@ pub(crate) async fn with_action_of(of: &str, mode: &str) -> (World, Client) {
     let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "services": services });
     call(&owner, "replace", &[&spec.to_string()]).await;
     (world, owner)
+}
+
+/// Takes the action for a user for so long, and waits until that user's bridge has heard of it.
+async fn acquire(world: &World, name: &str, lease_ms: &str) {
+    let before = world.lines(name, "grant held");
+    let client = if name == "Salma" { &world.salma } else { &world.farhad };
+    call(client, "acquire", &["Rover/count", lease_ms]).await;
+    world.another_line(name, "grant held", before).await;
 }
 
 fn bridge(world: &World, name: &str, domain: u16, direction: &str, more: &str) -> Process {
@@ -53,14 +67,24 @@ fn client(domain: &str, wait: &str, order: &str, more: &[&str]) -> Python {
     client
 }
 
-/// Sets goals until the robot's bridge has found its server.
+/// Sets goals until the robot's bridge has found its server. One that nobody answers is cancelled.
 fn first_goal(domain: &str, server: &mut Python, logs: &World) {
-    let deadline = Instant::now() + Duration::from_secs(60);
-    while client(domain, "2", "1", &[]).line().unwrap() != "accepted True" {
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while client(domain, "20", "1", &[]).line().unwrap() != "accepted True" {
         assert!(Instant::now() < deadline, "no goal is ever accepted\n{}", logs.logs());
     }
-    assert_eq!(server.line().unwrap(), "goal 1");
-    assert_eq!(server.line().unwrap(), "ended 4");
+    assert_eq!(but_for_cancels(server), "goal 1", "{}", logs.logs());
+    assert_eq!(server.line().unwrap(), "ended 4", "{}", logs.logs());
+}
+
+/// The next line of a server that is not about the cancelling of an earlier goal.
+fn but_for_cancels(server: &mut Python) -> String {
+    loop {
+        let line = server.line().unwrap();
+        if line != "cancel" {
+            return line;
+        }
+    }
 }
 
 /// A goal that runs, seen from both ends.
@@ -83,8 +107,7 @@ fn the_holder_alone_sets_goals_and_has_their_feedback_their_states_and_their_res
         let farhad = bridge(&world, "Farhad", 2, "action_server", "");
         let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
         let mut server = server(&[]);
-        call(&world.salma, "acquire", &["Rover/count", "600000"]).await;
-        world.line("Salma", &["grant held"]).await;
+        acquire(&world, "Salma", PATIENTLY).await;
         first_goal("1", &mut server, &world);
 
         let mut salmas = client("1", "60", "20", &[]);
@@ -127,12 +150,12 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
         let farhad = bridge(&world, "Farhad", 2, "action_server", "");
         let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
         let mut server = server(&[]);
-        call(&world.salma, "acquire", &["Rover/count"]).await;
-        world.line("Salma", &["grant held"]).await;
+        acquire(&world, "Salma", PATIENTLY).await;
         first_goal("1", &mut server, &world);
 
         // Given back while the goal runs. Until then its own signs of life have kept the grant, beyond its lease.
         let mut goal = running("1", &mut server);
+        call(&world.salma, "renew", &["Rover/count", "5000"]).await;
         let until = Instant::now() + Duration::from_secs(9);
         while Instant::now() < until {
             tokio::time::sleep(Duration::from_millis(100)).await;
@@ -145,8 +168,7 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
         assert!(result.starts_with("result 5"), "{result}");
 
         // An emergency stop.
-        call(&world.farhad, "acquire", &["Rover/count"]).await;
-        world.line("Farhad", &["grant held"]).await;
+        acquire(&world, "Farhad", PATIENTLY).await;
         let mut goal = running("2", &mut server);
         call(&owner, "stop", &["Rover"]).await;
         assert_eq!([server.line().unwrap(), server.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
@@ -154,8 +176,7 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
         call(&owner, "resume", &["Rover"]).await;
 
         // A bridge that was killed: nobody uses the grant, and its lease ends.
-        call(&world.farhad, "acquire", &["Rover/count"]).await;
-        world.line("Farhad", &["grant held"]).await;
+        acquire(&world, "Farhad", SHORTLY).await;
         let goal = running("2", &mut server);
         drop(farhad);
         assert_eq!([server.line().unwrap(), server.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
@@ -177,16 +198,13 @@ fn a_goal_ends_with_the_robots_bridge_or_with_its_client() {
         let _salma = bridge(&world, "Salma", 1, "action_server", "");
         let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
         let mut server = server(&[]);
-        call(&world.salma, "acquire", &["Rover/count"]).await;
-        world.line("Salma", &["grant held"]).await;
+        acquire(&world, "Salma", PATIENTLY).await;
         first_goal("1", &mut server, &world);
 
-        // Nobody is there any more for whom it runs: the lease ends.
+        // Nobody is there any more for whom it runs. That is no matter of the lease.
         drop(running("1", &mut server));
         assert_eq!([server.line().unwrap(), server.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
 
-        call(&world.salma, "acquire", &["Rover/count", "600000"]).await;
-        world.line("Salma", &["grant held"]).await;
         let _goal = running("1", &mut server);
         robot.report();
         assert_eq!([server.line().unwrap(), server.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
@@ -200,8 +218,8 @@ fn a_goal_that_takes_too_long_is_cancelled_until_it_ends_and_a_silent_server_is_
     }
     world::run(async {
         let (world, _) = with_action("open").await;
-        let _salma = bridge(&world, "Salma", 1, "action_server", "reply_timeout_ms = 4000");
-        let more = "goal_timeout_ms = 2000\nserver_timeout_ms = 1000";
+        let _salma = bridge(&world, "Salma", 1, "action_server", "reply_timeout_ms = 15000");
+        let more = "goal_timeout_ms = 4000\nserver_timeout_ms = 5000\nstale_after_ms = 10000";
         let robot = bridge(&world, "Rover", 3, "action_client", more);
         let mut stubborn = server(&["stubborn"]);
         first_goal("1", &mut stubborn, &world);
@@ -210,7 +228,8 @@ fn a_goal_that_takes_too_long_is_cancelled_until_it_ends_and_a_silent_server_is_
         assert_eq!([stubborn.line().unwrap(), stubborn.line().unwrap()], ["cancel", "cancel"], "{}", world.logs());
         world.line("Rover", &["THE ROBOT REFUSES TO CANCEL A GOAL"]).await;
         drop((goal, stubborn));
-        world.line("Rover", &["the action server has left, and its goals with it"]).await;
+        world.line("Rover", &["the action server has left"]).await;
+        world.line("Salma", &["the client of a goal has left"]).await;
 
         // A bridge with a log of its own. The goal is told to be refused. So it must not run, should the server have heard of it.
         robot.report();
@@ -221,8 +240,91 @@ fn a_goal_that_takes_too_long_is_cancelled_until_it_ends_and_a_silent_server_is_
             assert!(Instant::now() < deadline, "{}", world.logs());
             assert_eq!(client("1", "20", "5", &[]).line().unwrap(), "accepted False");
         }
-        assert_eq!(silent.line().unwrap(), "goal 5");
+        assert_eq!(but_for_cancels(&mut silent), "goal 5");
         assert_eq!(silent.line().unwrap(), "cancel");
+    });
+}
+
+#[test]
+fn a_goal_whose_client_has_left_is_cancelled_and_those_of_others_go_on() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let (world, _) = with_action("exclusive").await;
+        let _salma = bridge(&world, "Salma", 1, "action_server", "");
+        let _robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
+        let mut server = server(&[]);
+        acquire(&world, "Salma", PATIENTLY).await;
+        first_goal("1", &mut server, &world);
+
+        let gone = running("1", &mut server);
+        let mut stays = client("1", "180", LONG, &["beside"]);
+        assert_eq!([stays.line().unwrap(), stays.line().unwrap()], ["accepted True", "feedback"], "{}", world.logs());
+        assert_eq!(server.line().unwrap(), format!("goal {LONG}"));
+        drop(gone);
+        assert_eq!([server.line().unwrap(), server.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
+        world.line("Salma", &["the client of a goal has left"]).await;
+
+        // The other one runs until the grant ends.
+        assert_eq!(stays.try_line(), None, "{}", world.logs());
+        call(&world.salma, "release", &["Rover/count"]).await;
+        assert!(stays.line().unwrap().starts_with("result 5"), "{}", world.logs());
+        assert_eq!(but_for_cancels(&mut server), "ended 5", "{}", world.logs());
+    });
+}
+
+#[test]
+fn a_bridge_that_comes_back_cancels_the_goals_that_run_and_none_that_others_set_later() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let (world, _) = with_action("exclusive").await;
+        let _salma = bridge(&world, "Salma", 1, "action_server", "");
+        let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
+        let mut first = server(&[]);
+        acquire(&world, "Salma", PATIENTLY).await;
+        first_goal("1", &mut first, &world);
+
+        // One that is killed cancels nothing.
+        let _goal = running("1", &mut first);
+        drop(robot);
+        let _robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
+        assert_eq!([first.line().unwrap(), first.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
+        world.line("Rover", &["it ran when the bridge came"]).await;
+
+        // A goal of the robot's own, on a server that the bridge hears for the first time. Salma's goal comes after it.
+        drop(first);
+        let mut second = server(&[]);
+        let mut own = client("3", "180", LONG, &["beside"]);
+        assert_eq!([own.line().unwrap(), own.line().unwrap()], ["accepted True", "feedback"], "{}", world.logs());
+        assert_eq!(second.line().unwrap(), format!("goal {LONG}"));
+        first_goal("1", &mut second, &world);
+        assert_eq!((own.try_line(), second.try_line()), (None, None), "{}", world.logs());
+    });
+}
+
+#[test]
+fn the_goals_of_a_server_that_stood_still_are_cancelled_when_it_comes_back() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let (world, _) = with_action("exclusive").await;
+        let _salma = bridge(&world, "Salma", 1, "action_server", "");
+        let _robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
+        let mut server = server(&[]);
+        acquire(&world, "Salma", PATIENTLY).await;
+        first_goal("1", &mut server, &world);
+
+        let _goal = running("1", &mut server);
+        let pid = Pid::from_child(&server.child);
+        kill_process(pid, Signal::STOP).unwrap();
+        world.line("Rover", &["the action server has left"]).await;
+        kill_process(pid, Signal::CONT).unwrap();
+        assert_eq!([server.line().unwrap(), server.line().unwrap()], ["cancel", "ended 5"], "{}", world.logs());
+        world.line("Rover", &["its server has come back"]).await;
     });
 }
 

@@ -58,14 +58,16 @@ fn commands_of_a_confidential_service_reach_the_robot_as_they_were_and_no_disk_h
         while heard.last() != sent.last() {
             heard.push(robot.line().unwrap_or_else(|| panic!("only {} of {COUNT}\n{}", heard.len(), world.logs())));
         }
-        let moves = heard.iter().filter(|line| sent.contains(line)).count();
         assert!(heard.iter().all(|line| sent.contains(line)), "nothing but what was sent");
-        // Those that were under way while the readers changed are refused.
-        assert!(moves > COUNT - 20, "{moves} of {COUNT}\n{}", world.logs());
-        let report = salma.report();
+        // Those that were under way while the readers changed are refused: few, unless the machine stalls just then.
+        let (moves, report) = (heard.len(), salma.report());
+        let refused = report["routes"][0]["refused"].as_object().unwrap();
+        assert!(refused.keys().all(|code| code == "READERS_CHANGED"), "{report}");
+        let refused = refused.values().map(|count| usize::try_from(count.as_u64().unwrap()).unwrap()).sum::<usize>();
         assert!(
-            report["routes"][0]["refused"].as_object().unwrap().keys().all(|code| code == "READERS_CHANGED"),
-            "{report}"
+            moves + refused > COUNT - 20 && moves > COUNT / 3,
+            "{moves} and {refused} of {COUNT}\n{}",
+            world.logs()
         );
         for message in [&sent[0], &sent[COUNT - 1]] {
             assert!(!lies_below(&world.path("net"), message), "a node has {message}");

@@ -2,7 +2,7 @@
 
 use crate::network;
 use crate::python::Python;
-use crate::world::{self, Process, World, route};
+use crate::world::{self, Process, World, default_route};
 use bytes::Bytes;
 use serde_json::Value;
 use std::time::Duration;
@@ -27,7 +27,7 @@ async fn lied_to() -> (World, Python) {
 }
 
 fn rover(world: &World) -> Process {
-    let routes = route("from_ledger", "/cmd_vel", TWIST);
+    let routes = default_route("from_ledger", "/cmd_vel", TWIST);
     world.start_bridge_as("Rover", &format!("domain_id = 3\nshared_memory = false\n{routes}"), &[])
 }
 

@@ -36,8 +36,8 @@ fn twist(number: u8) -> Sample {
 }
 
 fn route(direction: &str, topic: &str) -> String {
-    // The driver of these tests sends one message.
-    let patience = if direction == "from_ledger" { "command_timeout_ms = 0\n" } else { "" };
+    // The driver of these tests sends one message, and a busy machine is not taken for a network that is silent.
+    let patience = if direction == "from_ledger" { "command_timeout_ms = 0\nstale_after_ms = 10000\n" } else { "" };
     format!(
         "[[route]]\nservice = \"Rover/cmd_vel\"\ndirection = {direction:?}\ntopic = {topic:?}\ntype = {TWIST:?}\n{patience}"
     )

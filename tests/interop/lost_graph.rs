@@ -45,7 +45,7 @@ impl Drive {
         let world = World::start("/cmd_vel", TYPE).await;
         call(&world.salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
         let bridges = [("Salma", 1, "to_ledger"), ("Rover", 3, "from_ledger")]
-            .map(|(name, domain, way)| world.start_bridge(name, domain, way, "/cmd_vel", TYPE));
+            .map(|(name, domain, way)| world.start_default_bridge(name, domain, way, "/cmd_vel", TYPE));
         let mut robot = peer.subscribes(3, TOPIC, (0, 0), &[]);
         assert_eq!((robot.line().as_deref(), robot.line().as_deref()), (Some("ready"), Some("matched")));
         let teleop = peer.publishes(1, TOPIC, MANY, &[]);

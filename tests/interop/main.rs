@@ -247,7 +247,8 @@ fn a_holder_who_is_killed_leaves_the_robot_stopped_and_free() {
     }
     world::run(async {
         let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
-        let bridges = world.start_bridges("/cmd_vel", "geometry_msgs/msg/Twist");
+        let bridge = world.start_bridge("Salma", 1, "to_ledger", "/cmd_vel", "geometry_msgs/msg/Twist");
+        let _rover = world.start_default_bridge("Rover", 3, "from_ledger", "/cmd_vel", "geometry_msgs/msg/Twist");
         let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "0", "0", "0", "60"]);
         assert_eq!((robot.line().unwrap(), robot.line().unwrap()), ("ready".to_owned(), "matched".to_owned()));
         // Long enough for a publisher to start on a busy machine, short enough to be waited for.
@@ -258,7 +259,7 @@ fn a_holder_who_is_killed_leaves_the_robot_stopped_and_free() {
             assert!(command(&mut robot).is_some(), "message {number}");
         }
         drop(salma);
-        bridges.kill_first();
+        drop(bridge);
         // Nothing comes: the robot is told to stop. Nobody renews the lease: it runs out in block time.
         assert_eq!(robot.line().unwrap(), stop_message());
         let acquired = async {

@@ -1,7 +1,7 @@
 //! Each node of a network dies in turn, and `ledgerctl`, bridges and the Rust client go on through another one. All that
 //! their contexts say at the beginning is one node of their organisation.
 
-use crate::world::{Process, route, run};
+use crate::world::{Process, default_route, run};
 use crate::{call, network, programs};
 use bytes::Bytes;
 use ledger_api::{Client, Context};
@@ -111,7 +111,7 @@ impl Trio {
     pub(crate) fn bridge(&self, name: &str, domain: u16, direction: &str, settings: &str) -> Process {
         let config = self.directory.path().join(format!("{name}.toml"));
         let context = self.home().join("contexts").join(name);
-        let route = route(direction, "/cmd_vel", TYPE);
+        let route = default_route(direction, "/cmd_vel", TYPE);
         fs::write(
             &config,
             format!("context_dir = {context:?}\ndomain_id = {domain}\nshared_memory = true\n{route}\n{settings}\n"),

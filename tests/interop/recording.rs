@@ -384,7 +384,8 @@ fn a_replay_ends_where_a_bridge_has_the_topic_and_no_bridge_takes_it_to_the_ledg
         world.line("Rover", &["ready"]).await;
         // Before a user's bridge, and beside the robot's.
         for (domain, words) in [("1", "subscribes there"), ("3", "publishes there")] {
-            let said = salma.run(&["replay", &file, "--domain", domain]);
+            // So slowly that nothing else ends it.
+            let said = salma.run(&["replay", &file, "--domain", domain, "--rate", "0.001"]);
             said.refused(3, &["LGR-1011", "/cmd_vel", "belongs to a bridge", words, "--topic FROM:=TO"]);
         }
         // A topic of another name is nobody's business.

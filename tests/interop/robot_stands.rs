@@ -25,23 +25,23 @@ fn a_robot_stands_still_when_its_driver_is_killed_and_when_its_bridge_is_killed_
     world::run(async {
         let world = World::start("/cmd_vel", TYPE).await;
         let _salma = world.start_bridge("Salma", 1, "to_ledger", "/cmd_vel", TYPE);
-        let bridge = world.start_bridge("Rover", 3, "from_ledger", "/cmd_vel", TYPE);
+        let bridge = world.start_default_bridge("Rover", 3, "from_ledger", "/cmd_vel", TYPE);
         let mut robot = Robot::listen();
         call(&world.salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
         let teleop = drives("1", "1");
-        robot.hears_only(Heard::Salma, 20);
+        robot.hears_driving(Heard::Salma, 20);
         drop(teleop);
         robot.hears(Heard::Salma, Heard::Stop);
         assert!(is_held(&world).await, "it stands long before the lease ends");
 
         // The same driver comes back, and drives on under the same grant.
         let teleop = drives("1", "1");
-        robot.hears_only(Heard::Salma, 20);
+        robot.hears_driving(Heard::Salma, 20);
         drop(bridge);
         drop(teleop);
         // Longer than any command is young enough for.
         tokio::time::sleep(Duration::from_secs(3)).await;
-        let _bridge = world.start_bridge("Rover", 3, "from_ledger", "/cmd_vel", TYPE);
+        let _bridge = world.start_default_bridge("Rover", 3, "from_ledger", "/cmd_vel", TYPE);
         robot.hears(Heard::Salma, Heard::Stop);
         assert!(is_held(&world).await);
     });

@@ -58,6 +58,12 @@ impl Robot {
         }
     }
 
+    /// Hears so many messages of this one and of nobody else. On a busy machine a robot that silence stops is stopped in between.
+    pub(crate) fn hears_driving(&mut self, who: Heard, count: usize) {
+        let commands = std::iter::from_fn(|| Some(self.hear())).filter(|heard| *heard != Heard::Stop);
+        commands.take(count).for_each(|heard| assert_eq!(heard, who));
+    }
+
     /// Hears this one and nobody else for as many messages.
     pub(crate) fn hears_only(&mut self, who: Heard, count: usize) {
         (0..count).for_each(|_| assert_eq!(self.hear(), who));

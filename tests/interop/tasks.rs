@@ -44,10 +44,10 @@ fn tasks_of_two_users_reach_a_controller_one_after_the_other_and_a_stop_takes_th
         let mut controller = Controller::listen();
         controller.hears(&[], &[""]);
 
-        let points = r#"{"points":[{"x_um":1000000,"y_um":0},{"x_um":2000000,"y_um":-500000,"yaw_urad":1570796}]}"#;
+        let points = r#"{"points":[{"x_um":1000000,"y_um":0},{"x_um":2000000,"y_um":-500000,"yaw_urad":1570796}],"lease_ms":600000}"#;
         call(&world.salma, "submit", &["Rover/cmd_vel", points]).await;
         controller.hears(&["map 1,0,0.000"], &["map 1,0,0.000 2,-0.5,1.571"]);
-        let points = r#"{"points":[{"x_um":-1000000,"y_um":-250000}],"frame":"hall"}"#;
+        let points = r#"{"points":[{"x_um":-1000000,"y_um":-250000}],"frame":"hall","lease_ms":600000}"#;
         call(&world.farhad, "submit", &["Rover/cmd_vel", points]).await;
         call(&world.salma, "progress", &["1", "1"]).await;
         controller.hears(&["map 2,-0.5,1.571"], &["map 2,-0.5,1.571"]);

@@ -7,10 +7,10 @@ use ledger_api::{Client, Context, Enrolment};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
-use std::cell::RefCell;
+use ledgerd::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -18,6 +18,12 @@ use tempfile::TempDir;
 
 const START_TIME_MAX: Duration = Duration::from_secs(20);
 const LINE_TIME_MAX: Duration = Duration::from_secs(60);
+/// Each test is alone in its network namespace: any port is free.
+const ADDRESS: &str = "127.0.0.1:7450";
+/// A node refuses no message because a busy machine has made it wait.
+const PATIENT_NODE: &str = "[order]\nwait_ms = 60000\n";
+/// The silence that a busy machine makes stops no robot. Without a limit for its driver, only a grant's end and a stop do.
+const PATIENT_ROBOT: &str = "command_timeout_ms = 0\nstale_after_ms = 10000\n";
 
 /// Runs a test's body on a runtime of its own.
 pub(crate) fn run(body: impl Future<Output = ()>) {
@@ -74,18 +80,12 @@ impl Drop for Process {
 }
 
 /// The bridges of Salma, Farhad and the robot, in this order.
-pub(crate) struct Bridges(RefCell<Vec<Process>>);
+pub(crate) struct Bridges([Process; 3]);
 
 impl Bridges {
     /// Ends the bridges and answers with what each reported.
     pub(crate) fn stop(self) -> [serde_json::Value; 3] {
-        let reports = self.0.take().into_iter().map(Process::report);
-        reports.collect::<Vec<_>>().try_into().unwrap()
-    }
-
-    /// Kills Salma's bridge as a crash would.
-    pub(crate) fn kill_first(&self) {
-        drop(self.0.borrow_mut().remove(0));
+        self.0.map(Process::report)
     }
 }
 
@@ -110,58 +110,35 @@ impl World {
     /// The same with a service of this mode.
     pub(crate) async fn start_with_mode(topic: &str, kind: &str, mode: &str) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let home = directory.path().join("home");
-        let mut node = ledgerd()
-            .args(["dev", "--json", "--listen", "127.0.0.1:0", "--data"])
-            .arg(directory.path().join("net"))
-            .env("LEDGERD_HOME", &home)
-            .stdout(Stdio::piped())
-            .stderr(File::create(directory.path().join("node.log")).unwrap())
-            .spawn()
-            .map(Process)
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(node.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let facts: serde_json::Value = serde_json::from_str(&line).unwrap();
-        let (address, fingerprint) = (facts["address"].as_str().unwrap(), facts["ca_fingerprint"].as_str().unwrap());
-        let fingerprint = Hash::from_hex(fingerprint).unwrap();
-        let admin = Client::connect(&Context::load(&home, Some("dev-org1-admin")).unwrap()).await.unwrap();
-        let owner = Client::connect(&Context::load(&home, Some("dev-org2-admin")).unwrap()).await.unwrap();
-        let salma = enrol(&admin, &home, ("Salma", Role::Member), "Rover", address, fingerprint).await;
-        let farhad = enrol(&admin, &home, ("Farhad", Role::Member), "Rover", address, fingerprint).await;
-        enrol(&owner, &home, ("Rover", Role::Robot), "robot", address, fingerprint).await;
+        let (home, data) = (directory.path().join("home"), directory.path().join("net"));
+        let founded = found_by(vec![planned("node1", "Org1", &data, ADDRESS, true)]);
+        let [admin, owner] = ["Org1", "Org2"].map(|organisation| {
+            let mut context = issue_by(&data, organisation, ("Admin", Role::Admin), ADDRESS);
+            context.name = format!("dev-{}-admin", organisation.to_lowercase());
+            context.save(&home).unwrap();
+            context
+        });
+        let console = "[console]\nlisten = \"127.0.0.1:0\"\n";
+        let node = start_node(directory.path(), "node", &data, ADDRESS, console);
+        let (admin, owner) = (connect(&admin).await, connect(&owner).await);
+        let fingerprint = founded.authorities[0].fingerprint;
+        let salma = enrol(&admin, &home, ("Salma", Role::Member), "Rover", ADDRESS, fingerprint).await;
+        let farhad = enrol(&admin, &home, ("Farhad", Role::Member), "Rover", ADDRESS, fingerprint).await;
+        enrol(&owner, &home, ("Rover", Role::Robot), "robot", ADDRESS, fingerprint).await;
         register_rover(&owner, topic, kind, mode).await;
         Self { salma, farhad, nodes: vec![node], directory }
     }
 
     /// The same with two nodes: the users' one orders, the robot's one follows and carries the robot's bridge.
     pub(crate) async fn start_with_inner_bridge(topic: &str, kind: &str) -> Self {
-        use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
         let directory = tempfile::tempdir().unwrap();
         let home = directory.path().join("home");
-        let now = u64::try_from(std::time::UNIX_EPOCH.elapsed().unwrap().as_micros()).unwrap();
-        // Alone in this network namespace: any port is free.
         let names = ["Org1", "Org2"];
         let addresses = ["127.0.0.1:7451", "127.0.0.1:7452"];
         let data = names.map(|name| directory.path().join(name));
-        let nodes = (0..2).map(|i| PlannedNode {
-            name: format!("node{i}"),
-            organisation: names[i].into(),
-            data: data[i].clone(),
-            address: addresses[i].into(),
-            voter: i == 0,
-        });
-        let organisations = names.map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
-        let plan = NetworkPlan {
-            snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
-            label: "interop".into(),
-            organisations: organisations.into(),
-            nodes: nodes.collect(),
-        };
-        let founded = found(&plan, now).unwrap();
-        let identity = |i: usize, name: &str, role| {
-            issue(&data[i], names[i], (name, role), BTreeMap::new(), addresses[i], now).unwrap()
-        };
+        let nodes = (0..2).map(|i| planned(&format!("node{i}"), names[i], &data[i], addresses[i], i == 0));
+        let founded = found_by(nodes.collect());
+        let identity = |i: usize, name: &str, role| issue_by(&data[i], names[i], (name, role), addresses[i]);
         let (admin, owner, robot) =
             (identity(0, "Admin", Role::Admin), identity(1, "Admin", Role::Admin), identity(1, "Rover", Role::Robot));
         robot.save(&home).unwrap();
@@ -170,14 +147,8 @@ impl World {
             "[bridge]\ncontext_dir = {:?}\ndomain_id = 3\nshared_memory = false\n{route}",
             home.join("contexts/Rover")
         );
-        let started = (0..2).map(|i| {
-            let config = directory.path().join(format!("{}.toml", names[i]));
-            let text =
-                format!("data = {:?}\nlisten = {:?}\n{}", data[i], addresses[i], if i == 1 { &bridge } else { "" });
-            fs::write(&config, text).unwrap();
-            let log = File::create(directory.path().join(format!("{}.log", names[i]))).unwrap();
-            Process(ledgerd().args(["run", "--config"]).arg(config).stderr(log).spawn().unwrap())
-        });
+        let started = (0..2)
+            .map(|i| start_node(directory.path(), names[i], &data[i], addresses[i], if i == 1 { &bridge } else { "" }));
         let nodes = started.collect();
         let (admin, owner) = (connect(&admin).await, connect(&owner).await);
         let fingerprint = founded.authorities[0].fingerprint;
@@ -199,7 +170,7 @@ impl World {
     /// The bridges of Salma (domain 1), Farhad (domain 2) and the robot (domain 3).
     pub(crate) fn start_bridges(&self, topic: &str, kind: &str) -> Bridges {
         let sides = [("Salma", 1, "to_ledger"), ("Farhad", 2, "to_ledger"), ("Rover", 3, "from_ledger")];
-        Bridges(RefCell::new(sides.map(|(name, domain, way)| self.start_bridge(name, domain, way, topic, kind)).into()))
+        Bridges(sides.map(|(name, domain, way)| self.start_bridge(name, domain, way, topic, kind)))
     }
 
     /// One bridge.
@@ -209,6 +180,19 @@ impl World {
         let mut command = ledgerd();
         command.args(["bridge", "--config"]).arg(config).stdout(Stdio::piped()).stderr(log);
         Process(command.spawn().unwrap())
+    }
+
+    /// One bridge that stops the robot as soon as it does by default: for tests whose subject is silence.
+    pub(crate) fn start_default_bridge(
+        &self,
+        name: &str,
+        domain: u16,
+        direction: &str,
+        topic: &str,
+        kind: &str,
+    ) -> Process {
+        let route = default_route(direction, topic, kind);
+        self.start_bridge_as(name, &format!("domain_id = {domain}\nshared_memory = false\n{route}"), &[])
     }
 
     /// One bridge that serves local processes through shared memory as well.
@@ -261,6 +245,15 @@ impl World {
     pub(crate) fn lines(&self, name: &str, words: &str) -> usize {
         let log = fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap();
         log.lines().filter(|line| line.contains(words)).count()
+    }
+
+    /// Waits until the log of a process has more lines with these words than it had before.
+    pub(crate) async fn another_line(&self, name: &str, words: &str, before: usize) {
+        let deadline = Instant::now() + LINE_TIME_MAX;
+        while self.lines(name, words) <= before {
+            assert!(Instant::now() < deadline, "{name} did not say {words:?} again\n{}", self.logs());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
     }
 
     /// Is this not in the log of a process?
@@ -332,8 +325,51 @@ impl World {
     }
 }
 
+/// A route that stops the robot for no silence of a busy machine.
 pub(crate) fn route(direction: &str, topic: &str, kind: &str) -> String {
+    let patience = if direction == "from_ledger" { PATIENT_ROBOT } else { "" };
+    default_route(direction, topic, kind) + patience
+}
+
+/// A route that stops the robot as soon as it does by default.
+pub(crate) fn default_route(direction: &str, topic: &str, kind: &str) -> String {
     format!("[[route]]\nservice = \"Rover{topic}\"\ndirection = {direction:?}\ntopic = {topic:?}\ntype = {kind:?}\n")
+}
+
+/// A node that is to be founded.
+fn planned(name: &str, organisation: &str, data: &Path, address: &str, voter: bool) -> PlannedNode {
+    let [name, organisation, address] = [name, organisation, address].map(str::to_owned);
+    PlannedNode { name, organisation, data: data.to_owned(), address, voter }
+}
+
+/// Founds a network of both organisations with these nodes.
+fn found_by(nodes: Vec<PlannedNode>) -> Founded {
+    let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
+    let plan = NetworkPlan {
+        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+        label: "interop".into(),
+        organisations: vec![organisation("Org1"), organisation("Org2")],
+        nodes,
+    };
+    found(&plan, now()).unwrap()
+}
+
+/// An identity of an organisation whose CA lies there, before the node runs.
+fn issue_by(data: &Path, organisation: &str, who: (&str, Role), address: &str) -> Context {
+    issue(data, organisation, who, BTreeMap::new(), address, now()).unwrap()
+}
+
+/// The machine's clock, microseconds since the UNIX epoch.
+fn now() -> u64 {
+    u64::try_from(std::time::UNIX_EPOCH.elapsed().unwrap().as_micros()).unwrap()
+}
+
+/// Starts a node with these settings; its configuration and its log have its name.
+fn start_node(directory: &Path, name: &str, data: &Path, address: &str, more: &str) -> Process {
+    let config = directory.join(format!("{name}.toml"));
+    fs::write(&config, format!("data = {data:?}\nlisten = {address:?}\n{PATIENT_NODE}{more}")).unwrap();
+    let log = File::create(directory.join(format!("{name}.log"))).unwrap();
+    Process(ledgerd().args(["run", "--config"]).arg(config).stdout(Stdio::null()).stderr(log).spawn().unwrap())
 }
 
 async fn enrol(

@@ -53,7 +53,10 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
     assert_eq!(values(&metrics, "ledgerd_is_leader"), [("", 1.0)]);
     let [(_, committed)] = values(&metrics, "ledgerd_commit_seconds_count")[..] else { panic!("{metrics}") };
     let [(_, flushed)] = values(&metrics, "ledgerd_flush_seconds_count")[..] else { panic!("{metrics}") };
-    assert!(committed >= 1.0 && flushed >= 1.0, "{committed} {flushed}");
+    let [(_, handed_over)] = values(&metrics, "ledgerd_gateway_seconds_count")[..] else { panic!("{metrics}") };
+    assert!(committed >= 1.0 && flushed >= 1.0 && handed_over >= 1.0, "{committed} {flushed} {handed_over}");
+    let [(_, awake)] = values(&metrics, "ledgerd_awake_seconds_total")[..] else { panic!("{metrics}") };
+    assert!(awake >= 0.0, "{awake}");
     let executed = values(&metrics, "ledgerd_executed_total");
     assert!(executed.iter().any(|(labels, count)| labels.contains("code=\"OK\"") && *count >= 1.0), "{executed:?}");
     let refused = values(&metrics, "ledgerd_refused_total");

@@ -50,6 +50,11 @@ fn has(ctl: &Ctl, robot: &str) -> bool {
     })
 }
 
+/// The audit of the node that this context knows; nothing if it does not answer yet.
+fn audited(ctl: &Ctl) -> String {
+    ctl.run(&["audit", "-o", "csv"]).stdout
+}
+
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
@@ -121,6 +126,35 @@ fn a_restored_voter_does_not_start_as_it_was_and_comes_back_under_a_new_number()
     assert!(back.contains("node Org1/node3 is node 4"), "{back}");
     nodes[2] = place.start();
     eventually("the node has what was ordered after its backup", || {
+        let ran = admin(&fleet, 3).run(&["robot", "list"]);
+        (ran.code == 0 && ran.stdout.contains("After")).then_some(())
+    });
+}
+
+#[test]
+fn a_rejoin_that_fails_halfway_leaves_nothing_that_starts_and_is_finished_by_the_same_command() {
+    let fleet = voters(3);
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
+    let place = &fleet.nodes[2];
+    order(&admin(&fleet, 1), "Before");
+    nodes[2].kill();
+    // Its new number cannot be written. Without it a founder has its old one.
+    let in_the_way = place.data.join("node.json.new");
+    fs::create_dir(&in_the_way).unwrap();
+    let rejoin = ["rejoin", "--node", fleet.nodes[0].address.as_str()];
+    refused(&ledgerd(&rejoin, &place.config), &["node.json"]);
+    let backup = fleet.path().join("backup");
+    let force = ["recover", "--force-single", "--confirm", "test"];
+    for command in [&["backup", text(&backup)][..], &force, &["run"]] {
+        refused(&ledgerd(command, &place.config), &["ledgerd rejoin was interrupted", "type it again"]);
+    }
+
+    fs::remove_dir(&in_the_way).unwrap();
+    let back = said(&ledgerd(&rejoin, &place.config));
+    assert!(back.contains("node Org1/node3 is node 5"), "{back}");
+    nodes[2] = place.start();
+    order(&admin(&fleet, 1), "After");
+    eventually("the node has what was ordered since", || {
         let ran = admin(&fleet, 3).run(&["robot", "list"]);
         (ran.code == 0 && ran.stdout.contains("After")).then_some(())
     });
@@ -297,7 +331,7 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
 }
 
 #[test]
-fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks_of_its_backup() {
+fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks_of_its_backup_alone() {
     let wish = |name: &str, organisation: &str| NodeWish {
         name: name.into(),
         organisation: organisation.into(),
@@ -312,7 +346,12 @@ fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks
     let (owner, boss) = (fleet.ctl().as_("Admin"), fleet.ctl().as_("Boss"));
     let mut nodes: Vec<Process> = fleet.nodes.iter().map(|place| place.start()).collect();
     order(&owner, "Kept");
+    nodes[2].kill();
+    order(&boss, "Lost");
+    eventually("the audit knows what will be lost", || audited(&boss).contains("Lost").then_some(()));
     nodes.iter_mut().for_each(Process::kill);
+    let proofs = ["certificates/newest.proof", "certificates/00000000000000000003.passed"];
+    proofs.iter().for_each(|proof| fs::write(lost.data.join(proof), "of the lost history").unwrap());
     said(&ledgerd(&["recover", "--force-single", "--confirm", "test"], &survivor.config));
     nodes[2] = survivor.start();
     order(&owner, "New");
@@ -329,7 +368,14 @@ fn a_node_of_another_organisation_comes_back_to_a_recovered_node_with_the_blocks
     refused(&ledgerd(&wrong, &lost.config), &["is of another network"]);
     let back = said(&ledgerd(&rejoin, &lost.config));
     assert!(back.contains("node Org1/node1 is node 4"), "{back}");
+    // Nothing that it knew of the lost history counts as true.
+    assert!(proofs.iter().all(|proof| !lost.data.join(proof).exists()));
     nodes[0] = lost.start();
+    eventually("the audit knows what is true", || {
+        let told = audited(&boss);
+        assert!(!told.contains("Lost"), "{told}");
+        told.contains("New").then_some(())
+    });
     order(&owner, "Newest");
     eventually("it has what was ordered since", || {
         let ran = boss.run(&["robot", "list"]);

@@ -163,10 +163,21 @@ async fn events_come_with_their_paths_and_a_certificate_to_whoever_asks_for_them
     let mut proved = owner.subscribe(Subscription { proofs: true, ..wanted });
     unproved.open().await.unwrap();
     proved.open().await.unwrap();
-    let height = robot(&owner, "Turtlebot4").await;
-    assert!(owner.believe(None, &happened(&mut unproved).await).await.unwrap().is_none());
-    let told = happened(&mut proved).await;
-    assert_eq!((told.height, told.events[0].subject.as_str()), (height, "Turtlebot4"));
+    // On a busy machine the signatures for one may come too late.
+    let mut tries = 0;
+    let told = loop {
+        tries += 1;
+        let name = format!("Turtlebot{tries}");
+        let height = robot(&owner, &name).await;
+        assert!(owner.believe(None, &happened(&mut unproved).await).await.unwrap().is_none());
+        let told = happened(&mut proved).await;
+        assert_eq!((told.height, told.events[0].subject.as_str()), (height, name.as_str()));
+        if !told.proof.is_empty() {
+            break told;
+        }
+        assert!(tries < 20, "no event comes with a proof");
+    };
+    let height = told.height;
     let checkpoint = owner.believe(None, &told).await.unwrap().expect("a proof");
     assert_eq!(checkpoint.governance.height(), height);
 

@@ -2,6 +2,7 @@
 
 use crate::support::directory::copy;
 use crate::support::network::{NodeWish, free_address, now};
+use crate::support::page::get;
 use crate::support::{Ctl, Fleet, Process, eventually, programs};
 use ledger_api::Context;
 use ledger_identity::Role;
@@ -98,16 +99,30 @@ fn a_node_whose_clock_is_behind_block_time_orders_nothing_until_an_operator_vouc
     let fleet = Fleet::found_at(1, now() + 240_000_000);
     let owner = fleet.owner();
     owner.save(&fleet.home()).unwrap();
+    let page = free_address();
+    fleet.nodes[0].configure(&format!("[admin]\nlisten = \"{page}\""));
     let mut node = fleet.nodes[0].start();
     let owner = fleet.ctl().as_("Admin");
     eventually("the node answers", || (owner.run(&["status"]).code != 4).then_some(()));
     let ran = owner.run(&["invoke", "abac", "setup", &robot("Turtlebot4")]);
     assert!(ran.code != 0 && ran.stderr.contains("LGR-4007"), "{ran:?}");
+    // It says so itself, wherever somebody watches it.
+    let (status, body) = get(&page, "/readyz");
+    assert_eq!(status, "HTTP/1.1 503 Service Unavailable");
+    let reason = "the clock of the only voter is behind block time since the start";
+    assert!(body.contains(&format!("[-] clock failed: {reason}")), "{body}");
+    for command in [&["status", "--check"][..], &["network", "status", "--check"]] {
+        let ran = owner.run(command);
+        assert!(ran.code == 1 && ran.stdout.contains(&format!("attention: Org1/org1-node: {reason}")), "{ran:?}");
+    }
     node.interrupt();
 
     let mut command = fleet.nodes[0].command();
     command.arg("--trust-clock");
     let mut node = fleet.nodes[0].start_as(command);
     eventually("it orders", || (owner.run(&["invoke", "abac", "setup", &robot("Turtlebot4")]).code == 0).then_some(()));
+    // Block time stays ahead of the machine for an hour.
+    let body = get(&page, "/readyz").1;
+    assert!(body.contains("[-] clock failed: block time is "), "{body}");
     node.interrupt();
 }

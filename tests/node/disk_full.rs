@@ -114,7 +114,7 @@ async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_roo
     let auditor = connect(&owner).await;
     register_robots(&auditor, "exclusive").await;
     let (client, boss) = (connect(&salma).await, connect(&admin).await);
-    let acquire = |robot: &'static str| vec![robot.into(), PATIENCE.as_millis().to_string().into()];
+    let acquire = |robot: &'static str| vec![robot.into(), "600000".into()];
     client.invoke("abac", "acquire", acquire("Turtlebot4")).await.unwrap();
     client.invoke("abac", "acquire", acquire("Husky")).await.unwrap();
 

@@ -6,7 +6,7 @@ use crate::support::{Fleet, connect, until};
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Committed, Context, Leadership, Options};
 use ledger_identity::Role;
-use ledger_rejection::Code;
+use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -98,10 +98,13 @@ async fn a_query_sees_what_anybody_was_told_and_without_a_leader_only_who_takes_
     }
     let hasty = Options { deadline: Duration::from_secs(2), ..Options::default() };
     let nodes = vec![network.fleet.nodes[3].address.clone()];
-    let learner = Client::connect_with(nodes, network.owner.credentials().unwrap(), hasty).await.unwrap();
+    let learner = until("the learner is there", || async {
+        Client::connect_with(nodes.clone(), network.owner.credentials().unwrap(), hasty).await.ok()
+    })
+    .await;
     assert_eq!(asked.stale_for, 0);
     let own = until("the learner says how old its answer is", || async {
-        let own = learner.query_at(0, "abac", "robots", Vec::new()).await.unwrap();
+        let own = learner.query_at(0, "abac", "robots", Vec::new()).await.ok()?;
         (own.stale_for >= 1_000_000).then_some(own)
     })
     .await;
@@ -111,8 +114,11 @@ async fn a_query_sees_what_anybody_was_told_and_without_a_leader_only_who_takes_
     there.save(&network.fleet.home()).unwrap();
     let ran = network.fleet.ctl().as_("there").run(&["query", "--stale", "abac", "robots"]).ok();
     assert!(ran.stderr.contains("the node has reached no leader for"), "{ran:?}");
-    let refused = learner.query("abac", "robots", Vec::new()).await.unwrap_err();
-    assert_eq!(refused.code, Code::NoLeader, "{refused}");
+    until("the learner says that nobody leads", || async {
+        let refused = learner.query("abac", "robots", Vec::new()).await.unwrap_err();
+        (refused.code == Code::NoLeader).then_some(())
+    })
+    .await;
     for node in 0..2 {
         network.nodes[node] = Some(network.fleet.nodes[node].start());
     }
@@ -128,21 +134,53 @@ async fn an_admin_chooses_who_leads() {
     // Asked at the learner: the client finds the leader.
     let chosen = transfer(&owner, to).await;
     assert_eq!(chosen.leader, to);
-    assert_eq!(owner.transfer_leadership(to).await.unwrap().leader, to, "already so");
-    let best = transfer(&owner, 0).await;
-    assert_ne!(best.leader, to);
+    // On a busy machine somebody else may be elected between the calls: the term tells.
+    let again = until("it is already so", || async {
+        let before = leader(&owner, 0).await;
+        match owner.transfer_leadership(to).await {
+            Ok(already) => Some(already),
+            Err(refused) => {
+                let after = leader(&owner, 0).await;
+                let still = (before.leader_id, before.term) == (to, after.term);
+                assert!(!still || is_for_a_moment(&refused), "{refused}");
+                None
+            }
+        }
+    })
+    .await;
+    assert_eq!(again.leader, to, "already so");
+    let (before, best) = until("the leader hands over to another one", || async {
+        let before = leader(&owner, 0).await;
+        let best = transfer(&owner, 0).await;
+        (best.term == before.term + 1).then_some((before, best))
+    })
+    .await;
+    assert_ne!(best.leader, before.leader_id);
     assert!(best.term > chosen.term);
-    let refused = owner.transfer_leadership(4).await.unwrap_err();
-    assert_eq!(refused.code, Code::BadArgument, "a learner cannot lead: {refused}");
+    assert_eq!(refusal(&owner, 4).await, Code::BadArgument, "a learner cannot lead");
     let salma = network.at(&network.salma, 3).await;
-    assert_eq!(salma.transfer_leadership(to).await.unwrap_err().code, Code::NotAdmin);
+    assert_eq!(refusal(&salma, to).await, Code::NotAdmin);
+}
+
+/// Nobody leads for a moment, or the other node does not take over in time: on a busy machine, that may be.
+fn is_for_a_moment(refused: &Rejection) -> bool {
+    matches!(refused.code, Code::NoLeader | Code::Timeout)
+}
+
+/// Why somebody may not give the leadership to that node.
+async fn refusal(somebody: &Client, to: u64) -> Code {
+    until("it is refused", || async {
+        let refused = somebody.transfer_leadership(to).await.unwrap_err();
+        (!is_for_a_moment(&refused)).then_some(refused.code)
+    })
+    .await
 }
 
 /// Demands a transfer until the leader has led for long enough.
 async fn transfer(admin: &Client, to: u64) -> Leadership {
     until("the leader may hand over", || async {
         match admin.transfer_leadership(to).await {
-            Err(refused) if refused.code == Code::Overloaded => None,
+            Err(refused) if refused.code == Code::Overloaded || is_for_a_moment(&refused) => None,
             done => Some(done.unwrap()),
         }
     })
@@ -194,13 +232,21 @@ async fn every_node_restarts_in_turn_and_a_client_goes_on_exactly_once() {
     let load = Load::start(network.from(&network.salma, 1).await);
     let mut handed_over = 0;
     for node in [0, 1, 2] {
-        let leads = leader(&owner, 0).await.leader_id == node as u64 + 1;
-        network.process(node).interrupt();
-        let log = network.process(node).stderr();
-        let handed = log.matches("handed over the leadership").count();
-        assert!(!leads || handed > 0, "a leader that stops hands over:\n{log}");
-        handed_over += handed;
-        network.restart(node, &owner).await;
+        for tries in 1.. {
+            let leads = leader(&owner, 0).await.leader_id == node as u64 + 1;
+            let before = network.process(node).stderr().len();
+            network.process(node).interrupt();
+            let log = network.process(node).stderr().split_off(before);
+            let handed = log.matches("handed over the leadership").count();
+            handed_over += handed;
+            network.restart(node, &owner).await;
+            if !leads || handed > 0 {
+                break;
+            }
+            // On a busy machine somebody else leads by then, or does not take over in time: it leads, and stops, once more.
+            assert!(tries < 5, "a leader that stops hands over:\n{log}");
+            transfer(&owner, node as u64 + 1).await;
+        }
     }
     // The leader has changed while nodes stopped; the one that leads now stops as well.
     let leading = usize::try_from(leader(&owner, 0).await.leader_id - 1).unwrap();

@@ -6,15 +6,19 @@ use crate::support::{Fleet, until};
 use ledger_identity::Role;
 use serde_json::Value;
 
-/// A node in `network status`, if it is there.
-fn node(ctl: &Ctl, name: &str) -> Option<Value> {
-    let mut status = ctl.json(&["network", "status"]);
-    status["nodes"].as_array_mut().unwrap().drain(..).find(|node| node["name"] == name)
+/// The nodes in `network status`; none while nobody leads.
+fn nodes(ctl: &Ctl) -> Option<Vec<Value>> {
+    let ran = ctl.run(&["network", "status", "-o", "json"]);
+    if ran.code == 4 {
+        return None;
+    }
+    Some(ran.ok().json()["nodes"].as_array().unwrap().clone())
 }
 
 async fn becomes(ctl: &Ctl, name: &str, role: &str) {
     until(&format!("{name} becomes a {role}"), || async {
-        node(ctl, name).filter(|node| node["role"] == role && node["reachable"] == true)
+        let node = nodes(ctl)?.into_iter().find(|node| node["name"] == name)?;
+        (node["role"] == role && node["reachable"] == true).then_some(())
     })
     .await;
 }
@@ -58,11 +62,12 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     // A leader hands over on demand only after it has led for a while, and says when.
     let transferred = until("the leader may hand over", || async {
         let ran = boss.run(&["network", "transfer", "second", "-o", "json"]);
-        if ran.code != 0 {
+        // On a busy machine nobody leads for a moment, or the other node does not take over in time.
+        if ran.code != 0 && !["LGR-4002", "LGR-4004"].iter().any(|code| ran.stderr.contains(code)) {
             ran.refused(4, &["LGR-4003", "in 10 s", "ask again in"]);
             return None;
         }
-        Some(ran.json())
+        (ran.code == 0).then(|| ran.json())
     })
     .await;
     assert_eq!(transferred["leader_id"], 2);
@@ -75,7 +80,8 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     boss.run(&["network", "demote", &first]).refused(3, &["LGR-3015", "is the last voter"]);
 
     boss.run(&["network", "remove", "Org1/second"]).ok();
-    until("the node has left", || async { node(&boss, "second").is_none().then_some(()) }).await;
+    until("the node has left", || async { nodes(&boss)?.iter().all(|node| node["name"] != "second").then_some(()) })
+        .await;
     let table = boss.run(&["network", "nodes"]).ok().stdout;
     assert!(table.lines().any(|line| line.contains("Org1/second") && line.ends_with("removed   removed")), "{table}");
     boss.run(&["network", "promote", "second"]).refused(3, &["LGR-1013", &first]);

@@ -40,6 +40,16 @@ async fn each_node_tells_through_any_other_how_its_disk_and_certificate_are_and_
         assert!(own.name == name && own.not_after > now(), "{own:?}");
     }
 
+    // Each compares its clock with those of the other voters: here it is the same one.
+    let peers = until("this node has heard the clocks of the others", || async {
+        let peers = second.status().await.ok()?.peers;
+        peers.iter().all(|peer| peer.clock_error_us > 0).then_some(peers)
+    })
+    .await;
+    for peer in &peers {
+        assert!(peer.clock_offset_us.unsigned_abs() <= peer.clock_error_us + 1_000, "{peer:?}");
+    }
+
     // Whoever asks often does not make the node ask the others as often.
     let clock = |nodes: &[NodeStatus], at: usize| nodes[at].status.as_ref().unwrap().clock;
     let again = second.nodes().await.unwrap();

@@ -45,11 +45,27 @@ fn systemd_finds_each_unit_hardened() {
             "CapabilityBoundingSet=\n",
             "NoNewPrivileges=yes",
             "SocketBindDeny=any",
+            // Each may have a bridge, which speaks DDS.
+            "SocketBindAllow=udp\n",
             "SystemCallFilter=@system-service",
         ] {
             assert!(unit.contains(line), "{line:?} is missing");
         }
     }
+}
+
+#[test]
+fn no_revocation_list_is_taken_for_a_certificate_near_its_end() {
+    let read = |name: &str| fs::read_to_string(repository().join("packaging").join(name)).unwrap();
+    let alerts = read("prometheus/alerts.yml");
+    let rules = alerts.lines().filter_map(|line| line.split_once("ledgerd_certificate_remaining_seconds"));
+    let rules: Vec<_> = rules.map(|(_, rule)| rule).collect();
+    assert_eq!(rules, ["{kind!=\"list\"} < 30 * 86400", "{kind=\"list\"} <= 0"]);
+    let dashboard: Value = serde_json::from_str(&read("grafana/ledgerd.json")).unwrap();
+    let panels = dashboard["panels"].as_array().unwrap();
+    let first = panels.iter().find(|panel| panel["title"] == "First certificate ends").expect("the panel");
+    let asked = first["targets"][0]["expr"].as_str().unwrap();
+    assert!(asked.contains("kind!=\"list\""), "{asked}");
 }
 
 #[test]
@@ -112,6 +128,7 @@ fn one_command_makes_a_package_whose_programs_need_glibc_alone_and_an_image_that
         "usr/share/zsh/vendor-completions/_ledgerctl",
         "usr/share/fish/vendor_completions.d/ledgerd.fish",
         "usr/share/man/man1/ledgerd.1.gz",
+        "usr/share/man/man1/ledgerd-backup.1.gz",
         "usr/share/man/man1/ledgerctl.1.gz",
         "usr/share/doc/ledgerd/copyright",
         "usr/share/doc/ledgerd/ledgerd.toml",

@@ -18,7 +18,7 @@ fn a_holder_passes_a_robot_on_by_name_and_takes_it_back_until_a_link_is_revoked(
     let mut dev = Dev::start();
     let [salma, farhad] = ["Salma", "Farhad"].map(|name| dev.user(name, &["Turtlebot4"], "ed25519"));
     dev.user("Guest", &[], "ed25519");
-    salma.run(&["acquire", "Turtlebot4"]).ok();
+    salma.run(&["acquire", "Turtlebot4", "--for", "10m"]).ok();
     let refused = salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Farhad"]);
     refused.refused(5, &["LGR-3022", "ledgerctl robot set Turtlebot4/cmd_vel delegable=true"]);
     dev.owner().run(&["robot", "set", "Turtlebot4/cmd_vel", "delegable=true"]).ok();
@@ -86,11 +86,14 @@ fn several_robots_are_acquired_together_and_policies_limit_their_use() {
     let [salma, farhad] = ["Salma", "Farhad"].map(|name| dev.user(name, &["Turtlebot4", "Husky"], "ed25519"));
     let owner = dev.owner();
     salma.run(&["acquire", "Turtlebot4", "Husky"]).refused(64, &["--all-or-none"]);
-    farhad.run(&["acquire", "Husky"]).ok();
+    farhad.run(&["acquire", "Husky", "--for", "10m"]).ok();
     let together = &["acquire", "Turtlebot4", "Husky/cmd_vel", "--all-or-none"];
     salma.run(together).refused(5, &["none of Turtlebot4/cmd_vel, Husky/cmd_vel is granted", "held by Org1/Farhad"]);
     assert_eq!(salma.json(&["queue", "Turtlebot4"])["holders"].as_array().unwrap().len(), 0);
-    let waits = begin(&salma, &["acquire", "Turtlebot4", "Husky", "--all-or-none", "--wait", "5m", "-o", "json"]);
+    let waits = begin(
+        &salma,
+        &["acquire", "Turtlebot4", "Husky", "--all-or-none", "--for", "10m", "--wait", "5m", "-o", "json"],
+    );
     farhad.run(&["release", "Husky"]).ok();
     let ended = waits.wait_with_output().unwrap();
     let grants: Value = serde_json::from_slice(&ended.stdout).unwrap();

@@ -97,7 +97,7 @@ fn sets_of_policies_have_numbers_are_rolled_back_and_need_the_agreement_that_the
 
     let applied = owner.json(&["policy", "apply", &open, "-m", "as it was"]);
     assert_eq!((&applied["version"], &applied["message"]), (&1.into(), &"as it was".into()));
-    let grant = salma.json(&["acquire", "Husky"]);
+    let grant = salma.json(&["acquire", "Husky", "--for", "10m"]);
     assert_eq!(grant["policy_version"], 1, "{grant}");
     owner.run(&["policy", "apply", &open, &closed]).refused(5, &["LGR-3024", "found   Husky", "--i-mean-it"]);
     let ended = owner.json(&["policy", "apply", &open, &closed, "--i-mean-it"]);
@@ -105,7 +105,7 @@ fn sets_of_policies_have_numbers_are_rolled_back_and_need_the_agreement_that_the
     salma.run(&["acquire", "Husky"]).refused(2, &["LGR-3002", "(policies of Org2, version 2: closed)"]);
     owner.run(&["policy", "rollback", "1", "--base", "1"]).refused(5, &["LGR-3023", "version 2 in force"]);
     owner.run(&["policy", "rollback", "1", "-m", "too strict"]).ok();
-    salma.run(&["acquire", "Husky"]).ok();
+    salma.run(&["acquire", "Husky", "--for", "10m"]).ok();
     let history = owner.run(&["policy", "history"]).ok().stdout;
     assert!(history.contains("version 1 again: too strict"), "{history}");
     let text = owner.run(&["policy", "show", "closed", "--version", "2"]).ok().stdout;

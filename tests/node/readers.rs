@@ -166,8 +166,8 @@ async fn members_who_take_all_the_places_they_can_keep_neither_others_nor_robots
     assert_eq!((refused.code, taken.len()), (Code::Overloaded, 6), "half of what people may have: {refused}");
     assert!(refused.message.contains("Org1/P0"), "{refused}");
     let quick = async |who: &Context| {
-        let options = Options { deadline: std::time::Duration::from_secs(2), ..Options::default() };
-        let client = Client::connect_with(who.nodes.clone(), who.credentials().unwrap(), options).await.unwrap();
+        let options = Options { deadline: std::time::Duration::from_secs(5), ..Options::default() };
+        let client = Client::connect_with(who.nodes.clone(), who.credentials().unwrap(), options).await?;
         let mut stream = client.subscribe(Subscription::default());
         stream.open().await.map(|()| stream)
     };
@@ -220,11 +220,16 @@ async fn costly_questions_of_one_identity_keep_no_other_reader_waiting() {
         while others.load(Ordering::Relaxed) < CONNECTIONS * QUESTIONS / 5 {
             std::thread::yield_now();
         }
-        let before = others.load(Ordering::Relaxed);
-        for _ in 0..ASKED {
-            runtime.block_on(reader.query_at(0, "abac", "robot", vec!["Husky".into()])).unwrap();
-        }
-        others.load(Ordering::Relaxed) - before
+        // Of the others that are answered meanwhile. A question during which the machine stalls says nothing.
+        let mut meanwhile: Vec<_> = (0..ASKED)
+            .map(|_| {
+                let before = others.load(Ordering::Relaxed);
+                runtime.block_on(reader.query_at(0, "abac", "robot", vec!["Husky".into()])).unwrap();
+                others.load(Ordering::Relaxed) - before
+            })
+            .collect();
+        meanwhile.sort_unstable();
+        meanwhile[ASKED / 2]
     });
     is_ready.recv().unwrap();
 
@@ -244,5 +249,5 @@ async fn costly_questions_of_one_identity_keep_no_other_reader_waiting() {
     for one in curious {
         one.await.unwrap();
     }
-    assert!(meanwhile < ASKED * 12, "{meanwhile} of the others were answered before {ASKED} of the reader");
+    assert!(meanwhile < 12, "{meanwhile} of the others were answered before one of the reader");
 }

@@ -26,7 +26,7 @@ impl Stopped {
         let mut node = fleet.nodes[0].start();
         register_robots(&connect(&owner).await, "exclusive").await;
         let client = connect(&salma).await;
-        client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "60000".into()]).await.unwrap();
+        client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
         for seq in 0..30 {
             client.invoke("abac", "set", message(1, seq, &[0; 200])).await.unwrap();
         }

@@ -11,7 +11,7 @@ fn state(ctl: &Ctl, id: &str) -> String {
 fn tasks_of_two_users_run_one_after_the_other() {
     let mut dev = Dev::start();
     let [salma, farhad] = ["Salma", "Farhad"].map(|name| dev.user(name, &["Turtlebot4"], "ed25519"));
-    dev.owner().run(&["robot", "set", "Turtlebot4/cmd_vel", "on-conflict=queue"]).ok();
+    dev.owner().run(&["robot", "set", "Turtlebot4/cmd_vel", "on-conflict=queue", "lease=10m"]).ok();
     let submit = ["task", "submit", "Turtlebot4", "--points"];
     salma.run(&[&submit[..], &["nan,0"]].concat()).refused(64, &["x \"nan\" is no finite number", "x,y,yaw"]);
     assert!(salma.run(&["task", "list"]).ok().stdout.contains("there are no tasks"));

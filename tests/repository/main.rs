@@ -11,6 +11,7 @@ mod documents;
 mod driver;
 mod enums;
 mod events;
+mod hints;
 mod invariants;
 mod keys;
 mod layers;

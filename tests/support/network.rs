@@ -81,6 +81,11 @@ impl NodePlace {
         std::fs::write(&self.config, format!("{text}\n{settings}\n")).unwrap();
     }
 
+    /// The log of its processes so far.
+    pub fn logged(&self) -> String {
+        std::fs::read_to_string(self.logs.join(format!("{}.err", self.name))).unwrap_or_default()
+    }
+
     /// The segments of its log, oldest first.
     pub fn segments(&self) -> Vec<PathBuf> {
         let mut found: Vec<_> = std::fs::read_dir(self.data.join("blocks"))

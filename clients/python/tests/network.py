@@ -19,6 +19,9 @@ from typing import Any, Final, TypeVar
 
 import ledgerd
 
+# A shell that starts the tests in the background lets them, and what they start, ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 SERVICE: Final = "Turtlebot4/cmd_vel"
 TWIST: Final = bytes.fromhex("00010000") + bytes(48)
 # Far longer than anything here takes: reaching it means that it never happens.

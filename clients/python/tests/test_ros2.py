@@ -81,7 +81,7 @@ class Ros2(unittest.TestCase):
         self.assertIn("[LGR-7003]", err)
 
     def test_a_held_robot_is_given_back_on_ctrl_c(self) -> None:
-        child = self.start("acquire", SERVICE, "--context", "Salma", "--hold", "--lease", "1")
+        child = self.start("acquire", SERVICE, "--context", "Salma", "--hold", "--lease", "10")
         assert child.stdout
         child.stdout.readline()
         self.assertEqual(child.stdout.readline(), b"held until Ctrl-C\n")

@@ -212,7 +212,7 @@ function Flow({ service }: { service: Service }): JSX.Element {
               <td>{message.seq}</td>
               <td>{message.latencyMs.toFixed(1)} ms</td>
               <td>
-                <code>{message.values ? shownTwist(message.values) : message.raw}</code>
+                <code>{message.words}</code>
               </td>
             </tr>
           ))}
@@ -223,10 +223,4 @@ function Flow({ service }: { service: Service }): JSX.Element {
       </p>
     </>
   );
-}
-
-// The parts of a Twist that are not zero.
-function shownTwist(values: Record<string, number>): string {
-  const moving = Object.entries(values).filter(([, value]) => value !== 0);
-  return moving.length ? moving.map(([name, value]) => `${name} ${Number(value.toFixed(3))}`).join("  ") : "stands still (all zero)";
 }

@@ -20,14 +20,16 @@ const LIFE_PART: u64 = 6;
 const ENDING_US: u64 = 30 * 86_400_000_000;
 /// A CA needs attention so long before its end, microseconds: a new one needs time to reach everybody. 180 days.
 const CA_ENDING_US: u64 = 180 * 86_400_000_000;
+/// The clock of a node's machine is wrong so far behind block time, microseconds: robots refuse messages then.
+const CLOCK_LATE_US: u64 = 5_000_000;
 
 /// For monitoring.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Check {
     /// For monitoring: end with 0 if all is well, with 1 if something needs attention
     ///
-    /// These need attention: a voter or node that is silent, a disk of which less than a tenth is free, a certificate
-    /// near its end, a node whose state differs. Without a quorum the exit code is 4 with and without this.
+    /// A node needs attention that is silent, lacks blocks or differs. So do a clock behind block time, a disk of which less
+    /// than a tenth is free, and a certificate near its end. Without a quorum the exit code is 4 with and without this.
     #[arg(long)]
     check: bool,
 }
@@ -107,6 +109,24 @@ pub(crate) fn uncertified<'a>(voters: impl IntoIterator<Item = (&'a str, bool)>)
     Some(format!(
         "voters: only those of {alone} answer; without one of {missing} nothing is certified, and robots that move stop"
     ))
+}
+
+/// The point that needs attention where a node lacks blocks and fetches them, up to this height; 0 if it follows as usual.
+pub(crate) fn lag(node: &str, height: u64, catching_up_to: u64) -> Option<String> {
+    (catching_up_to > 0).then(|| format!("{node} lags: it has block {height} and fetches up to {catching_up_to}"))
+}
+
+/// Why the clock of a node is wrong, by its own words; empty if it is not.
+pub(crate) fn clock_wrong(status: &v1::StatusResponse) -> String {
+    let late = status.block_time.saturating_sub(status.wall_clock);
+    match status.clock_doubt.is_empty() {
+        false => status.clock_doubt.clone(),
+        // A node of an older release does not tell the clock of its machine.
+        true if status.wall_clock > 0 && late >= CLOCK_LATE_US => {
+            format!("block time is {} ahead of its clock", time::span(late))
+        }
+        true => String::new(),
+    }
 }
 
 /// The disk of a node's data directory.
@@ -271,6 +291,18 @@ mod tests {
         assert_eq!(told(&[("Org1", true), ("Org2", true), ("Org3", false)]), None);
         assert_eq!(told(&[("Org1", true), ("Org1", false)]), None, "there are no others");
         assert_eq!(told(&[("Org1", false), ("Org2", false)]), None, "that is another matter");
+    }
+
+    #[test]
+    fn a_clock_is_wrong_that_is_behind_block_time_or_that_its_node_doubts() {
+        let told = |wall_clock, block_time, doubt: &str| {
+            let clock_doubt = doubt.to_owned();
+            clock_wrong(&v1::StatusResponse { wall_clock, block_time, clock_doubt, ..Default::default() })
+        };
+        assert_eq!(told(DAY, DAY + CLOCK_LATE_US - 1, ""), "");
+        assert_eq!(told(DAY, DAY + 9_000_000, ""), "block time is 9 s ahead of its clock");
+        assert_eq!(told(DAY, DAY, "it has jumped ahead"), "it has jumped ahead");
+        assert_eq!(told(0, DAY, ""), "", "an older release");
     }
 
     #[test]

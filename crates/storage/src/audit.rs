@@ -11,6 +11,7 @@
 //! | `x` kind, length, name, place | nothing: a row that concerns a robot, a user, an organisation or a code |
 //! | `g` length, service, epoch | number of the set of policies of that grant, and their ids |
 //! | `p` length, service, who | the same for commands without a grant, as it is now |
+//! | `h` certificate | the name of its holder, if the node has learned it from a block |
 
 mod question;
 mod row;
@@ -28,11 +29,12 @@ use std::collections::hash_map::Entry;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The form of the rows. An index of another one is made again.
-const VERSION: u64 = 3;
+const VERSION: u64 = 4;
 const META: &[u8] = b"m";
 const ROWS: u8 = b'r';
 const GRANTS: u8 = b'g';
 const PERMISSIONS: u8 = b'p';
+const HOLDERS: u8 = b'h';
 /// Permissions that are remembered between two writes.
 const PERMISSIONS_MAX: usize = 4096;
 /// Rows that are read at once.
@@ -86,6 +88,17 @@ pub struct Block {
     pub time: u64,
     /// Its decisions.
     pub rows: Vec<Row>,
+    /// Certificates of which it tells whose they are.
+    pub holders: Vec<Holder>,
+}
+
+/// The holder of a certificate.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Holder {
+    /// As [`Row::certificate`].
+    pub certificate: Bytes,
+    /// E.g. `Org1/Salma`.
+    pub name: String,
 }
 
 impl Index {
@@ -190,9 +203,12 @@ impl State {
             self.minute = block.time / FOLDED_US;
             self.open.clear();
         }
+        for Holder { certificate, name } in &block.holders {
+            writes.insert(holder_key(certificate), Some(Bytes::copy_from_slice(name.as_bytes())));
+        }
         for (number, row) in (0u32..).zip(&block.rows) {
             let place = Place { time: block.time, height: block.height, number };
-            let row = self.with_permission(row, store)?;
+            let row = with_holder(self.with_permission(row, store)?, store, writes)?;
             match row.folds_as() {
                 None => put(&place, &row, writes),
                 Some(name) => {
@@ -230,6 +246,20 @@ impl State {
     }
 }
 
+/// The row, with the holder of a certificate that was revoked by its number.
+fn with_holder<'a>(row: Cow<'a, Row>, store: &dyn Store, writes: &WriteSet) -> Result<Cow<'a, Row>, Rejection> {
+    if !row.revokes_somebody() {
+        return Ok(row);
+    }
+    let key = holder_key(&row.certificate);
+    let known = match writes.get(&key) {
+        Some(written) => written.clone(),
+        None => store.get(&key)?,
+    };
+    let Some(name) = known else { return Ok(row) };
+    Ok(Cow::Owned(Row { who: String::from_utf8_lossy(&name).into_owned(), ..row.into_owned() }))
+}
+
 fn put(place: &Place, row: &Row, writes: &mut WriteSet) {
     writes.insert(place_key(ROWS, place).into(), Some(row.to_bytes()));
     writes.extend(by_name(row, place).map(|key| (key, Some(Bytes::new()))));
@@ -262,6 +292,10 @@ fn grant_key(service: &str, epoch: u64) -> Vec<u8> {
 
 fn permission_key(service: &str, who: &str) -> Vec<u8> {
     key_of(PERMISSIONS, service, who.as_bytes())
+}
+
+fn holder_key(certificate: &[u8]) -> Bytes {
+    [&[HOLDERS][..], certificate].concat().into()
 }
 
 fn key_of(kind: u8, service: &str, rest: &[u8]) -> Vec<u8> {

@@ -5,14 +5,16 @@ use ledger_api::v1::StatusResponse;
 
 /// A certificate needs attention so long before its end, microseconds: 30 days.
 const ENDING_US: u64 = 30 * 86_400_000_000;
-/// Block time may be ahead of the node's clock by so much, microseconds.
-const AHEAD_MAX_US: u64 = 5_000_000;
+/// The machine's clock may be so far behind block time, and so far from the clocks of most voters, microseconds: what gates bear.
+const CLOCK_OFF_MAX_US: u64 = 5_000_000;
+/// A clock needs attention that is further from those of most voters, microseconds.
+const CLOCK_NEAR_US: u64 = 1_000_000;
 /// A disk needs attention below one part in so many.
 const DISK_LOW_PART: u64 = 10;
 
 /// All parts, by what the node says of itself.
 pub(super) fn all(status: &StatusResponse) -> Vec<Check> {
-    let StatusResponse { voters, voters_connected, leader_id, disk_accepts, clock, block_time, .. } = status;
+    let StatusResponse { voters, voters_connected, leader_id, disk_accepts, .. } = status;
     let majority = voters / 2 + 1;
     let (free, total) = (status.disk_free_bytes, status.disk_total_bytes);
     vec![
@@ -30,10 +32,40 @@ pub(super) fn all(status: &StatusResponse) -> Vec<Check> {
         certificate(status),
         Check::of("disk", disk_accepts == "all", || format!("{free} bytes are free; accepted: {disk_accepts}"))
             .warn(free.saturating_mul(DISK_LOW_PART) < total, || format!("{free} of {total} bytes are free")),
-        Check::of("clock", block_time.saturating_sub(*clock) < AHEAD_MAX_US, || {
-            format!("block time is {} s ahead of this machine's clock", (block_time - clock) / 1_000_000)
-        }),
+        clock(status),
     ]
+}
+
+/// The clock of the machine, against block time and the clocks of the voters.
+fn clock(status: &StatusResponse) -> Check {
+    if !status.clock_doubt.is_empty() {
+        return Check::failed("clock", status.clock_doubt.clone());
+    }
+    let late = status.block_time.saturating_sub(status.wall_clock);
+    if late >= CLOCK_OFF_MAX_US {
+        return Check::failed("clock", format!("block time is {} s ahead of this machine's clock", late / 1_000_000));
+    }
+    let off = off(status);
+    let far = off.unsigned_abs();
+    let told = || {
+        let way = if off > 0 { "behind" } else { "ahead of" };
+        format!("this machine's clock is {}.{} s {way} those of most voters", far / 1_000_000, far / 100_000 % 10)
+    };
+    Check::of("clock", far < CLOCK_OFF_MAX_US, told).warn(far >= CLOCK_NEAR_US, told)
+}
+
+/// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind. Of two in the
+/// middle the nearer one counts: one other clock says nothing against this one.
+fn off(status: &StatusResponse) -> i64 {
+    let heard = status.peers.iter().filter(|peer| peer.voter && peer.clock_error_us > 0);
+    let others = heard.map(|peer| {
+        let sure = peer.clock_offset_us.unsigned_abs().saturating_sub(peer.clock_error_us);
+        i64::try_from(sure).unwrap_or(i64::MAX) * peer.clock_offset_us.signum()
+    });
+    let mut all: Vec<i64> = others.chain([0]).collect();
+    all.sort_unstable();
+    let middle = [all.get((all.len() - 1) / 2), all.get(all.len() / 2)];
+    middle.into_iter().flatten().copied().min_by_key(|off| off.unsigned_abs()).unwrap_or_default()
 }
 
 /// The certificates of the node and its CA.
@@ -42,7 +74,7 @@ fn certificate(status: &StatusResponse) -> Check {
     let Some(first) = own.min_by_key(|certificate| certificate.not_after) else {
         return Check::failed("certificate", "there is none that can be read".to_owned());
     };
-    let left = first.not_after.saturating_sub(status.clock);
+    let left = first.not_after.saturating_sub(status.wall_clock);
     let days = left / 86_400_000_000;
     Check::of("certificate", left > 0, || format!("{} {} has ended", first.kind, first.name))
         .warn(left < ENDING_US, || format!("{} {} ends in {days} days", first.kind, first.name))
@@ -52,7 +84,7 @@ fn certificate(status: &StatusResponse) -> Check {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_api::v1::CertificateStatus;
+    use ledger_api::v1::{CertificateStatus, PeerStatus};
 
     /// The check, what makes it fail, and a part of the reason.
     type Case = (&'static str, &'static dyn Fn(&mut StatusResponse), &'static str);
@@ -70,10 +102,28 @@ mod tests {
             disk_free_bytes: 50,
             disk_total_bytes: 100,
             clock: 100 * DAY,
+            wall_clock: 100 * DAY,
             block_time: 100 * DAY,
             certificates: vec![certificate],
             ..StatusResponse::default()
         }
+    }
+
+    /// The same where block time is ahead of the machine's clock: the clock of the node goes on from block time.
+    fn with_block_time_ahead(by: u64) -> StatusResponse {
+        let block_time = 100 * DAY + by;
+        StatusResponse { block_time, clock: block_time, ..status() }
+    }
+
+    /// Of a node that hears these clocks of others, each known to 100 ms.
+    fn with_clocks(offsets: &[i64]) -> StatusResponse {
+        let heard = |offset: &i64| PeerStatus {
+            voter: true,
+            clock_offset_us: *offset,
+            clock_error_us: 100_000,
+            ..PeerStatus::default()
+        };
+        StatusResponse { peers: offsets.iter().map(heard).collect(), ..status() }
     }
 
     /// The lines about this part.
@@ -100,10 +150,10 @@ mod tests {
             ("state", &|s| s.catching_up_to = 9, "height 0 of 9"),
             ("quorum", &|s| s.voters_connected = 1, "1 of 3 voters are connected; 2 are needed"),
             ("leader", &|s| s.leader_id = 0, "no leader is known"),
-            ("certificate", &|s| s.clock = 501 * DAY, "node Org1/node1 has ended"),
+            ("certificate", &|s| s.wall_clock = 501 * DAY, "node Org1/node1 has ended"),
             ("certificate", &|s| s.certificates.clear(), "there is none"),
             ("disk", &|s| s.disk_accepts = "ends".into(), "accepted: ends"),
-            ("clock", &|s| s.block_time += 9_000_000, "9 s ahead"),
+            ("clock", &|s| s.clock_doubt = "it has jumped ahead".into(), "it has jumped ahead"),
         ];
         for (name, change, reason) in cases {
             let status = changed(change);
@@ -115,8 +165,28 @@ mod tests {
     }
 
     #[test]
+    fn a_machine_whose_clock_is_five_seconds_behind_block_time_is_not_ready() {
+        assert_eq!(told(&with_block_time_ahead(4_999_999), "clock"), "[+] clock ok\n");
+        let said = told(&with_block_time_ahead(240_000_000), "clock");
+        assert_eq!(said, "[-] clock failed: block time is 240 s ahead of this machine's clock\n");
+    }
+
+    #[test]
+    fn a_clock_is_judged_by_those_of_most_voters_as_far_as_they_are_known() {
+        let said = |offsets: &[i64]| told(&with_clocks(offsets), "clock");
+        let well: [&[i64]; 5] = [&[], &[9_000_000], &[0, 9_000_000], &[1_099_999, 1_099_999], &[-9_000_000, 9_000_000]];
+        for offsets in well {
+            assert_eq!(said(offsets), "[+] clock ok\n", "{offsets:?}");
+        }
+        let near = said(&[-1_100_000, -9_000_000]);
+        assert_eq!(near, "[+] clock ok, but this machine's clock is 1.0 s ahead of those of most voters\n");
+        let far = said(&[6_000_000, 5_100_000]);
+        assert_eq!(far, "[-] clock failed: this machine's clock is 5.0 s behind those of most voters\n");
+    }
+
+    #[test]
     fn what_is_near_its_end_is_told_while_the_node_is_ready() {
-        let near = StatusResponse { voters_connected: 2, disk_free_bytes: 9, clock: 480 * DAY, ..status() };
+        let near = StatusResponse { voters_connected: 2, disk_free_bytes: 9, wall_clock: 480 * DAY, ..status() };
         for (name, warning) in [
             ("quorum", "one less and nothing is ordered"),
             ("disk", "9 of 100 bytes are free"),

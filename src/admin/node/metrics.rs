@@ -1,6 +1,6 @@
 //! The figures of a node: docs/metrics.md describes each.
 
-use crate::admin::figures::{Labels, Several, bytes, counts, number, seconds};
+use crate::admin::figures::{Labels, Several, bytes, counts, number, seconds, seconds_in_all};
 use crate::meters::Meters;
 use ledger_api::v1::StatusResponse;
 use ledger_rejection::Code;
@@ -8,19 +8,22 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 const MICROS: f64 = 1_000_000.0;
 
-/// Registers the figures of a node.
-pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters: &Meters) {
+/// Registers the figures of a node, which has kept the processors awake for so long.
+pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters: &Meters, awake: Duration) {
     about(registry, status);
     chain(registry, status);
     order(registry, status);
     calls(registry, status);
     machine(registry, status);
+    seconds_in_all(registry, "awake", "Time for which the node kept the processors awake", awake);
     let mut steps = |name: &str, help: &str, histogram: &Histogram| {
         registry.register_with_unit(name, help, Unit::Seconds, histogram.clone());
     };
+    steps("gateway", "From a transaction's arrival at this node until it is handed to ordering", &meters.gateway);
     steps("commit", "From a transaction's arrival at this node to its verdict from a block", &meters.commit);
     steps("flush", "One flush of the log to the disk", &meters.flush);
     steps("execute", "Executing blocks that came together", &meters.execute);
@@ -47,7 +50,7 @@ fn chain(registry: &mut Registry, status: &StatusResponse) {
     let help = "Block that the node fetches up to; 0 while it follows as usual";
     number(registry, "catching_up_to_height", help, status.catching_up_to);
     seconds(registry, "block_time", "Time of the newest block, since 1970", status.block_time as f64 / MICROS);
-    seconds(registry, "clock", "The node's clock, since 1970", status.clock as f64 / MICROS);
+    seconds(registry, "clock", "The clock of the node's machine, since 1970", status.wall_clock as f64 / MICROS);
     let help = "1 while this node and another one differ, 0 otherwise";
     number(registry, "diverged", help, u64::from(!status.divergence.is_empty()));
     let help = "1 if a node has signed two different statements, 0 otherwise";
@@ -95,7 +98,7 @@ fn machine(registry: &mut Registry, status: &StatusResponse) {
     number(registry, "disk_accepts", "2: all calls; 1: only those that end control; 0: none", accepts);
     let lives = Several::default();
     for certificate in &status.certificates {
-        let left = (certificate.not_after as f64 - status.clock as f64) / MICROS;
+        let left = (certificate.not_after as f64 - status.wall_clock as f64) / MICROS;
         let of = vec![("kind", certificate.kind.clone()), ("name", certificate.name.clone())];
         lives.get_or_create(&of).set(left);
     }

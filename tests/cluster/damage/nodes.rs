@@ -98,6 +98,7 @@ async fn a_damaged_voter_catches_up_to_the_same_digest_or_ends_and_names_file_an
             let path = damage.strike(place, &mut dice);
             let file = path.file_name().unwrap().to_string_lossy().into_owned();
             strikes += 1;
+            let before = place.logged().len();
             cluster.start(victim);
             let target = cluster.observer(leader).status().await.unwrap().height;
             let what = format!("{damage:?} in {file}: the node catches up or ends");
@@ -108,7 +109,7 @@ async fn a_damaged_voter_catches_up_to_the_same_digest_or_ends_and_names_file_an
                 caught_up += 1;
             } else {
                 let mut process = cluster.ended(victim);
-                let (status, log) = (process.wait(), process.stderr());
+                let (status, log) = (process.wait(), process.stderr().split_off(before));
                 assert_eq!(status.code(), Some(1), "{damage:?}: {log}");
                 // What is cut off the end leaves no trace in the file: the others know that it was there.
                 let named = matches!(damage, Damage::LogCut) || log.contains(&file);

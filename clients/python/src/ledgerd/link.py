@@ -107,15 +107,13 @@ class Link:
     async def open(cls, address: str, settings: Settings, patience: float) -> Link:
         """Connects to a node within so many seconds."""
         reader, writer = await tls.connect(address, settings, patience)
+        arrived: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
         try:
-            directory = _own_directory()
-            path = str(directory / "s")
-            arrived: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
-            server = await asyncio.start_unix_server(lambda *both: arrived.put_nowait(both), path, limit=_CHUNK)
+            server, directory = await _listen(arrived)
         except BaseException:
             writer.close()
             raise
-        channel = grpc.aio.insecure_channel(f"unix:{path}", options=[*_OPTIONS, ("grpc.default_authority", "node")])
+        channel = grpc.aio.insecure_channel(f"unix:{directory / 's'}", options=[*_OPTIONS, ("grpc.default_authority", "node")])
         link = cls(address, channel)
         link._carrier = asyncio.create_task(link._carry(server, directory, arrived, reader, writer))
         ready = asyncio.create_task(channel.channel_ready())
@@ -224,6 +222,23 @@ async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> Non
     while chunk := await source.read(_CHUNK):
         sink.write(chunk)
         await sink.drain()
+
+
+async def _listen(
+    arrived: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]],
+) -> tuple[asyncio.AbstractServer, Path]:
+    """A socket in a directory of our own, and that directory."""
+    try:
+        directory = _own_directory()
+        try:
+            path = str(directory / "s")
+            server = await asyncio.start_unix_server(lambda *both: arrived.put_nowait(both), path, limit=_CHUNK)
+        except BaseException:
+            shutil.rmtree(directory, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise tls.short_of_means(error) from error
+    return server, directory
 
 
 def _own_directory() -> Path:

@@ -94,16 +94,19 @@ def _verified(roots: str) -> ssl.SSLContext:
 
 def _show(made: ssl.SSLContext, text: str) -> None:
     """Makes the connections show a certificate. The library reads it from a file only; the key is on no disk for that."""
-    descriptor, path = _nameless_file()
+    path = None
     try:
+        descriptor, path = _nameless_file()
         with os.fdopen(descriptor, "w") as file:
             file.write(text)
             file.flush()
             made.load_cert_chain(path)
     except ssl.SSLError as error:
         raise refusal("BAD_FILE", "certificate and key cannot be used", found=str(error), next="enrol again") from error
+    except OSError as error:
+        raise short_of_means(error) from error
     finally:
-        if not path.startswith("/proc/"):
+        if path is not None and not path.startswith("/proc/"):
             os.unlink(path)
 
 
@@ -192,6 +195,17 @@ def unreachable(address: str, reason: str) -> Refusal:
         found=reason,
         wanted="a running node that accepts connections",
         next=f"check that ledgerd runs there and that nothing blocks the port: nc -vz {address.replace(':', ' ')}",
+    )
+
+
+def short_of_means(error: OSError) -> Refusal:
+    """This machine gives no file or socket for a connection. It may do so later, so the next try is worth it."""
+    return refusal(
+        "UNREACHABLE",
+        "this machine has no room for another connection",
+        found=str(error),
+        wanted="a few open files, and a temporary directory with free space",
+        next="raise the limit of open files (ulimit -n), or free space in the temporary directory",
     )
 
 

@@ -20,11 +20,15 @@ use std::path::PathBuf;
 
 /// Most names of a page: each is decided about.
 const PAGE: usize = 32;
+/// The answer about an organisation of which nobody is registered.
+const UNLISTED: &str = "the ledger lists nobody of your organisation: people of a CA of another software are in no registry, and ask \
+                        only about themselves";
 
 /// Ask whether somebody may do something, and why.
 ///
 /// A yes names the policies that decided. A no names the conditions that failed, with the values found and wanted, and ends
-/// with exit code 2. It is about permission alone: whether the service is free, `robot list` shows.
+/// with exit code 2. It is about permission alone: whether the service is free, `robot list` shows. People of a CA of another
+/// software ask only about themselves: they are in no registry of the ledger.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Actions: acquire, publish, subscribe, override, confirm; of a robot stop and resume.
@@ -78,14 +82,11 @@ impl Can {
         let who = if who.contains('/') { who } else { format!("{}/{who}", session.identity()?.organisation) };
         let ask = ask(&action, &service);
         let answer = asked(&session, &Ask { who: Some(who), ..ask.clone() }).await?;
-        let who_could = match self.who_could {
-            true => {
-                Some(could(&session, &ask).await?.into_iter().filter(|one| one.allowed).map(|one| one.who).collect())
-            }
-            false => None,
-        };
-        let allowed = answer.allowed;
-        output.show(&Told { answer, who_could })?;
+        let listed = if self.who_could { Some(could(&session, &ask).await?) } else { None };
+        let is_listed = listed.as_ref().is_some_and(|listed| !listed.is_empty());
+        let names = |all: Vec<Could>| all.into_iter().filter(|one| one.allowed).map(|one| one.who).collect::<Vec<_>>();
+        let (allowed, who_could) = (answer.allowed, listed.map(names));
+        output.show(&Told { answer, who_could, is_listed })?;
         if allowed { Ok(()) } else { Err(Failure::Told(Class::Denied.exit_code())) }
     }
 }
@@ -96,7 +97,7 @@ pub(super) async fn asked(session: &Session, ask: &Ask) -> Result<Answer, Reject
     answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "whether somebody may")
 }
 
-/// Everybody of the caller's organisation, and whether they may.
+/// Everybody of the caller's organisation in the registry, and whether they may.
 async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
     let ask = session::argument(ask)?;
     let (mut all, mut after): (Vec<Could>, Option<String>) = (Vec::new(), None);
@@ -139,6 +140,9 @@ struct Told {
     answer: Answer,
     #[serde(skip_serializing_if = "Option::is_none")]
     who_could: Option<Vec<String>>,
+    /// The registry has somebody of the organisation.
+    #[serde(skip)]
+    is_listed: bool,
 }
 
 impl Facts for Told {
@@ -168,7 +172,8 @@ impl Facts for Told {
         }
         match self.who_could.as_deref() {
             None => Ok(()),
-            Some([]) => writeln!(out, "nobody of your organisation could"),
+            Some([]) if !self.is_listed => writeln!(out, "{UNLISTED}"),
+            Some([]) => writeln!(out, "nobody of your organisation could, of those whom the ledger lists"),
             Some(names) => writeln!(out, "of your organisation {} could", printable(&names.join(", "))),
         }
     }
@@ -186,6 +191,9 @@ struct Row {
 
 impl Facts for Matrix {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.0.is_empty() {
+            return writeln!(out, "there is no robot, or {UNLISTED}");
+        }
         let mut table = Table::new(["WHO", "SERVICE", "MAY"]);
         for Row { who, service, actions } in &self.0 {
             let may = if actions.is_empty() { "-".to_owned() } else { actions.join(", ") };
@@ -224,7 +232,7 @@ mod tests {
             conditions,
             policy_version: 0,
         };
-        Told { answer, who_could: None }
+        Told { answer, who_could: None, is_listed: false }
     }
 
     #[test]
@@ -247,6 +255,16 @@ mod tests {
              found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
              of your organisation Org1/Salma could\n"
         );
+    }
+
+    #[test]
+    fn nobody_is_said_to_be_allowed_only_where_the_ledger_lists_people() {
+        let mut no = told(false, &[], vec![]);
+        no.who_could = Some(vec![]);
+        assert!(text(&no).ends_with(&format!("\n{UNLISTED}\n")), "{}", text(&no));
+        assert!(text(&Matrix(vec![])).contains(UNLISTED));
+        no.is_listed = true;
+        assert!(text(&no).ends_with("\nnobody of your organisation could, of those whom the ledger lists\n"));
     }
 
     #[test]

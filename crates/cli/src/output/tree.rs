@@ -7,7 +7,7 @@ use serde_json::value::RawValue;
 use std::fmt::{self, Write};
 
 /// The fields that hold a time, microseconds since the UNIX epoch, 0 for none, wherever they stand.
-const TIMES: [&str; 29] = [
+const TIMES: [&str; 30] = [
     "acquired_at",
     "at",
     "before",
@@ -37,6 +37,7 @@ const TIMES: [&str; 29] = [
     "time",
     "until",
     "waits_until",
+    "wall_clock",
 ];
 /// A name of [`TIMES`] that is a count elsewhere. No count is as large as a time.
 const ALSO_A_COUNT: &str = "ended";

@@ -19,7 +19,8 @@ pub enum ClockDoubt {
 }
 
 impl ClockDoubt {
-    fn refusal(self) -> Rejection {
+    /// The answer to whatever the only voter would order meanwhile.
+    pub fn refusal(self) -> Rejection {
         let (what, found) = match self {
             Self::Ahead(by) => ("has jumped ahead", format!("{} ms ahead of the machine's steady clock", by / 1000)),
             Self::Behind(by) => ("is behind block time since the start", format!("{} ms behind it", by / 1000)),

@@ -14,6 +14,8 @@ const USED: &str = "used";
 const PERMITTED: &str = "permitted";
 /// Calls that a block holds and that were refused.
 const REFUSED: &str = "refused";
+/// The end of a certificate.
+const REVOKED: &str = "revoked";
 
 const NAMES: u8 = b'x';
 const PLACE_BYTES: usize = 20;
@@ -84,6 +86,13 @@ pub struct Row {
     /// Ids of the policies that decided, of the set with that number.
     #[prost(string, repeated, tag = "21")]
     pub policies: Vec<String>,
+    /// The action that policies permitted or refused, e.g. `acquire`: of grants, of commands without one, and of refusals. Empty
+    /// if it is not known.
+    #[prost(string, tag = "22")]
+    pub action: String,
+    /// The certificate that was revoked: SHA-256 of its issuer's distinguished name, and behind it the serial number.
+    #[prost(bytes = "bytes", tag = "23")]
+    pub certificate: Bytes,
 }
 
 impl Row {
@@ -107,6 +116,11 @@ impl Row {
         self.decision == REFUSED
     }
 
+    /// A row about a certificate that was revoked by its number: it is made without a name, which the index may know.
+    pub(super) fn revokes_somebody(&self) -> bool {
+        self.decision == REVOKED && self.who.is_empty() && !self.certificate.is_empty()
+    }
+
     /// The identities that it concerns.
     pub fn identities(&self) -> impl Iterator<Item = &str> {
         let all = [&self.who, &self.by].into_iter().chain(&self.others).map(String::as_str);
@@ -121,11 +135,11 @@ impl Row {
 
     /// Rows of one minute with the same name are one row. None if the row stays alone.
     pub(super) fn folds_as(&self) -> Option<String> {
-        let Self { decision, who, subject, epoch, code, told_by, policy_version, .. } = self;
+        let Self { decision, who, subject, epoch, code, action, told_by, policy_version, .. } = self;
         let policies = self.policies.join(",");
         let decided = if self.is_use() { format!("{policy_version}\0{policies}") } else { String::new() };
         let folds = (self.is_use() || self.is_refusal()) && told_by.is_empty();
-        folds.then(|| format!("{decision}\0{who}\0{subject}\0{epoch}\0{code}\0{decided}"))
+        folds.then(|| format!("{decision}\0{who}\0{subject}\0{epoch}\0{code}\0{action}\0{decided}"))
     }
 
     /// The same row before anything is folded into it.

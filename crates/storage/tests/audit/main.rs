@@ -1,7 +1,7 @@
 //! The index of the audit against a plain list of rows: nothing is missing, nothing is made up, however it is asked.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-use ledger_storage::audit::{Block, FOLDED_US, Index, Question, Row};
+use ledger_storage::audit::{Block, FOLDED_US, Holder, Index, Question, Row};
 use ledger_storage::state::SledStore;
 use proptest::prelude::*;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn chain(rows: Vec<(u64, Row)>) -> Vec<Block> {
     let blocks = (1u64..).zip(rows).map(|(height, (after, row))| {
         time += after;
         let row = Row { time, height, first: time, last: time, last_height: height, ..row };
-        Block { height, time, rows: vec![row] }
+        Block { height, time, rows: vec![row], ..Block::default() }
     });
     blocks.collect()
 }
@@ -118,7 +118,7 @@ fn commands_of_one_minute_are_one_row_and_refusals_that_a_node_tells_stay_as_it_
     for (height, second) in [(1, 0), (2, 30), (3, 59), (4, 61)] {
         let time = minute + second * 1_000_000;
         let at = |row: &Row| Row { time, height, first: time, last: time, last_height: height, ..row.clone() };
-        index.add(&[Block { height, time, rows: vec![at(&used), at(&told)] }]).unwrap();
+        index.add(&[Block { height, time, rows: vec![at(&used), at(&told)], ..Block::default() }]).unwrap();
     }
     let rows = all(&index, &Question::default());
     let counts =
@@ -147,6 +147,7 @@ fn a_grant_names_the_policies_of_its_commands_and_old_rows_are_dropped_with_thei
             height,
             time: height * 1000,
             rows: vec![Row { time: height * 1000, height, last: height * 1000, ..grant(height) }],
+            ..Block::default()
         })
         .collect();
     index.add(&blocks).unwrap();
@@ -185,7 +186,8 @@ fn commands_without_a_grant_name_the_policies_that_permitted_them_also_after_a_s
     for (height, rows) in (1u64..).zip(turns) {
         let time = 1_800_000_000_000_000 + height;
         let at = |row: Row| Row { time, height, first: time, last: time, last_height: height, ..row };
-        open(place.path()).add(&[Block { height, time, rows: rows.into_iter().map(at).collect() }]).unwrap();
+        let rows = rows.into_iter().map(at).collect();
+        open(place.path()).add(&[Block { height, time, rows, ..Block::default() }]).unwrap();
     }
     let found = all(&open(place.path()), &Question::default());
     let used: Vec<_> = found
@@ -199,6 +201,56 @@ fn commands_without_a_grant_name_the_policies_that_permitted_them_also_after_a_s
         ("Org1/Salma", "day rain".to_owned(), 2, 1),
     ];
     assert_eq!(used, wanted);
+}
+
+#[test]
+fn refusals_of_two_actions_on_one_service_are_two_rows() {
+    let place = tempfile::tempdir().unwrap();
+    let refused = |action: &str| Row {
+        decision: "refused".into(),
+        who: "Org1/Farhad".into(),
+        subject: "T".into(),
+        code: 3002,
+        action: action.into(),
+        count: 1,
+        ..Row::default()
+    };
+    let rows = ["acquire", "stop", "acquire"].map(refused).into();
+    let index = open(place.path());
+    index.add(&[Block { height: 1, time: FOLDED_US, rows, ..Block::default() }]).unwrap();
+    let rows = all(&index, &Question::default());
+    let told: Vec<_> = rows.iter().map(|row| (row.action.as_str(), row.count)).collect();
+    assert_eq!(told, [("acquire", 2), ("stop", 1)]);
+}
+
+#[test]
+fn a_certificate_that_is_revoked_by_its_number_is_found_by_its_holder_also_after_a_start() {
+    let place = tempfile::tempdir().unwrap();
+    let revoked = |certificate: &'static [u8]| Row {
+        decision: "revoked".into(),
+        by: "Org1/Boss".into(),
+        certificate: certificate.into(),
+        count: 1,
+        ..Row::default()
+    };
+    let holder = |certificate: &'static [u8], name: &str| Holder { certificate: certificate.into(), name: name.into() };
+    let blocks = [
+        (vec![holder(b"one", "Org1/Salma")], vec![revoked(b"one"), revoked(b"two")]),
+        (vec![holder(b"two", "Org1/Farhad")], vec![]),
+        (vec![], vec![revoked(b"two"), revoked(b"three")]),
+    ];
+    for (height, (holders, rows)) in (1u64..).zip(blocks) {
+        let time = 1_800_000_000_000_000 + height;
+        let at = |row: Row| Row { time, height, first: time, last: time, last_height: height, ..row };
+        let rows = rows.into_iter().map(at).collect();
+        open(place.path()).add(&[Block { height, time, rows, holders }]).unwrap();
+    }
+    let index = open(place.path());
+    let of = |user: &str| all(&index, &Question { user: user.into(), ..Question::default() });
+    let told = |user: &str| of(user).into_iter().map(|row| (row.height, row.who)).collect::<Vec<_>>();
+    assert_eq!(told("Org1/Salma"), [(1, "Org1/Salma".to_owned())]);
+    assert_eq!(told("Org1/Farhad"), [(3, "Org1/Farhad".to_owned())]);
+    assert_eq!(of("Org1/Boss").len(), 4, "the author is found in each");
 }
 
 #[test]

@@ -131,7 +131,7 @@ class StatusRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class StatusResponse(_message.Message):
-    __slots__ = ("version", "network", "network_label", "node_id", "node_name", "organisation", "role", "leader_id", "term", "height", "block_hash", "block_time", "state_digest", "committed", "last_index", "clock", "uptime_ms", "chaincodes", "refused", "executed", "peers", "subscribers", "payload_bytes_max", "resident_bytes", "first_height", "snapshot_height", "catching_up_to", "divergence", "in_flight", "in_flight_max", "waiting_control", "waiting_data", "data_directory", "disk_free_bytes", "disk_total_bytes", "disk_accepts", "certificates", "voters", "voters_connected", "certified", "lies", "console")
+    __slots__ = ("version", "network", "network_label", "node_id", "node_name", "organisation", "role", "leader_id", "term", "height", "block_hash", "block_time", "state_digest", "committed", "last_index", "clock", "uptime_ms", "chaincodes", "refused", "executed", "peers", "subscribers", "payload_bytes_max", "resident_bytes", "first_height", "snapshot_height", "catching_up_to", "divergence", "in_flight", "in_flight_max", "waiting_control", "waiting_data", "data_directory", "disk_free_bytes", "disk_total_bytes", "disk_accepts", "certificates", "voters", "voters_connected", "certified", "lies", "console", "wall_clock", "clock_doubt")
     class RefusedEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -188,6 +188,8 @@ class StatusResponse(_message.Message):
     CERTIFIED_FIELD_NUMBER: _ClassVar[int]
     LIES_FIELD_NUMBER: _ClassVar[int]
     CONSOLE_FIELD_NUMBER: _ClassVar[int]
+    WALL_CLOCK_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_DOUBT_FIELD_NUMBER: _ClassVar[int]
     version: str
     network: bytes
     network_label: str
@@ -230,7 +232,9 @@ class StatusResponse(_message.Message):
     certified: int
     lies: str
     console: str
-    def __init__(self, version: _Optional[str] = ..., network: _Optional[bytes] = ..., network_label: _Optional[str] = ..., node_id: _Optional[int] = ..., node_name: _Optional[str] = ..., organisation: _Optional[str] = ..., role: _Optional[str] = ..., leader_id: _Optional[int] = ..., term: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., block_time: _Optional[int] = ..., state_digest: _Optional[bytes] = ..., committed: _Optional[int] = ..., last_index: _Optional[int] = ..., clock: _Optional[int] = ..., uptime_ms: _Optional[int] = ..., chaincodes: _Optional[_Iterable[str]] = ..., refused: _Optional[_Mapping[int, int]] = ..., executed: _Optional[_Mapping[int, int]] = ..., peers: _Optional[_Iterable[_Union[PeerStatus, _Mapping]]] = ..., subscribers: _Optional[int] = ..., payload_bytes_max: _Optional[int] = ..., resident_bytes: _Optional[int] = ..., first_height: _Optional[int] = ..., snapshot_height: _Optional[int] = ..., catching_up_to: _Optional[int] = ..., divergence: _Optional[str] = ..., in_flight: _Optional[int] = ..., in_flight_max: _Optional[int] = ..., waiting_control: _Optional[int] = ..., waiting_data: _Optional[int] = ..., data_directory: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., disk_total_bytes: _Optional[int] = ..., disk_accepts: _Optional[str] = ..., certificates: _Optional[_Iterable[_Union[CertificateStatus, _Mapping]]] = ..., voters: _Optional[int] = ..., voters_connected: _Optional[int] = ..., certified: _Optional[int] = ..., lies: _Optional[str] = ..., console: _Optional[str] = ...) -> None: ...
+    wall_clock: int
+    clock_doubt: str
+    def __init__(self, version: _Optional[str] = ..., network: _Optional[bytes] = ..., network_label: _Optional[str] = ..., node_id: _Optional[int] = ..., node_name: _Optional[str] = ..., organisation: _Optional[str] = ..., role: _Optional[str] = ..., leader_id: _Optional[int] = ..., term: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., block_time: _Optional[int] = ..., state_digest: _Optional[bytes] = ..., committed: _Optional[int] = ..., last_index: _Optional[int] = ..., clock: _Optional[int] = ..., uptime_ms: _Optional[int] = ..., chaincodes: _Optional[_Iterable[str]] = ..., refused: _Optional[_Mapping[int, int]] = ..., executed: _Optional[_Mapping[int, int]] = ..., peers: _Optional[_Iterable[_Union[PeerStatus, _Mapping]]] = ..., subscribers: _Optional[int] = ..., payload_bytes_max: _Optional[int] = ..., resident_bytes: _Optional[int] = ..., first_height: _Optional[int] = ..., snapshot_height: _Optional[int] = ..., catching_up_to: _Optional[int] = ..., divergence: _Optional[str] = ..., in_flight: _Optional[int] = ..., in_flight_max: _Optional[int] = ..., waiting_control: _Optional[int] = ..., waiting_data: _Optional[int] = ..., data_directory: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., disk_total_bytes: _Optional[int] = ..., disk_accepts: _Optional[str] = ..., certificates: _Optional[_Iterable[_Union[CertificateStatus, _Mapping]]] = ..., voters: _Optional[int] = ..., voters_connected: _Optional[int] = ..., certified: _Optional[int] = ..., lies: _Optional[str] = ..., console: _Optional[str] = ..., wall_clock: _Optional[int] = ..., clock_doubt: _Optional[str] = ...) -> None: ...
 
 class CertificateStatus(_message.Message):
     __slots__ = ("kind", "name", "not_before", "not_after")
@@ -245,7 +249,7 @@ class CertificateStatus(_message.Message):
     def __init__(self, kind: _Optional[str] = ..., name: _Optional[str] = ..., not_before: _Optional[int] = ..., not_after: _Optional[int] = ...) -> None: ...
 
 class PeerStatus(_message.Message):
-    __slots__ = ("node_id", "name", "organisation", "address", "voter", "matched", "connected", "role")
+    __slots__ = ("node_id", "name", "organisation", "address", "voter", "matched", "connected", "role", "clock_offset_us", "clock_error_us")
     NODE_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     ORGANISATION_FIELD_NUMBER: _ClassVar[int]
@@ -254,6 +258,8 @@ class PeerStatus(_message.Message):
     MATCHED_FIELD_NUMBER: _ClassVar[int]
     CONNECTED_FIELD_NUMBER: _ClassVar[int]
     ROLE_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_OFFSET_US_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_ERROR_US_FIELD_NUMBER: _ClassVar[int]
     node_id: int
     name: str
     organisation: str
@@ -262,7 +268,9 @@ class PeerStatus(_message.Message):
     matched: int
     connected: bool
     role: str
-    def __init__(self, node_id: _Optional[int] = ..., name: _Optional[str] = ..., organisation: _Optional[str] = ..., address: _Optional[str] = ..., voter: _Optional[bool] = ..., matched: _Optional[int] = ..., connected: _Optional[bool] = ..., role: _Optional[str] = ...) -> None: ...
+    clock_offset_us: int
+    clock_error_us: int
+    def __init__(self, node_id: _Optional[int] = ..., name: _Optional[str] = ..., organisation: _Optional[str] = ..., address: _Optional[str] = ..., voter: _Optional[bool] = ..., matched: _Optional[int] = ..., connected: _Optional[bool] = ..., role: _Optional[str] = ..., clock_offset_us: _Optional[int] = ..., clock_error_us: _Optional[int] = ...) -> None: ...
 
 class NodesRequest(_message.Message):
     __slots__ = ()
@@ -463,7 +471,7 @@ class AuditResponse(_message.Message):
     def __init__(self, rows: _Optional[_Iterable[_Union[AuditRow, _Mapping]]] = ..., after: _Optional[bytes] = ..., more: _Optional[bool] = ..., from_height: _Optional[int] = ..., height: _Optional[int] = ..., executed: _Optional[int] = ...) -> None: ...
 
 class AuditRow(_message.Message):
-    __slots__ = ("time", "height", "decision", "who", "by", "robot", "subject", "code", "count", "first", "last", "last_height", "epoch", "policy_version", "detail", "found", "transaction", "told_by", "policies")
+    __slots__ = ("time", "height", "decision", "who", "by", "robot", "subject", "code", "count", "first", "last", "last_height", "epoch", "policy_version", "detail", "found", "transaction", "told_by", "policies", "action")
     TIME_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     DECISION_FIELD_NUMBER: _ClassVar[int]
@@ -483,6 +491,7 @@ class AuditRow(_message.Message):
     TRANSACTION_FIELD_NUMBER: _ClassVar[int]
     TOLD_BY_FIELD_NUMBER: _ClassVar[int]
     POLICIES_FIELD_NUMBER: _ClassVar[int]
+    ACTION_FIELD_NUMBER: _ClassVar[int]
     time: int
     height: int
     decision: str
@@ -502,7 +511,8 @@ class AuditRow(_message.Message):
     transaction: bytes
     told_by: str
     policies: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, time: _Optional[int] = ..., height: _Optional[int] = ..., decision: _Optional[str] = ..., who: _Optional[str] = ..., by: _Optional[str] = ..., robot: _Optional[str] = ..., subject: _Optional[str] = ..., code: _Optional[int] = ..., count: _Optional[int] = ..., first: _Optional[int] = ..., last: _Optional[int] = ..., last_height: _Optional[int] = ..., epoch: _Optional[int] = ..., policy_version: _Optional[int] = ..., detail: _Optional[str] = ..., found: _Optional[str] = ..., transaction: _Optional[bytes] = ..., told_by: _Optional[str] = ..., policies: _Optional[_Iterable[str]] = ...) -> None: ...
+    action: str
+    def __init__(self, time: _Optional[int] = ..., height: _Optional[int] = ..., decision: _Optional[str] = ..., who: _Optional[str] = ..., by: _Optional[str] = ..., robot: _Optional[str] = ..., subject: _Optional[str] = ..., code: _Optional[int] = ..., count: _Optional[int] = ..., first: _Optional[int] = ..., last: _Optional[int] = ..., last_height: _Optional[int] = ..., epoch: _Optional[int] = ..., policy_version: _Optional[int] = ..., detail: _Optional[str] = ..., found: _Optional[str] = ..., transaction: _Optional[bytes] = ..., told_by: _Optional[str] = ..., policies: _Optional[_Iterable[str]] = ..., action: _Optional[str] = ...) -> None: ...
 
 class TransferLeadershipRequest(_message.Message):
     __slots__ = ("node_id",)

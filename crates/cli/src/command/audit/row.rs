@@ -26,6 +26,8 @@ pub(super) struct Row {
     policy_version: u64,
     /// Ids of those that decided.
     policies: Vec<String>,
+    /// Empty if it is not known, or if policies did not decide.
+    action: String,
     detail: String,
     found: String,
     transaction: String,
@@ -50,6 +52,7 @@ impl From<AuditRow> for Row {
             epoch: row.epoch,
             policy_version: row.policy_version,
             policies: row.policies,
+            action: row.action,
             detail: row.detail,
             found: row.found,
             transaction: hex::encode(&row.transaction),

@@ -146,6 +146,10 @@ fn peer(node: &Node) -> Vec<Finding> {
         let repair = "decide who of its organisation answers for it, then: ledgerctl network remove NODE";
         found.push(Finding::wrong("peers", format!("{name} has proofs: {}", node.lies), repair));
     }
+    if !node.clock_wrong.is_empty() {
+        let repair = "on its machine: timedatectl set-ntp true; if its clock is right: docs/operations.md, \"Clocks\"";
+        found.push(Finding::wrong("clock", format!("{name}: {}", node.clock_wrong), repair));
+    }
     let own = env!("CARGO_PKG_VERSION");
     if let Some(version) = node.version.as_deref().filter(|version| *version != own) {
         let message = format!("{name} is version {version}, ledgerctl {own}");
@@ -161,7 +165,7 @@ fn peer(node: &Node) -> Vec<Finding> {
 fn certificate(found: &Certificate, now: u64) -> Finding {
     let repair = match found.kind.as_str() {
         "node" => "a node renews by itself: see its log for the reason that it could not (journalctl -u ledgerd)",
-        "list" => "ledgerctl identity crl import FILE, with a new list of that CA",
+        "list" => "ledgerctl identity crl FILE, with a new list of that CA",
         _ => {
             "let the organisation make a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\""
         }
@@ -212,6 +216,7 @@ fn off(whose: &str, offset: i64, doubt: u64, repair: &str) -> Finding {
 mod tests {
     use super::super::finding::State;
     use super::*;
+    use ledger_api::v1::{CertificateStatus, StatusResponse};
 
     fn node(name: &str, offset: i64) -> Node {
         let mut node = Node::silent(name);
@@ -239,6 +244,24 @@ mod tests {
         let told = clocks(&[node("a", -9_000_000)]);
         let told = told.first().map(|found| found.message.as_str());
         assert_eq!(told, Some("this machine's clock is 9 s ahead of that of the nodes"));
+    }
+
+    #[test]
+    fn a_node_whose_clock_is_behind_block_time_is_named() {
+        let mut late = node("a", 0);
+        late.clock_wrong = "block time is 9 s ahead of its clock".into();
+        let found: Vec<_> = peer(&late).into_iter().filter(|found| found.check == "clock").collect();
+        let told: Vec<_> = found.iter().map(|found| (found.state, found.message.as_str())).collect();
+        assert_eq!(told, [(State::Wrong, "Org1/a: block time is 9 s ahead of its clock")]);
+        assert!(peer(&node("a", 0)).iter().all(|found| found.check != "clock"));
+    }
+
+    #[test]
+    fn a_list_that_has_ended_is_repaired_by_the_command_that_records_the_next_one() {
+        let ended = CertificateStatus { kind: "list".into(), name: "ca of Org1".into(), not_before: 0, not_after: 5 };
+        let status = StatusResponse { certificates: vec![ended], ..StatusResponse::default() };
+        let told: Vec<_> = Certificate::of(&status).iter().map(|found| certificate(found, 6).r#try).collect();
+        assert_eq!(told, ["ledgerctl identity crl FILE, with a new list of that CA"]);
     }
 
     #[test]

@@ -55,7 +55,7 @@ impl Crl {
         };
         let done = session.call(MSP, "record_revocation_list", vec![argument(&record)?]).await?;
         let recorded = answer::parse(&done.response, "the recorded list")?;
-        output.show(&Recorded { recorded, in_block: done.height })
+        output.show(&Recorded(recorded))
     }
 }
 
@@ -82,17 +82,13 @@ impl Facts for WhenEnded {
 }
 
 #[derive(Serialize)]
-struct Recorded {
-    #[serde(flatten)]
-    recorded: RecordedList,
-    in_block: u64,
-}
+struct Recorded(RecordedList);
 
 impl Facts for Recorded {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let RecordedList { list, serials } = &self.recorded;
+        let RecordedList { list, serials } = &self.0;
         let (subject, listed) = (crate::output::printable(&list.subject), list.listed);
-        writeln!(out, "recorded the revocation list of {subject} in block {}: {listed} certificates", self.in_block)?;
+        writeln!(out, "recorded the revocation list of {subject} in block {}: {listed} certificates", list.height)?;
         for serial in serials {
             writeln!(out, "revoked serial {serial}")?;
         }

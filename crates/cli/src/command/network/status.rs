@@ -4,7 +4,7 @@ use super::current;
 use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
-use crate::health::{Certificate, Check, Disk, Voters, attention, uncertified};
+use crate::health::{Certificate, Check, Disk, Voters, attention, clock_wrong, lag, uncertified};
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
@@ -95,7 +95,10 @@ pub(crate) struct Node {
     attested: Option<u64>,
     pub(crate) disk: Option<Disk>,
     pub(crate) certificate: Option<Certificate>,
-    /// Its clock as seen from this machine's, microseconds, and how far off that may be.
+    /// Why its clock is wrong, by its own words.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub(crate) clock_wrong: String,
+    /// The clock of its machine as seen from this one's, microseconds, and how far off that may be.
     pub(crate) clock_offset_us: Option<i64>,
     pub(crate) clock_error_us: Option<u64>,
 }
@@ -133,11 +136,13 @@ struct Answer {
 }
 
 impl Answer {
-    /// The node's clock as seen from this machine's, and how far off that may be: half of the way there and back.
+    /// The clock of the node's machine as seen from this one's, and how far off that may be: half of the way there and back.
     fn clock(&self) -> (i64, u64) {
         let doubt = self.came.saturating_sub(self.asked) / 2;
         let here = self.asked.saturating_add(doubt);
-        (i64::try_from(i128::from(self.status.clock) - i128::from(here)).unwrap_or_default(), doubt)
+        // A node of an older release tells only a clock that is never behind block time.
+        let told = if self.status.wall_clock > 0 { self.status.wall_clock } else { self.status.clock };
+        (i64::try_from(i128::from(told) - i128::from(here)).unwrap_or_default(), doubt)
     }
 }
 
@@ -193,6 +198,7 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
         let clock = said.as_ref().map(Answer::clock);
         let said = said.as_ref().map(|answer| &answer.status);
         Node {
+            clock_wrong: said.map_or_else(String::new, clock_wrong),
             clock_offset_us: clock.map(|(offset, _)| offset),
             clock_error_us: clock.map(|(_, doubt)| doubt),
             id: node.id,
@@ -267,6 +273,7 @@ impl Node {
             attested: None,
             disk: None,
             certificate: None,
+            clock_wrong: String::new(),
             clock_offset_us: None,
             clock_error_us: None,
         }
@@ -303,6 +310,10 @@ impl Overview {
                 (false, _) => attention.push(format!("{name}: {}", node.reason)),
                 (true, false) => attention.push(format!("{name}: {}", node.divergence)),
                 (true, true) => {}
+            }
+            attention.extend(lag(&name, node.height.unwrap_or_default(), node.catching_up_to.unwrap_or_default()));
+            if !node.clock_wrong.is_empty() {
+                attention.push(format!("{name}: {}", node.clock_wrong));
             }
             if !node.lies.is_empty() {
                 attention.push(format!("{name} has proofs: {}", node.lies));
@@ -366,5 +377,54 @@ impl Facts for Overview {
         }
         table.write(out, 0)?;
         attention(&self.attention, out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn overview_of(nodes: Vec<Node>) -> Overview {
+        Overview {
+            network: Hash::default(),
+            label: String::new(),
+            leader_id: 1,
+            term: 1,
+            height: 9,
+            quorum: Voters::new(1, 1, true),
+            nodes,
+            certificates: Vec::new(),
+            attention: Vec::new(),
+            now: 0,
+        }
+    }
+
+    fn answering(name: &str) -> Node {
+        Node { reachable: true, height: Some(5), ..Node::silent(name) }
+    }
+
+    fn looked(node: Node) -> Vec<String> {
+        let mut overview = overview_of(vec![node]);
+        overview.look(0);
+        overview.attention
+    }
+
+    #[test]
+    fn a_node_that_lags_or_whose_clock_is_wrong_needs_attention_and_one_that_follows_does_not() {
+        assert!(looked(answering("a")).is_empty());
+        let lags = Node { catching_up_to: Some(9), ..answering("a") };
+        assert_eq!(looked(lags), ["Org1/a lags: it has block 5 and fetches up to 9"]);
+        let wrong = Node { clock_wrong: "block time is 9 s ahead of its clock".to_owned(), ..answering("a") };
+        assert_eq!(looked(wrong), ["Org1/a: block time is 9 s ahead of its clock"]);
+    }
+
+    #[test]
+    fn the_clock_of_a_node_is_that_of_its_machine_also_where_block_time_is_ahead() {
+        let offset = |wall_clock| {
+            let status = v1::StatusResponse { clock: 240_000_000, wall_clock, ..Default::default() };
+            Answer { status, asked: 5_000, came: 5_300 }.clock()
+        };
+        assert_eq!(offset(5_150), (0, 150));
+        assert_eq!(offset(0), (239_994_850, 150), "an older release");
     }
 }

@@ -27,6 +27,8 @@ const DECISIONS_MAX: u64 = 1000;
 const DAY: u64 = 86_400_000_000;
 /// Time between two looks of who follows.
 const BETWEEN_LOOKS: Duration = Duration::from_secs(2);
+/// The action of a grant that was taken.
+const OVERRIDE: &str = "override";
 
 /// Tell which recorded decisions a set of policies would have changed, before it is in force.
 ///
@@ -36,7 +38,7 @@ const BETWEEN_LOOKS: Duration = Duration::from_secs(2);
 ///
 /// Takes the grants, the commands in open mode and the refusals by policies from the audit, about robots of your organisation. Each
 /// is asked again under the set as the whole set of your organisation, at its own time, with the attributes that people have now.
-/// Nothing is changed. Refusals with LGR-3001 and LGR-3002 count as denied, all else as allowed.
+/// Nothing is changed. Refusals with LGR-3001 and LGR-3002 count as denied, all else as allowed. Takeovers are left out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -94,7 +96,7 @@ pub(super) struct Compared {
     /// How many times they were made.
     times: u64,
     differ: Vec<Differs>,
-    /// Decisions that cannot be asked about again: the person or the service is not known any more, or never was by its name.
+    /// Decisions that cannot be asked about again: the person, the service or the action is not known.
     unknown: usize,
 }
 
@@ -102,6 +104,7 @@ pub(super) struct Compared {
 #[derive(PartialEq, Eq, Serialize)]
 struct Differs {
     who: String,
+    action: String,
     service: String,
     /// As it was decided.
     was: &'static str,
@@ -119,7 +122,8 @@ struct Differs {
 struct Decided {
     who: String,
     service: String,
-    action: &'static str,
+    /// Empty if it is not known.
+    action: String,
     allowed: bool,
     times: u64,
     last: u64,
@@ -187,9 +191,13 @@ pub(super) async fn compare(
     let mut compared = Compared { decisions: decided.len(), times: 0, differ: Vec::new(), unknown: 0 };
     for Decided { who, service, action, allowed, times, last, height } in decided {
         compared.times += times;
+        if action.is_empty() {
+            compared.unknown += 1;
+            continue;
+        }
         let ask = Ask {
             who: Some(who.clone()),
-            action: action.to_owned(),
+            action: action.clone(),
             service: service.clone(),
             at: Some(last),
             policies: Some(policies.clone()),
@@ -205,7 +213,7 @@ pub(super) async fn compare(
         if answer.allowed != allowed {
             let was = if allowed { "allowed" } else { "denied" };
             let (code, reason, policies) = (answer.code.clone(), answer.reason.clone(), answer.policies.clone());
-            compared.differ.push(Differs { who, service, was, code, reason, policies, times, last, height });
+            compared.differ.push(Differs { who, action, service, was, code, reason, policies, times, last, height });
         }
     }
     Ok(compared)
@@ -222,17 +230,17 @@ async fn decided(session: &Session, since: u64, most: u64) -> Result<VecDeque<De
     let robots: Vec<RobotAsset> = session.list(ABAC, "robots").await?;
     let mine: BTreeSet<&str> =
         robots.iter().filter(|robot| robot.organisation == *own).map(|robot| robot.name.as_str()).collect();
-    let mut found: BTreeMap<(String, String, &str, bool), Decided> = BTreeMap::new();
+    let mut found: BTreeMap<(String, String, String, bool), Decided> = BTreeMap::new();
     let mut request = AuditRequest { since, limit: ROWS_AT_ONCE, ..AuditRequest::default() };
     loop {
         let answer = session.client.audit(request.clone()).await?;
         for row in answer.rows.iter().filter(|row| mine.contains(row.robot.as_str()) && row.who.contains('/')) {
             let Some((action, allowed)) = verdict(row) else { continue };
-            let key = (row.who.clone(), row.subject.clone(), action, allowed);
+            let key = (row.who.clone(), row.subject.clone(), action.to_owned(), allowed);
             let known = found.entry(key).or_insert_with(|| Decided {
                 who: row.who.clone(),
                 service: row.subject.clone(),
-                action,
+                action: action.to_owned(),
                 allowed,
                 times: 0,
                 last: row.last,
@@ -252,13 +260,13 @@ async fn decided(session: &Session, since: u64, most: u64) -> Result<VecDeque<De
 }
 
 /// The action that policies decided about, and whether they allowed it. None if they did not decide. Commands under a grant are
-/// decided with it.
-fn verdict(row: &AuditRow) -> Option<(&'static str, bool)> {
+/// decided with it. A service may be taken without a policy.
+fn verdict(row: &AuditRow) -> Option<(&str, bool)> {
     let denied = [Code::MissingAttribute, Code::DeniedByPolicy].map(|code| u32::from(code.number()));
     match row.decision.as_str() {
-        "granted" => Some(("acquire", true)),
-        "used" if row.epoch == 0 => Some(("publish", true)),
-        "refused" if denied.contains(&row.code) => Some(("acquire", false)),
+        "granted" if row.action != OVERRIDE => Some((&row.action, true)),
+        "used" if row.epoch == 0 => Some((&row.action, true)),
+        "refused" if denied.contains(&row.code) => Some((&row.action, false)),
         _ => None,
     }
 }
@@ -292,18 +300,48 @@ impl Facts for Compared {
             differ.len()
         )?;
         if *unknown > 0 {
-            writeln!(out, "not asked again, as the ledger knows the person or the service no more: {unknown}")?;
+            writeln!(out, "not asked again, as the person, the service or the action is not known: {unknown}")?;
         }
         if differ.is_empty() {
             return Ok(());
         }
-        let mut table = Table::new(["WHO", "SERVICE", "WAS", "WOULD BE", "TIMES", "LAST", "WHY"]);
+        let mut table = Table::new(["WHO", "ACTION", "SERVICE", "WAS", "WOULD BE", "TIMES", "LAST", "WHY"]);
         for one in differ {
             let would = if one.was == "allowed" { format!("denied {}", one.code) } else { "allowed".to_owned() };
             let why = if one.reason.is_empty() { one.policies.join(", ") } else { one.reason.clone() };
             let (times, last) = (one.times.to_string(), time::moment(one.last));
-            table.row([one.who.clone(), one.service.clone(), one.was.to_owned(), would, times, last, why]);
+            let [who, action, service] = [&one.who, &one.action, &one.service].map(String::clone);
+            table.row([who, action, service, one.was.to_owned(), would, times, last, why]);
         }
         table.write(out, 2)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decision_is_asked_again_as_the_action_that_it_was_and_a_takeover_is_not() {
+        let row = |decision: &str, action: &str, code: u32, epoch: u64| AuditRow {
+            decision: decision.into(),
+            action: action.into(),
+            code,
+            epoch,
+            ..AuditRow::default()
+        };
+        for (row, wanted) in [
+            (row("granted", "acquire", 0, 3), Some(("acquire", true))),
+            (row("granted", "override", 0, 3), None),
+            (row("used", "publish", 0, 0), Some(("publish", true))),
+            (row("used", "", 0, 3), None),
+            (row("refused", "stop", 3002, 0), Some(("stop", false))),
+            (row("refused", "subscribe", 3001, 0), Some(("subscribe", false))),
+            (row("refused", "", 3002, 0), Some(("", false))),
+            (row("refused", "acquire", 3005, 0), None),
+            (row("stopped", "", 0, 0), None),
+        ] {
+            assert_eq!(verdict(&row), wanted, "{row:?}");
+        }
     }
 }
