@@ -26,6 +26,7 @@ const ACKNACK: u8 = 0x06;
 const HEARTBEAT: u8 = 0x07;
 const GAP: u8 = 0x08;
 const NACK_FRAG: u8 = 0x12;
+const DATA: u8 = 0x15;
 const DATA_FRAG: u8 = 0x16;
 
 /// A reader and a writer, as submessages name them.
@@ -79,8 +80,10 @@ impl Forger {
 
     /// Sends an RTPS message of one submessage, little endian, in the name of the participant with this prefix.
     fn send(&self, prefix: [u8; 12], kind: u8, body: &[u8]) {
+        // With a payload, if it is a sample.
+        let flags = if kind == DATA { 5 } else { 1 };
         let length = u16::try_from(body.len()).unwrap().to_le_bytes();
-        let message = [b"RTPS\x02\x03\x01\x12".as_slice(), &prefix, &[kind, 1], &length, body].concat();
+        let message = [b"RTPS\x02\x03\x01\x12".as_slice(), &prefix, &[kind, flags], &length, body].concat();
         assert_eq!(self.0.send_to(&message, ("127.0.0.1", DISCOVERY)).unwrap(), message.len());
     }
 }
@@ -117,17 +120,25 @@ async fn next(reader: &mut Reader) -> Incoming {
     tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap()
 }
 
-/// The reader finds a newcomer and hears it. All that was forged before is handled then, as it came to the same socket.
-async fn hears_a_newcomer(reader: &mut Reader) {
+/// The reader finds a newcomer and hears it. All that was forged before is handled then, as it came to the same socket. Answers
+/// with the samples that came before.
+async fn hears_a_newcomer(reader: &mut Reader) -> Vec<Sample> {
     let known = reader.matched().now().matched;
     let newcomer = Participant::open(DOMAIN, "newcomer").await.unwrap();
     let writer = newcomer.writer(&topic(), &twist(), &Qos::default()).unwrap();
     let heard = async {
         assert!(reader.matched().at_least(known + 1).await && writer.matched().at_least(1).await);
         writer.write(&numbered(9)).unwrap();
-        while reader.next().await.unwrap().sample != numbered(9) {}
+        let mut before = Vec::new();
+        loop {
+            let sample = reader.next().await.unwrap().sample;
+            if sample == numbered(9) {
+                return before;
+            }
+            before.push(sample);
+        }
     };
-    tokio::time::timeout(DEADLINE, heard).await.unwrap();
+    tokio::time::timeout(DEADLINE, heard).await.unwrap()
 }
 
 /// The most memory that this process, which runs one test, has had resident.
@@ -187,6 +198,23 @@ async fn a_heartbeat_and_a_gap_over_countless_samples_are_handled_at_once() {
     forger.send(prefix, GAP, &gap);
     hears_a_newcomer(&mut reader).await;
     assert_little_memory();
+}
+
+#[tokio::test]
+async fn a_writer_that_nobody_has_announced_is_not_heard_whatever_it_is_called() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let Scene { mut reader, writer: _writer, known, _participants, .. } = Scene::begin().await;
+    let forger = Forger::new();
+    // A reader is known by a number and its kind. The writer calls itself one of discovery, or of a user.
+    for (number, kind) in (0..=u8::MAX).flat_map(|number| [(number, 4), (number, 7)]) {
+        for writer in [PUBLICATIONS.1, known.1] {
+            let fields = body(([0, 0, number, kind], writer), &[&sequence(7), numbered(666).wire()]);
+            forger.send([5; 12], DATA, &[[0_u8, 0, 16, 0].as_slice(), &fields].concat());
+        }
+    }
+    assert_eq!(hears_a_newcomer(&mut reader).await, []);
 }
 
 #[tokio::test]

@@ -795,8 +795,10 @@ impl Reader {
         );
         // This is normal if the DATA was broadcast, but it was from another topic.
         // We just ignore the data in such a case
-        // ... unless it is Discovery traffic.
-        if writer_guid.entity_id.entity_kind.is_user_defined() {
+        // ... unless it is Discovery traffic, which a user's reader never gets.
+        if my_entity_id.entity_kind.is_user_defined()
+          || writer_guid.entity_id.entity_kind.is_user_defined()
+        {
           return;
         }
       }
