@@ -62,8 +62,10 @@ fn the_page_of_a_bridge_says_whether_it_is_ready_and_why_not_and_has_the_figures
         ] {
             assert!(said.lines().any(|told| told == line), "{line}\n{said}");
         }
-        let said = ready(ROBOTS_PAGE, is_well);
-        assert!(said.contains("[+] Rover/cmd_vel from_ledger ok\n") && !said.contains("grant"), "{said}");
+        // The voters have answered.
+        let is_opened = |body: &str| body.contains("[+] Rover/cmd_vel from_ledger ok\n");
+        let said = ready(ROBOTS_PAGE, |status, body| is_well(status, body) && is_opened(body));
+        assert!(!said.contains("grant"), "{said}");
         assert!(get(USERS_PAGE, "/metric").0.contains("404"));
 
         let (topic, kind) = (TopicName::parse("/cmd_vel").unwrap(), TypeName::parse(TWIST).unwrap());
