@@ -13,6 +13,7 @@ use std::{
 };
 
 use bytes::Bytes;
+use futures::future::BoxFuture;
 use ledger_api::{Certified, pages};
 use ledger_contract::{Grant, RobotAsset};
 use ledger_gate::{
@@ -39,6 +40,17 @@ pub(crate) struct Answered {
     pub(crate) asked: Instant,
 }
 
+/// The answer to a question.
+pub(crate) type Answer = Result<Arc<Answered>, Rejection>;
+
+/// The answer to the question under way; waits for ever if there is none.
+pub(crate) async fn answer(question: &mut Option<BoxFuture<'static, Answer>>) -> Answer {
+    let Some(asked) = question else { return std::future::pending().await };
+    let answer = asked.await;
+    *question = None;
+    answer
+}
+
 /// Asks how one robot stands. Its routes share the answers.
 pub(crate) struct Asker {
     gateway: Arc<dyn Gateway>,
@@ -52,7 +64,7 @@ pub(crate) struct Asker {
 #[derive(Default)]
 struct Last {
     trust: Option<Trust>,
-    outcome: Option<(Instant, Result<Arc<Answered>, Rejection>)>,
+    outcome: Option<(Instant, Answer)>,
 }
 
 /// The source that the bridge believes.
@@ -80,7 +92,7 @@ impl Asker {
     ///
     /// # Errors
     /// [`Code::UnknownRobot`]; why there is no proof; the ledger's refusal if it does not answer in time.
-    pub(crate) async fn ask(&self, since: Instant) -> Result<Arc<Answered>, Rejection> {
+    pub(crate) async fn ask(&self, since: Instant) -> Answer {
         let mut last = self.last.lock().await;
         if let Some((_, outcome)) = last.outcome.as_ref().filter(|(asked, _)| *asked >= since) {
             return outcome.clone();

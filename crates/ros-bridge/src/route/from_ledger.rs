@@ -59,7 +59,7 @@ use crate::{
     names::Interface,
     qos::Qos,
     service::{stop_for, topic_for},
-    standing::{Answered, Asker},
+    standing::{Answer, Answered, Asker, answer},
 };
 
 /// How long a stop message is waited for when the bridge ends.
@@ -104,9 +104,6 @@ fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
         Cause::NothingCame => pause("no_message", "nothing has come from the ledger yet".to_owned()),
     }
 }
-
-/// The answer to a question.
-pub(super) type Answer = Result<Arc<Answered>, Rejection>;
 
 /// A route from a service to a local topic.
 struct FromLedger {
@@ -471,14 +468,6 @@ impl FromLedger {
     fn count_of(&self, refused: Refused) -> u64 {
         self.counters.lock().summary.gate.get(refused.name()).copied().unwrap_or(0)
     }
-}
-
-/// The answer to the question under way; waits for ever if there is none.
-pub(super) async fn answer(question: &mut Option<BoxFuture<'static, Answer>>) -> Answer {
-    let Some(asked) = question else { return std::future::pending().await };
-    let answer = asked.await;
-    *question = None;
-    answer
 }
 
 /// The event as the gate reads it.

@@ -11,14 +11,11 @@ use ledger_api::Subscription;
 use ledger_gate::{ABAC, service::Service};
 use tokio::time::sleep_until;
 
-use super::{
-    super::from_ledger::{Answer, answer},
-    Holder,
-};
+use super::Holder;
 use crate::{
     count::{Complaint, line},
     gateway::{Deliveries, Gateway},
-    standing::Asker,
+    standing::{Answer, Asker, answer},
 };
 
 /// A question without an answer is asked again after this time.
