@@ -1,6 +1,8 @@
 //! Two participants of ours on a network of their own.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+#[path = "support/commands.rs"]
+mod commands;
 #[path = "../../../tests/support/own_network.rs"]
 mod network;
 
@@ -11,6 +13,7 @@ use std::{
 };
 use tokio::sync::watch;
 
+use commands::{DEADLINE, next, numbered, topic, twist};
 use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample, XCDR2};
 use ledger_hash::Hash;
 use ros_bridge::{
@@ -20,23 +23,9 @@ use ros_bridge::{
     mark::Mark,
     names::{TopicName, TypeName},
     qos::{Durability, Qos, Reliability},
-    queue::{Incoming, Limits},
+    queue::Limits,
     reach::Reach,
 };
-
-const DEADLINE: Duration = Duration::from_secs(20);
-
-fn topic() -> TopicName {
-    TopicName::parse("/cmd_vel").unwrap()
-}
-
-fn twist() -> TypeName {
-    TypeName::parse("geometry_msgs/msg/Twist").unwrap()
-}
-
-fn numbered(number: u32) -> Sample {
-    Sample::new(CDR_LE, &number.to_le_bytes().repeat(12)).unwrap()
-}
 
 async fn matched(reader: &Reader, writer: &Writer) {
     let both = async {
@@ -46,8 +35,34 @@ async fn matched(reader: &Reader, writer: &Writer) {
     tokio::time::timeout(DEADLINE, both).await.unwrap();
 }
 
-async fn next(reader: &mut Reader) -> Incoming {
-    tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap()
+#[tokio::test]
+async fn a_volatile_reader_is_not_given_what_another_reader_heard_before_it() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let writer = there.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let mut first = here.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    matched(&first, &writer).await;
+    writer.write(&numbered(1)).unwrap();
+    assert_eq!(next(&mut first).await.sample, numbered(1));
+    let mut others = Vec::new();
+    for (before, reliability) in [(1, Reliability::Reliable), (2, Reliability::BestEffort)] {
+        let qos = Qos { reliability, ..Qos::default() };
+        let mut later = here.reader(&topic(), &twist(), &qos, Limits::default()).unwrap();
+        let heard = async {
+            assert!(writer.matched().at_least(before + 1).await && later.matched().at_least(1).await);
+            loop {
+                // A reader that is best effort may miss one.
+                writer.write(&numbered(2)).unwrap();
+                if let Ok(heard) = tokio::time::timeout(Duration::from_millis(200), later.next()).await {
+                    return heard.unwrap().sample;
+                }
+            }
+        };
+        assert_eq!(tokio::time::timeout(DEADLINE, heard).await.unwrap(), numbered(2), "{reliability:?}");
+        others.push(later);
+    }
 }
 
 #[tokio::test]

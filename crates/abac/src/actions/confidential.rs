@@ -152,11 +152,17 @@ pub(crate) fn check_key(
         return Err(stale(format!("key {key}, from before a change of readers, policies or the robot")));
     }
     let changes = reader::changes(ctx, id)?;
-    if shared.moves != changes.moves && changes.moved_at.saturating_add(GRACE_US) <= ctx.block_time() {
+    if shared.moves == changes.moves {
+        return Ok(());
+    }
+    if changes.moved_at.saturating_add(GRACE_US) <= ctx.block_time() {
         return Err(stale(format!(
             "key {key}, from before a reader came or went {} s ago or more",
             GRACE_US / 1_000_000
         )));
+    }
+    if reader::revoked_since(ctx, shared.key)? {
+        return Err(stale(format!("key {key}, from before a reader came or went and somebody was revoked")));
     }
     Ok(())
 }

@@ -88,8 +88,12 @@ fn compete(
     let Asking { principal, options, .. } = asking;
     match acquire::may_acquire(ctx, decider, &principal, target, options.priority) {
         Ok((room, permit)) => {
-            let acquired = acquire::settle(ctx, decider, target, principal, &options, room, permit)?;
-            Ok((Some(store::parse(b"acquired", &acquired)?), String::new()))
+            match acquire::settle(ctx, decider, target, principal, &options, room, permit) {
+                Ok(acquired) => Ok((Some(store::parse(b"acquired", &acquired)?), String::new())),
+                // It does not want to wait. Nothing is written yet.
+                Err(refused) if refused.code == Code::Held => Ok((None, refused.message)),
+                Err(fault) => Err(fault),
+            }
         }
         Err(fault) if matches!(fault.code, Code::Corrupt | Code::Internal) => Err(fault),
         Err(refused) => Ok((None, refused.message)),

@@ -151,6 +151,7 @@ pub(crate) fn identity_revoked(
     end_all(ctx, ending)?;
     if sharing::known(ctx) {
         proposed::revoked(ctx, &revoked.issuer, &revoked.serial)?;
+        reader::note_revocation(ctx)?;
         reader::revoked(ctx, &revoked.issuer, &revoked.serial)?;
     }
     queue::revoked(ctx, decider, &revoked.issuer, &revoked.serial)
@@ -158,6 +159,9 @@ pub(crate) fn identity_revoked(
 
 /// Ends the rights of all whom an authority has certified.
 pub(crate) fn authority_lost(ctx: &mut Context<'_>, decider: &Decider, issuer: &[u8; 32]) -> Result<(), Rejection> {
+    if sharing::known(ctx) {
+        reader::note_revocation(ctx)?;
+    }
     for serial in store::serials(ctx, issuer) {
         identity_revoked(ctx, decider, &Revocation { issuer: *issuer, serial })?;
     }
@@ -171,6 +175,7 @@ pub(crate) fn organisation_removed(
     organisation: &str,
 ) -> Result<(), Rejection> {
     if sharing::known(ctx) {
+        reader::note_revocation(ctx)?;
         policy_set::forget_all(ctx, organisation)?;
         texts::forget(ctx, organisation)?;
     }

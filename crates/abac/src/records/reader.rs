@@ -5,7 +5,8 @@
 //! key remembers these three.
 //!
 //! The loss of the right to read ends a key at once. A reader that comes, or goes of its own accord, ends it after a grace only. Else
-//! any reader could keep a publisher from all others by coming and going all the time.
+//! any reader could keep a publisher from all others by coming and going all the time. A revocation ends that grace, whoever is
+//! revoked: it may be the one that has just gone.
 
 use super::principal::Principal;
 use super::robot::Robot;
@@ -82,6 +83,16 @@ fn moved(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
     let before = changes(ctx, service)?;
     let (moves, moved_at) = (before.moves.saturating_add(1), ctx.block_time());
     store::write(ctx, &store::readers_key(service), &Changes { moves, moved_at, ..before })
+}
+
+/// Somebody was revoked, or an organisation left, in this block.
+pub(crate) fn note_revocation(ctx: &mut Context<'_>) -> Result<(), Rejection> {
+    store::write(ctx, store::REVOKED, &ctx.height())
+}
+
+/// Was somebody revoked since the block of that height, or in it?
+pub(crate) fn revoked_since(ctx: &Context<'_>, height: u64) -> Result<bool, Rejection> {
+    Ok(store::read::<u64>(ctx, store::REVOKED)?.is_some_and(|newest| newest >= height))
 }
 
 /// A place of a subscriber has ended. Its holder may let it end, and take it again, as often as it likes.

@@ -285,6 +285,9 @@ pub(crate) fn readers_key(service: &str) -> Vec<u8> {
     ["readers/", service].concat().into_bytes()
 }
 
+/// The key of the height of the newest block in which somebody was revoked, or an organisation left.
+pub(crate) const REVOKED: &[u8] = b"revoked/";
+
 /// The key of the newest content key of a publisher; without a publisher the prefix of all of a service.
 pub(crate) fn shared_key(service: &str, publisher: &str) -> Vec<u8> {
     ["shared/", service, "\0", publisher].concat().into_bytes()

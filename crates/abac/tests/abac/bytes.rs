@@ -48,10 +48,10 @@ const OF_RULES_2: [&str; 2] = [
     "7d4913a4df1dd0a9a4b14548131ea22f2bfed74f738fb4206b2ceabba3be6778",
     "82a50de3ff171b82e01a9a975708dfcf5c6a4ee84207f9a3a4d1d4cb86f90043",
 ];
-/// Robots have an index by owner, versions of policies their steps, what is decided again is marked meanwhile, and grants name
-/// the policies that permitted them.
+/// Robots have an index by owner, versions of policies their steps, and grants the policies that permitted them. What is decided
+/// again is marked meanwhile, and the newest revocation is noted.
 const OF_RULES_3: [&str; 2] = [
-    "dc5f4dd1742f772b0d9ea325a8c8255b1d5ff0f5851209b924ea28e600be4afb",
+    "b80e5c9052d9281c29f8d116e1d8a1fb7a2b5b361ff5471313be3581ed57b782",
     "3822d3f1034d8d2cd86e3282ebc4bdb318f94c1ab1fd061d94ea5438086ed2e7",
 ];
 

@@ -227,6 +227,30 @@ fn whoever_comes_and_goes_all_the_time_keeps_no_publisher_from_the_others() {
 }
 
 #[test]
+fn a_reader_that_goes_and_is_revoked_reads_nothing_more() {
+    for how in ["the certificate", "the authority", "the organisation"] {
+        let (mut fleet, _admin) = fleet();
+        let reader = Person::new(member("Salma", 71));
+        reader.enter(&mut fleet, POSES).unwrap();
+        let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+        fleet.ok(&reader.identity, "reader", &[POSES, "none"]);
+        send(&mut fleet, &camera(), &sealer, (POSES, 0, 1)).unwrap();
+        match how {
+            "the certificate" => fleet.revoke(&reader.identity),
+            "the authority" => fleet.lose_authority(&reader.identity),
+            _ => fleet.remove_organisation("Org1"),
+        }
+        // Somebody else that comes does not bring the grace back.
+        Person::new(owner()).enter(&mut fleet, POSES).unwrap();
+        let refused = send(&mut fleet, &camera(), &sealer, (POSES, 0, 2)).unwrap_err();
+        assert_eq!(refused.code, Code::ReadersChanged, "{how}: {refused}");
+        assert!(refused.found.contains("somebody was revoked"), "{how}: {refused}");
+        let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+        send(&mut fleet, &camera(), &sealer, (POSES, 0, 2)).unwrap();
+    }
+}
+
+#[test]
 fn a_key_of_another_publisher_or_service_is_not_good() {
     let (mut fleet, _admin) = fleet();
     let (of_poses, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();

@@ -96,6 +96,18 @@ fn a_confirmed_contender_waits_in_line_or_tries_again() {
     fleet.ok(&farhad(), "release", &[TURTLEBOT]);
     assert_eq!(fleet.get::<Grant>(&salma(), "acquire", &[TURTLEBOT]).holder, "Org1/Salma");
 
+    // So does one that does not want to stand in the line that there is.
+    let mut fleet = self::fleet(r#","on_conflict":"queue""#);
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT, r#"{"wait_ms":0}"#]);
+    asks(&mut fleet, &farhad());
+    for officer in [owner(), officer("Safe", 51)] {
+        fleet.ok(&officer, "confirm", &[TURTLEBOT, "Org1/Farhad"]);
+    }
+    confirm(&mut fleet, &owner());
+    let last = confirm(&mut fleet, &officer("Safe", 51));
+    assert!(last.acquired.is_none() && last.refused.contains("held by Org1/Farhad"), "{last:?}");
+    assert_eq!((last.pending.confirmed.len(), state(&fleet).line.len()), (2, 0), "it counts");
+
     // With one it takes its place, and needs nobody when its turn comes.
     let mut fleet = self::fleet(r#","on_conflict":"queue""#);
     for who in ["Org1/Farhad", "Org1/Salma"] {

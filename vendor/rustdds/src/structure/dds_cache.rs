@@ -386,6 +386,18 @@ impl TopicCache {
       .copied()
   }
 
+  // Where a reader begins that wants nothing of what is here already, by either of its
+  // read pointers.
+  pub fn after_all(&self) -> (Timestamp, BTreeMap<GUID, SequenceNumber>) {
+    let newest = |(writer, sn_map): (&GUID, &BTreeMap<SequenceNumber, Timestamp>)| {
+      Some((*writer, *sn_map.last_key_value()?.0))
+    };
+    (
+      self.last_added_instant,
+      self.sequence_numbers.iter().filter_map(newest).collect(),
+    )
+  }
+
   // The writers of this participant are gone. Should they come back, they send what
   // they sent before, under the same sequence numbers.
   pub fn forget_writers_of(&mut self, participant: GuidPrefix) {
@@ -467,7 +479,11 @@ impl TopicCache {
       ChangesInRange::Reliable(self.get_changes_in_range_reliable(last_read_sn))
     } else {
       ChangesInRange::BestEffort(
-        self.get_changes_in_range_best_effort(latest_instant, Timestamp::now()),
+        // Keys run ahead of a clock that was set back.
+        self.get_changes_in_range_best_effort(
+          latest_instant,
+          max(Timestamp::now(), self.last_added_instant),
+        ),
       )
     }
   }

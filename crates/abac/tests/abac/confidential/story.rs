@@ -52,6 +52,8 @@ struct Model {
     /// How often one came, or went of its own accord, and when last.
     moves: u64,
     moved_at: u64,
+    /// How often somebody was revoked.
+    revocations: u64,
 }
 
 impl Model {
@@ -69,8 +71,8 @@ impl Model {
     }
 }
 
-/// The newest key: for whom, made for what, until when.
-type Newest = (Sealer, BTreeSet<usize>, (u64, BTreeSet<usize>, bool), u64, u64);
+/// The newest key: for whom, made for what, after how many moves and revocations, until when.
+type Newest = (Sealer, BTreeSet<usize>, (u64, BTreeSet<usize>, bool), (u64, u64), u64);
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
@@ -84,7 +86,6 @@ proptest! {
         let mut people: Vec<Person> =
             [owner(), member("Ada", 71), member("Ben", 72), member("Cleo", 73)].map(Person::new).into();
         let (mut model, mut seq) = (Model::default(), 0);
-        // The newest key: for whom, made for what, until when.
         let mut newest: Option<Newest> = None;
         for step in steps {
             match step {
@@ -110,6 +111,7 @@ proptest! {
                 Step::Revoke(who) => {
                     fleet.revoke(&people[who].identity);
                     model.revoked.insert(who);
+                    model.revocations += 1;
                     model.losses += u64::from(model.entered.remove(&who));
                 }
                 Step::Forbid(who) if who > 0 && model.forbidden.insert(who) => {
@@ -133,17 +135,18 @@ proptest! {
                             let learnt = person.keyring.learn(POSES, "Org2/OptiTrack", sealer.key(), &given);
                             prop_assert_eq!(learnt, readers.contains(&who), "{}", names[who]);
                         }
-                        newest = Some((sealer, readers, model.made_for(), model.moves, fleet.time + HOUR));
+                        newest = Some((sealer, readers, model.made_for(), (model.moves, model.revocations), fleet.time + HOUR));
                     }
                     Err(refused) => {
                         prop_assert_eq!(refused.code, Code::ReadersChanged);
                         prop_assert!(!model.readers().contains(&0), "{}", refused);
                     }
                 },
-                Step::Send => if let Some((sealer, readers, made_for, moves, until)) = &newest {
+                Step::Send => if let Some((sealer, readers, made_for, (moves, revocations), until)) = &newest {
                     seq += 1;
                     let sent = send(&mut fleet, &camera(), sealer, (POSES, 0, seq));
-                    let has_moved = *moves != model.moves && fleet.time >= model.moved_at + 2 * SECOND;
+                    let is_over = fleet.time >= model.moved_at + 2 * SECOND || *revocations != model.revocations;
+                    let has_moved = *moves != model.moves && is_over;
                     let is_good = *made_for == model.made_for() && fleet.time < *until && !has_moved;
                     prop_assert_eq!(sent.is_ok(), is_good, "{:?}", sent);
                     if let Ok(sealed) = sent {

@@ -58,10 +58,10 @@ pub(crate) struct ReadState<K: Key> {
 }
 
 impl<K: Key> ReadState<K> {
-  fn new() -> Self {
+  fn new(latest_instant: Timestamp, last_read_sn: BTreeMap<GUID, SequenceNumber>) -> Self {
     ReadState {
-      latest_instant: Timestamp::ZERO,
-      last_read_sn: BTreeMap::new(),
+      latest_instant,
+      last_read_sn,
       hash_to_key_map: BTreeMap::<KeyHash, K>::new(),
     }
   }
@@ -179,13 +179,24 @@ where
       });
     }
 
+    // Other readers of this participant may have filled the cache. What they got before
+    // is history to this one.
+    let wants_history = qos_policy
+      .durability()
+      .is_some_and(|durability| durability != policy::Durability::Volatile);
+    let (latest_instant, last_read_sn) = if wants_history {
+      (Timestamp::ZERO, BTreeMap::new())
+    } else {
+      topic_cache.lock().unwrap().after_all()
+    };
+
     Ok(Self {
       my_subscriber: subscriber,
       qos_policy,
       my_guid,
       notification_receiver: Mutex::new(notification_receiver),
       topic_cache,
-      read_state: Mutex::new(ReadState::new()),
+      read_state: Mutex::new(ReadState::new(latest_instant, last_read_sn)),
       my_topic: topic,
       deserializer_type: PhantomData,
       discovery_command,
