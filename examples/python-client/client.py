@@ -27,10 +27,12 @@ from ledgerd.v1 import gateway_pb2_grpc as services
 from ledgerd.v1 import transaction_pb2 as signed
 
 P256_ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
+# How long a call may be executed.
+LIFE_S = 30
 # A command is worth nothing after two seconds.
-LIFE_US = 2_000_000
-# How long a call is tried: longer than it can be executed.
-RETRY_S = 5
+COMMAND_LIFE_S = 2
+# How long one answer is waited for. A call is tried for so much longer than it can be executed.
+ANSWER_S = 5
 
 
 class Client:
@@ -44,13 +46,13 @@ class Client:
         self.certificate = x509.load_pem_x509_certificate(chain).public_bytes(Encoding.DER)
         self.gateway = services.GatewayStub(channel(context, key, chain))
 
-    def call(self, chaincode: str, function: str, *args: bytes) -> api.SubmitResponse:
+    def call(self, chaincode: str, function: str, *args: bytes, life: int = LIFE_S) -> api.SubmitResponse:
         """Signs a call, submits it, and waits for its verdict."""
         body = signed.TransactionBody(
             network=self.network,
             creator=hashlib.sha256(self.certificate).digest(),
             nonce=os.urandom(16),
-            not_after=self.gateway.Status(api.StatusRequest()).clock + LIFE_US,
+            not_after=self.gateway.Status(api.StatusRequest()).clock + life * 1_000_000,
             chaincode=chaincode,
             function=function,
             args=args,
@@ -58,7 +60,7 @@ class Client:
         signature = self.sign(b"ledgerd transaction v1\0" + body)
         transaction = signed.Transaction(body=body, signature=signature, certificate=self.certificate)
         request = api.SubmitRequest(transaction=transaction.SerializeToString(), first_attempt=True)
-        answer = self.send(request, until=time.monotonic() + RETRY_S)
+        answer = self.send(request, until=time.monotonic() + life + ANSWER_S)
         if answer.verdict.code != 0:
             verdict = answer.verdict
             sys.exit(f"LGR-{verdict.code}: {verdict.message}\n  found   {verdict.found}\n  wanted  {verdict.wanted}")
@@ -68,7 +70,7 @@ class Client:
         """Submits; again as long as nobody knows what became of it. The node executes it once."""
         while True:
             try:
-                answer = self.gateway.Submit(request, timeout=RETRY_S)
+                answer = self.gateway.Submit(request, timeout=ANSWER_S)
                 if answer.height or answer.verdict.code < 4000 or time.monotonic() > until:
                     return answer
             except grpc.RpcError:
@@ -110,7 +112,7 @@ def main() -> None:
     print(f"{service} is held with epoch {grant['epoch']}")
     twist = bytes.fromhex("00010000") + bytes(48)
     numbers = [str(grant[name]).encode() for name in ("epoch", "next_seq")]
-    height = client.call("abac", "set", service.encode(), *numbers, twist).height
+    height = client.call("abac", "set", service.encode(), *numbers, twist, life=COMMAND_LIFE_S).height
     print(f"published in block {height}")
     request = api.SubscribeRequest(from_height=height, chaincode="abac", subjects=[service], names=["message"])
     for delivery in client.gateway.Subscribe(request):

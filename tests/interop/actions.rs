@@ -155,8 +155,8 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
 
         // Given back while the goal runs. Until then its own signs of life have kept the grant, beyond its lease.
         let mut goal = running("1", &mut server);
-        call(&world.salma, "renew", &["Rover/count", "5000"]).await;
-        let until = Instant::now() + Duration::from_secs(9);
+        call(&world.salma, "renew", &["Rover/count", "12000"]).await;
+        let until = Instant::now() + Duration::from_secs(20);
         while Instant::now() < until {
             tokio::time::sleep(Duration::from_millis(100)).await;
             let grants = owner.query("abac", "grants", vec!["Rover/count".into()]).await.unwrap().response;
@@ -302,6 +302,27 @@ fn a_bridge_that_comes_back_cancels_the_goals_that_run_and_none_that_others_set_
         assert_eq!(second.line().unwrap(), format!("goal {LONG}"));
         first_goal("1", &mut second, &world);
         assert_eq!((own.try_line(), second.try_line()), (None, None), "{}", world.logs());
+    });
+}
+
+#[test]
+fn a_goal_that_a_robot_has_lost_as_it_started_again_keeps_no_grant() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let (world, _) = with_action("exclusive").await;
+        let _salma = bridge(&world, "Salma", 1, "action_server", "");
+        let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
+        let mut first = server(&[]);
+        acquire(&world, "Salma", PATIENTLY).await;
+        first_goal("1", &mut first, &world);
+
+        // The client stays.
+        let _goal = running("1", &mut first);
+        drop((robot, first));
+        let _robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
+        world.line("Salma", &["the robot has lost a goal"]).await;
     });
 }
 

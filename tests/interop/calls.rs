@@ -189,11 +189,15 @@ async fn grant(client: &Client) -> Option<Grant> {
     grants.into_iter().next()
 }
 
+/// The lease of a robot whose grant is had from ROS: no machine stalls for so long.
+const LEASE_MS: u64 = 20_000;
+
 /// Waits until the grant is this one's, and was renewed.
 async fn kept(client: &Client, holder: &str) {
     let deadline = Instant::now() + Duration::from_secs(60);
     loop {
-        let is_renewed = |grant: Grant| grant.holder == holder && grant.expires > grant.acquired_at + 5_000_000;
+        let is_renewed =
+            |grant: Grant| grant.holder == holder && grant.expires > grant.acquired_at + LEASE_MS * 1000 + 1_000_000;
         if grant(client).await.is_some_and(is_renewed) {
             return;
         }
@@ -210,6 +214,7 @@ fn the_grant_is_had_from_ros_and_every_answer_tells_the_truth() {
     world::run(async {
         let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
         let owner = owner_of(&world).await;
+        call(&owner, "configure", &["Rover/cmd_vel", &format!("{{\"lease_ms\":{LEASE_MS}}}")]).await;
         let settings = |domain: u16| {
             let route = world::route("to_ledger", "/cmd_vel", "geometry_msgs/msg/Twist");
             format!("domain_id = {domain}\nshared_memory = false\ngrant_services = true\n{route}")
@@ -217,7 +222,7 @@ fn the_grant_is_had_from_ros_and_every_answer_tells_the_truth() {
         let _salma = world.start_bridge_as("Salma", &settings(1), &[]);
         let _farhad = world.start_bridge_as("Farhad", &settings(2), &[]);
 
-        // What nobody holds is had, and kept beyond its lease of four seconds without any command.
+        // What nobody holds is had, and kept beyond its lease without any command.
         let nothing = asked("1", "release");
         assert!(nothing.starts_with("False Org1/Salma holds no grant of Rover/cmd_vel"), "{nothing}");
         let granted = asked("1", "acquire");

@@ -22,7 +22,7 @@ fn read(file: &Path, words: &[&str]) -> Value {
 
 /// Publishes a twist that drives so fast, and gives the ledger's answer.
 fn drive(user: &Ctl, speed: f64) -> Value {
-    user.json(&["publish", "Turtlebot4", &format!("{{linear: {{x: {speed}}}}}")])
+    user.publish(&["Turtlebot4", &format!("{{linear: {{x: {speed}}}}}"), "-o", "json"]).ok().json()
 }
 
 /// The bytes of that twist, in hexadecimal digits.
@@ -48,7 +48,7 @@ fn a_recording_tells_others_every_message_with_its_sender_and_its_place_on_the_l
     dev.owner().run(&["robot", "add", "arm-7", "--attr-required", "Turtlebot4", "--service", service]).ok();
     let granted = salma.json(&["acquire", "Turtlebot4", "--for", "60s"]);
     let sent: Vec<_> = [0.5, -0.25, 0.0].map(|speed| drive(&salma, speed)).into();
-    salma.run(&["publish", "arm-7", "--hex", "0001000007"]).ok();
+    salma.publish(&["arm-7", "--hex", "0001000007"]).ok();
     salma.run(&["release", "Turtlebot4"]).ok();
     let file = dev.home.path().join("run.mcap");
     let recorded =
@@ -375,7 +375,7 @@ fn a_replay_ends_where_a_bridge_has_the_topic_and_no_bridge_takes_it_to_the_ledg
         call(&world.salma, "acquire", &["Rover/cmd_vel", "60000"]).await;
         let salma = Ctl::at(&world.path("home")).as_("Salma");
         for speed in 1..=4 {
-            salma.run(&["publish", "Rover", &format!("{{linear: {{x: {speed}.0}}}}")]).ok();
+            salma.publish(&["Rover", &format!("{{linear: {{x: {speed}.0}}}}")]).ok();
         }
         let file = world.path("run.mcap").display().to_string();
         salma.run(&["record", "Rover", "--since", "0", "--plain-topics", "-o", &file]).ok();

@@ -60,7 +60,7 @@ impl Story {
         register_robots(&boss, "exclusive").await;
         boss.invoke("abac", "policy", vec!["put".into(), "drivers".into(), NOT_FARHAD.into()]).await.unwrap();
         let driver = connect(&salma).await;
-        let granted = driver.invoke("abac", "acquire", vec!["Turtlebot4".into()]).await.unwrap();
+        let granted = driver.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
         let mut last = Hash::ZERO;
         for seq in 1..=3 {
             let args = message(1, seq, &hex::decode(TWIST).unwrap());
@@ -266,7 +266,7 @@ fn recorded_decisions_are_asked_again_under_other_policies() {
     let dev = Dev::start();
     let (owner, salma, farhad) =
         (dev.owner(), dev.user("Salma", &["Husky"], "ed25519"), dev.user("Farhad", &[], "p256"));
-    salma.run(&["acquire", "Husky/cmd_vel"]).ok();
+    salma.run(&["acquire", "Husky/cmd_vel", "--for", "10m"]).ok();
     farhad.run(&["acquire", "Husky/cmd_vel"]).refused(2, &["LGR-3001"]);
     eventually("the refusal is on the ledger", || {
         let shown = owner.run(&["audit", "--robot", "Husky", "--code", "LGR-3001", "--csv"]).ok().stdout;

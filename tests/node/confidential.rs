@@ -28,7 +28,7 @@ fn lies_below(directory: &Path, message: &str) -> bool {
 }
 
 fn publish(who: &Ctl, service: &str, message: &str) -> Value {
-    who.json(&["publish", service, "--hex", message])
+    who.publish(&[service, "--hex", message, "-o", "json"]).ok().json()
 }
 
 /// The messages of a service from the first block on.

@@ -37,6 +37,11 @@ fn status(ctl: &Ctl) -> Value {
     })
 }
 
+/// Salma sends a command.
+fn drive(terminal: &Terminal) {
+    Ctl::at(&terminal.home()).as_("Salma").publish(&["Turtlebot4/cmd_vel", "{linear: {x: 0.5}}"]).ok();
+}
+
 /// A network of one node with a robot, a person and some commands, everything in this directory.
 fn make(directory: &Path) {
     fs::write(directory.join("ledgerd.toml"), CONFIG).unwrap();
@@ -49,7 +54,7 @@ fn make(directory: &Path) {
     terminal.type_line("ledgerctl enroll Salma --node 127.0.0.1:7450 --ca-fingerprint FINGERPRINT --secret SECRET");
     terminal.type_line("ledgerctl --context Salma acquire Turtlebot4 --for 10m");
     for _ in 0..5 {
-        terminal.type_line("ledgerctl --context Salma publish Turtlebot4/cmd_vel {\"linear\":{\"x\":0.5}}");
+        drive(&terminal);
     }
     let admin = Ctl::at(&terminal.home()).as_("admin");
     let height = status(&admin)["height"].as_u64().unwrap();
@@ -92,7 +97,7 @@ fn open(fixture: &Path) {
     let shown = status(&admin);
     assert!(shown["height"].as_u64() >= expected["height"].as_u64(), "{shown}");
     terminal.type_line("ledgerctl --context Salma acquire Turtlebot4");
-    terminal.type_line("ledgerctl --context Salma publish Turtlebot4/cmd_vel {\"linear\":{\"x\":0.5}}");
+    drive(&terminal);
     ledgerd(place, &["backup", "another"]);
     ledgerd(place, &["backup", "backup"]);
     terminal.process(RUN).interrupt();

@@ -21,7 +21,7 @@ fn watch_tells_grants_refusals_and_stops_as_they_happen_and_no_command() {
     eventually("a grant is told", || {
         watch.check();
         salma.run(&["acquire", "Turtlebot4/cmd_vel", "--for", "30s"]).ok();
-        salma.run(&["publish", "Turtlebot4/cmd_vel", "{linear: {x: 0.1}}"]).ok();
+        salma.publish(&["Turtlebot4/cmd_vel", "{linear: {x: 0.1}}"]).ok();
         salma.run(&["release", "Turtlebot4/cmd_vel"]).ok();
         seen(&rows(&watch), "granted", "Org1/Salma").then_some(())
     });

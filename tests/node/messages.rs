@@ -13,7 +13,7 @@ fn a_twist_is_published_as_yaml_and_echoed_as_ros2_topic_echo_does() {
     let dev = Dev::start();
     let salma = dev.user("Salma", &["Turtlebot4"], "ed25519");
     salma.run(&["acquire", "Turtlebot4", "--for", "60s"]).ok();
-    let publish = |message: &str| salma.run(&["publish", "Turtlebot4", message, "-o", "json"]);
+    let publish = |message: &str| salma.publish(&["Turtlebot4", message, "-o", "json"]);
     let sent = publish("{linear: {x: 0.5}, angular: {z: 0.1}}").ok().json();
     assert_eq!((&sent["service"], &sent["bytes"]), (&"Turtlebot4/cmd_vel".into(), &52.into()));
     publish(r#"{"linear": {"x": -1}}"#).ok();
@@ -78,7 +78,7 @@ fn a_type_of_ones_own_is_hex_until_its_definition_is_given() {
     let file = directory.join("Grip.msg");
     std::fs::write(&file, "# how hard\nfloat32 force 2.5\nstring<=8 tool\nuint8[] raw\n").unwrap();
     let (path, file) = (file.display().to_string(), format!("arm_msgs/msg/Grip={}", file.display()));
-    let sent = salma.json(&["publish", "Arm", "{tool: hook, raw: [1, 0xff]}", "--msg", &path]);
+    let sent = salma.publish(&["Arm", "{tool: hook, raw: [1, 0xff]}", "--msg", &path, "-o", "json"]).ok().json();
     salma.run(&["publish", "Arm", "{tool: far too long}", "--msg", &path]).refused(3, &["tool", "at most 8"]);
     let from = sent["height"].to_string();
     let echo = ["echo", "Arm", "--from", &from, "--count", "1"];

@@ -31,9 +31,9 @@ fn a_holder_passes_a_robot_on_by_name_and_takes_it_back_until_a_link_is_revoked(
         assert!(told.contains(part), "{part:?} in {told}");
     }
     salma
-        .run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST])
+        .publish(&["Turtlebot4/cmd_vel", "--hex", TWIST])
         .refused(2, &["LGR-3006", "ledgerctl recall Turtlebot4/cmd_vel"]);
-    farhad.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
+    farhad.publish(&["Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
     farhad.run(&["delegate", "Turtlebot4", "--to", "Org1/Guest"]).refused(5, &["LGR-3022", "--may-delegate"]);
     let back = salma.json(&["recall", "Turtlebot4"]);
     assert_eq!((&back["holder"], &back["epoch"], &back["follows"]), (&"Org1/Salma".into(), &3.into(), &2.into()));
@@ -75,7 +75,7 @@ fn a_dangerous_robot_is_acquired_when_others_have_agreed() {
     let ended = waits.wait_with_output().unwrap();
     let grant: Value = serde_json::from_slice(&ended.stdout).unwrap();
     assert_eq!((ended.status.code(), &grant["holder"]), (Some(0), &"Org1/Salma".into()));
-    salma.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
+    salma.publish(&["Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
     dev.process.check();
     dev.process.interrupt();
 }

@@ -50,7 +50,7 @@ fn echo_from_0_begins_with_the_first_block() {
     let dev = Dev::start();
     let salma = dev.user("Salma", &["Turtlebot4"], "ed25519");
     salma.json(&["acquire", "Turtlebot4"]);
-    let sent = salma.json(&["publish", "Turtlebot4/cmd_vel", TWIST]);
+    let sent = salma.publish(&["Turtlebot4/cmd_vel", TWIST, "-o", "json"]).ok().json();
     for from in ["0", "1"] {
         let heard = salma.json(&["echo", "Turtlebot4/cmd_vel", "--from", from, "--count", "1"]);
         assert_eq!(heard["height"], sent["height"]);

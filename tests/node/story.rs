@@ -60,11 +60,11 @@ fn two_users_share_a_robot_as_in_the_paper() {
     farhad.run(&["renew", "Turtlebot4"]).refused(2, &["LGR-3006"]);
 
     // Messages: what is published arrives with its sender, and a stranger's does not.
-    let sent = salma.json(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]);
-    farhad.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-3006"]);
+    let sent = salma.publish(&["Turtlebot4/cmd_vel", "--hex", TWIST, "-o", "json"]).ok().json();
+    farhad.publish(&["Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-3006"]);
     let height = sent["height"].to_string();
     let twist = hex::decode(TWIST).unwrap();
-    let from_stdin = salma.run_with(&["publish", "Turtlebot4/cmd_vel", "--stdin"], &twist).ok();
+    let from_stdin = salma.publish_with(&["Turtlebot4/cmd_vel", "--stdin"], &twist).ok();
     assert!(from_stdin.stdout.contains("published 52 bytes"), "{from_stdin:?}");
     let echo = ["echo", "Turtlebot4/cmd_vel", "--from", &height, "--count", "2", "-o", "json"];
     let heard = lines(&salma.run(&echo).ok().stdout);
@@ -88,7 +88,7 @@ fn two_users_share_a_robot_as_in_the_paper() {
     let grant = farhad.json(&["acquire", "Turtlebot4"]);
     assert_eq!((&grant["holder"], &grant["epoch"]), (&"Org1/Farhad".into(), &2.into()));
     // The old epoch is worth nothing any more.
-    salma.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-300"]);
+    salma.publish(&["Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-300"]);
 
     // What was refused is told to admins only.
     assert!(names(&dev.admin().json(&["denials"]), "code").contains(&"LGR-3001".to_owned()));
@@ -181,15 +181,16 @@ fn in_open_mode_both_publish_and_everybody_hears_both() {
     let dev = Dev::start();
     let users: Vec<Ctl> = ["Salma", "Farhad"].iter().map(|name| dev.user(name, &["Turtlebot4"], "ed25519")).collect();
     dev.owner().run(&["robot", "set", "Turtlebot4", "mode=open"]).ok();
-    let first = users[0].json(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST])["height"].to_string();
-    users[1].run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
+    let first =
+        users[0].publish(&["Turtlebot4/cmd_vel", "--hex", TWIST, "-o", "json"]).ok().json()["height"].to_string();
+    users[1].publish(&["Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
     let echo = ["echo", "Turtlebot4/cmd_vel", "--from", &first, "--count", "2", "-o", "json"];
     let heard = lines(&users[1].run(&echo).ok().stdout);
     let mut senders: Vec<_> = heard.iter().map(|message| message["sender"].as_str().unwrap()).collect();
     senders.sort_unstable();
     assert_eq!(senders, ["Org1/Farhad", "Org1/Salma"]);
     let stranger = dev.user("Mallory", &[], "ed25519");
-    stranger.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-3001", "Turtlebot4"]);
+    stranger.publish(&["Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-3001", "Turtlebot4"]);
 }
 
 #[test]

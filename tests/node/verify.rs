@@ -154,10 +154,13 @@ async fn a_forger_who_makes_all_checksums_fit_is_found_out() {
                 continue;
             }
             let mut payload = Payload::from_bytes(entry.data.clone()).unwrap();
-            let Some(transaction) = payload.transactions.first_mut() else { continue };
-            // What was said to the robot.
+            // What was said to the robot. A block may also have what the node says of its own.
+            let said = payload.transactions.iter_mut().find_map(|transaction| {
+                let at = transaction.windows(7).position(|window| window == b"forward")?;
+                Some((transaction, at))
+            });
+            let Some((transaction, at)) = said else { continue };
             let mut bytes = transaction.to_vec();
-            let Some(at) = bytes.windows(7).position(|window| window == b"forward") else { continue };
             bytes[at] = b'F';
             *transaction = bytes.into();
             entry.data = payload.to_bytes();

@@ -1,11 +1,14 @@
 //! One run of `ledgerctl`, as a user on a machine of their own, and of `ledgerd verify`, as an auditor.
 
-use super::programs;
+use super::{eventually, programs};
 use serde_json::Value;
 use std::ffi::OsStr;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+
+/// The code of a transaction that came too late.
+const EXPIRED: &str = "LGR-1006";
 
 /// A machine: a home directory for contexts.
 #[derive(Clone)]
@@ -55,6 +58,20 @@ impl Ctl {
         let words: Vec<_> = arguments.iter().map(|word| word.as_ref().to_string_lossy()).collect();
         let line = format!("ledgerctl --context {:?} {}", self.context, words.join(" "));
         run(self.command(arguments), line, input)
+    }
+
+    /// Runs `publish`, again as long as the command has ended on its way: on a machine that stalls, it is older than it may be.
+    pub fn publish(&self, words: &[&str]) -> Ran {
+        self.publish_with(words, b"")
+    }
+
+    /// The same with this standard input.
+    pub fn publish_with(&self, words: &[&str], input: &[u8]) -> Ran {
+        let line = [&["publish"], words].concat();
+        eventually("a command comes in time", || {
+            let ran = self.run_with(&line, input);
+            (!ran.stderr.contains(EXPIRED)).then_some(ran)
+        })
     }
 
     /// Runs it with `-o json`; it must succeed with one value on standard output.

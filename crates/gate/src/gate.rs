@@ -46,7 +46,12 @@ use ledger_identity::Identity;
 use ledger_mutation::{Mutation, active};
 
 use self::{
-    call::Call, clock::Clock, ends::Driver, holding::Holding, identities::Identities, limits::Rates,
+    call::Call,
+    clock::{Bound, Clock},
+    ends::Driver,
+    holding::Holding,
+    identities::Identities,
+    limits::Rates,
     sequences::Sequences,
 };
 pub use self::{clock::Now, refused::Refused};
@@ -125,11 +130,11 @@ pub struct Gate {
     holders: BTreeMap<String, Holding>,
     /// When the gate was opened, by the steady clock (microseconds).
     opened: u64,
-    /// When the gate was opened, or its last stop by itself (microseconds): what bridges signed before does not pass, whatever
-    /// block time the node gives it.
-    signed_since: u64,
-    /// Nothing from before this block time passes (microseconds).
-    not_before: u64,
+    /// When the gate was opened, or its last stop by itself: what bridges signed before does not pass, whatever block time the
+    /// node gives it.
+    signed_since: Bound,
+    /// Nothing from before this block time passes.
+    not_before: Bound,
     /// The last driver of the robot since its last stop.
     driver: Option<Driver>,
     /// The content keys of a confidential service, if this gate reads one.
@@ -156,6 +161,8 @@ struct Rules {
 impl Gate {
     /// A gate through which nothing passes until [`Gate::learn`] tells of the service.
     pub fn new(settings: Settings, service: &str, now: Now) -> Self {
+        let mut signed_since = Bound::default();
+        signed_since.reach(0, now);
         Self {
             identities: Identities::default(),
             settings,
@@ -171,8 +178,8 @@ impl Gate {
             epoch: 0,
             holders: BTreeMap::new(),
             opened: now.steady,
-            signed_since: now.wall,
-            not_before: 0,
+            signed_since,
+            not_before: Bound::default(),
             driver: None,
             keyring: None,
             fault: None,
@@ -190,7 +197,7 @@ impl Gate {
         if self.asked.is_none() {
             // By the network's time, which users sign by: it may be ahead of this machine's.
             let open_for = now.steady.saturating_sub(self.opened);
-            self.signed_since = self.signed_since.max(time.saturating_sub(open_for));
+            self.signed_since.hear(time.saturating_sub(open_for));
         }
         (self.height, self.asked) = (*height, self.asked.max(Some(asked)));
         self.rules = Some(self.rules_of(service));
@@ -453,8 +460,8 @@ impl Gate {
         if self.age_us(signed, block_time, now) > max_age_us {
             return Err(Refused::TooOld);
         }
-        let signed_before = not_after < self.signed_since.saturating_add(ttl_us());
-        if signed_before || block_time < self.not_before { Err(Refused::BeforeStop) } else { Ok(()) }
+        let signed_before = not_after < self.signed_since.at(now).saturating_add(ttl_us());
+        if signed_before || block_time < self.not_before.at(now) { Err(Refused::BeforeStop) } else { Ok(()) }
     }
 
     /// The age of a message in microseconds, from its signature on. Bridges sign for so long; one that is signed for longer is as old

@@ -154,7 +154,7 @@ impl Guard {
     fn judge_held(&mut self, asked: Option<u64>, now: Now) -> Vec<Act> {
         let mut acts = Vec::new();
         for message in self.held.take() {
-            match self.gate.pass(message.delivered(), now) {
+            match message.judge(&mut self.gate, now) {
                 Ok(passed) => acts.push(Act::Publish(passed)),
                 Err(refused) if refused.may_pass_later() && asked.is_some_and(|asked| message.came > asked) => {
                     self.held.keep(message);

@@ -1,6 +1,7 @@
 //! The execution of one block: a function of the block and the state before it, the same on every node.
 
 mod check;
+mod trust;
 
 use crate::block::{Header, Payload, leaf, opaque_root};
 use crate::chaincode::{Chaincode, Context, Environment, Meter, Registry};
@@ -23,6 +24,7 @@ use ledger_storage::state::{Overlay, StateRead, Tip, WriteSet};
 use ring::digest::{Context as Sha256, SHA256};
 use std::collections::HashSet;
 use std::sync::{Arc, PoisonError, RwLock};
+use trust::Trust;
 
 /// The needs of the execution of a block besides the block.
 pub(crate) struct Executor<'a> {
@@ -78,24 +80,24 @@ impl Executor<'_> {
         let mut overlay = Overlay::new(Arc::clone(&self.state));
         let (mut events, meter) = (Vec::new(), Meter::of_block(self.rules));
         self.begin_block(&header, &mut overlay, &mut events);
-        let mut taken: HashSet<Hash> = HashSet::new();
+        let (mut taken, mut trust) = (HashSet::<Hash>::new(), Trust::new(self.identities));
         let mut results = Vec::with_capacity(transactions.len());
         let mut ids = Vec::with_capacity(transactions.len());
         let mut foretold = Vec::with_capacity(transactions.len());
         let verified = self.verify_together(&decoded, &leaves.unwrap_or_default(), time);
         for (position, (decoded, verified)) in (0u32..).zip(decoded.into_iter().zip(verified)) {
-            let mut emitted = Vec::new();
+            let (mut emitted, identities) = (Vec::new(), trust.now(self.rules, &overlay)?);
             let (mut id, mut not_after, mut as_foretold) = (Hash::ZERO, None, false);
             let outcome = decoded.and_then(|transaction| {
                 id = transaction.id();
                 self.check_first(&transaction, &taken, time)?;
-                let (identity, new) = self.authenticate(&transaction, verified, &header, &overlay)?;
+                let (identity, new) = self.authenticate(&transaction, verified, &header, (identities, &overlay))?;
                 // From here on the id is taken: its creator signed it, and this is its one verdict.
                 taken.insert(id);
                 not_after = Some(transaction.body().not_after);
                 if let Some(certificate) = new {
                     overlay.write(certificate_key(&transaction.creator()), Some(certificate));
-                    if let Some((key, end)) = self.identities.end(&identity) {
+                    if let Some((key, end)) = identities.end(&identity) {
                         overlay.write(key, Some(end));
                     }
                 }
@@ -252,11 +254,11 @@ impl Executor<'_> {
         transaction: &Transaction,
         verified: bool,
         header: &Header,
-        overlay: &Overlay,
+        (identities, overlay): (&Identities, &Overlay),
     ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
         check_network(transaction, &self.network)?;
         transaction.check_time(header.time)?;
-        let (identity, new) = self.identities.creator(transaction, overlay, (header.time, self.rules))?;
+        let (identity, new) = identities.creator(transaction, overlay, (header.time, self.rules))?;
         if !verified {
             transaction.verify_by(self.rules, &identity.public_key)?;
         }

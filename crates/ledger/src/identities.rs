@@ -1,6 +1,7 @@
 //! The owners of signatures: certificates known to the ledger, verified once and remembered.
 
 use crate::msp::{self, Due, certificate_key, revoked_key};
+use crate::network::FoundingOrganisation;
 use crate::rules::Rules;
 use crate::transaction::Transaction;
 use bytes::Bytes;
@@ -37,14 +38,21 @@ struct Trusted {
     older: Arc<Msps>,
     known: Cache<Hash, Arc<Identity>>,
     /// Which authorities have to publish a new revocation list until when, so that their members are not refused.
-    due: Due,
+    due: Arc<Due>,
 }
 
 impl Trusted {
     fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
-        let msps = Arc::new(read_msps(state)?);
-        let older = Arc::new(Msps::clone(&msps).without_p384());
-        Ok(Self { msps, older, known: Cache::new(CACHED_MAX), due: msp::due(state)? })
+        Self::of(&msp::organisations(state)?, Arc::new(msp::due(state)?))
+    }
+
+    fn of(organisations: &[FoundingOrganisation], due: Arc<Due>) -> Result<Self, Rejection> {
+        let mut msps = Msps::new();
+        for organisation in organisations {
+            msps.insert(organisation.msp()?)?;
+        }
+        let (msps, older) = (Arc::new(msps.clone()), Arc::new(msps.without_p384()));
+        Ok(Self { msps, older, known: Cache::new(CACHED_MAX), due })
     }
 }
 
@@ -52,6 +60,12 @@ impl Identities {
     /// Reads the organisations that the state holds.
     pub(crate) fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
         Ok(Self { trusted: RwLock::new(Trusted::read(state)?) })
+    }
+
+    /// The same with other organisations, as the transactions of a block so far have left them.
+    pub(crate) fn with(&self, organisations: &[FoundingOrganisation]) -> Result<Self, Rejection> {
+        let due = Arc::clone(&self.trusted.read().unwrap_or_else(PoisonError::into_inner).due);
+        Ok(Self { trusted: RwLock::new(Trusted::of(organisations, due)?) })
     }
 
     /// Reads the organisations again, after a block has changed them or their revocation lists.
@@ -152,8 +166,8 @@ impl Identities {
     }
 }
 
-/// Refuses an identity whose organisation was removed, or has lost the authority that vouched for it. For callers whose certificate was verified when they connected;
-/// a transaction's is verified against the organisations of the last block anyway.
+/// Refuses an identity whose organisation was removed, or has lost the authority that vouched for it. For callers whose
+/// certificate was verified when they connected; a transaction's is verified against the organisations as they are anyway.
 pub(crate) fn check_organisation(identity: &Identity, msps: &Msps) -> Result<(), Rejection> {
     let organisation = &identity.organisation;
     match msps.get(organisation) {
@@ -196,12 +210,4 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
             .wanted("the certificate in the field \"certificate\" of the transaction".to_owned())
             .next("send the same transaction with the certificate")),
     }
-}
-
-fn read_msps(state: &dyn StateRead) -> Result<Msps, Rejection> {
-    let mut msps = Msps::new();
-    for organisation in msp::organisations(state)? {
-        msps.insert(organisation.msp()?)?;
-    }
-    Ok(msps)
 }

@@ -91,7 +91,7 @@ pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, Copied, UncarryCa, carriers};
 pub use identities::{
     AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
-    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
+    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, Maker, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
     RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use,
     identity, issued,
 };
@@ -115,7 +115,7 @@ pub use revocation_lists::{
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
-pub(crate) use read::{activations, members_record};
+pub(crate) use read::{activations, members_record, organisations_in};
 pub(crate) use recovery::note as note_recovery;
 pub(crate) use revocation_lists::{Due, due, publishes_list};
 pub(crate) use store::{

@@ -68,6 +68,11 @@ impl Rules {
         self.0 < 3
     }
 
+    /// Do hooks leave room for the events of their caller, and lose those beyond it? Before, the caller was refused.
+    pub(crate) const fn hooks_leave_room(self) -> bool {
+        self.0 >= 3
+    }
+
     /// Must new names be such that people can tell them apart?
     pub(crate) const fn names_are_readable(self) -> bool {
         self.0 >= 3

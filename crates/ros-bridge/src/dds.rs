@@ -14,6 +14,8 @@
 //!   start.
 //! - **History is counted in samples**, and kept per topic after reading: `depth` times the largest
 //!   message is the memory of a topic. The bytes that wait for us are limited by [`crate::queue`].
+//! - **Volatile readers** requested what a latched writer keeps, and got it as new. Where all processes have one clock, [`Reader`]
+//!   passes over what was written before it was opened. Elsewhere the copy gives up what a writer has at first.
 //! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, a bridge 6 s). For it, as for a slow one, a
 //!   writer of the copy keeps the last samples of its depth, and at most 32 MiB: newer ones replace them. The original
 //!   keeps what one reader has not acknowledged, and then writes for nobody.

@@ -9,7 +9,7 @@ use std::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use tokio::sync::Notify;
@@ -44,14 +44,23 @@ pub struct Incoming {
     pub sequence: u64,
     /// When it was taken from the middleware.
     pub received: Instant,
+    /// The wall clock at that moment: it goes on while the machine is suspended.
+    pub wall: SystemTime,
     /// How long it had lain before that, as far as anybody knows.
     pub waited: Duration,
 }
 
 impl Incoming {
-    /// How old it is, as far as anybody knows.
-    pub(crate) fn age(&self, now: Instant) -> Duration {
-        self.waited.saturating_add(now.saturating_duration_since(self.received))
+    /// A message that the bridge itself has made now.
+    pub(crate) fn own(sample: Sample, sequence: u64) -> Self {
+        let (received, wall) = (Instant::now(), SystemTime::now());
+        Self { sample, source: [0; 16], sequence, received, wall, waited: Duration::ZERO }
+    }
+
+    /// How old it is, as far as anybody knows: by the clock that has gone further.
+    pub(crate) fn age(&self, now: Instant, wall: SystemTime) -> Duration {
+        let by_wall = wall.duration_since(self.wall).unwrap_or_default();
+        self.waited.saturating_add(now.saturating_duration_since(self.received).max(by_wall))
     }
 }
 
@@ -159,8 +168,19 @@ mod tests {
             source: [0; 16],
             sequence,
             received: Instant::now(),
+            wall: SystemTime::now(),
             waited: Duration::ZERO,
         }
+    }
+
+    #[test]
+    fn a_sample_grows_old_while_the_machine_is_suspended_and_no_younger_by_a_clock_that_is_set_back() {
+        let (sample, second) = (incoming(1, 1), Duration::from_secs(1));
+        let sample = Incoming { waited: second, ..sample };
+        let (later, wall) = (sample.received + second, sample.wall);
+        assert_eq!(sample.age(later, wall + second), 2 * second);
+        assert_eq!(sample.age(later, wall + 60 * second), 61 * second, "it was suspended");
+        assert_eq!(sample.age(later, wall - 60 * second), 2 * second, "its clock was set back");
     }
 
     fn queue_of(bytes_max: usize) -> Arc<Queue> {

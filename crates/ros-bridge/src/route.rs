@@ -61,9 +61,11 @@ impl Clocks {
         u64::try_from(moment.saturating_duration_since(self.start).as_micros()).unwrap_or(u64::MAX)
     }
 
+    /// Both clocks. The steady one first: a pause between them must not look as if the wall clock were set back.
     pub(crate) fn now(self) -> Now {
+        let steady = self.start.elapsed();
         let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let micros = |duration: Duration| u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
-        Now { wall: micros(wall), steady: micros(self.start.elapsed()) }
+        Now { wall: micros(wall), steady: micros(steady) }
     }
 }

@@ -29,7 +29,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use iceoryx2::{
@@ -380,7 +380,7 @@ impl Pump {
                 let received = Instant::now();
                 let judge = |door: &Arc<Door>| door.judge(source, mark, sample.wire(), received);
                 if self.door.as_ref().map_or(Entry::Admit, judge) == Entry::Admit {
-                    self.queue.push(Incoming { sample, source, sequence, received, waited });
+                    self.queue.push(Incoming { sample, source, sequence, received, wall: SystemTime::now(), waited });
                 }
             }
             Err(error) => {

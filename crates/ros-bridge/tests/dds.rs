@@ -6,7 +6,12 @@ mod commands;
 #[path = "../../../tests/support/own_network.rs"]
 mod network;
 
+use rustdds::{
+    DataReaderStatus, DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, RTPSEntity,
+    StatusEvented, Timestamp, TopicKind,
+};
 use std::{
+    collections::BTreeSet,
     process::Command,
     sync::Arc,
     time::{Duration, Instant},
@@ -26,6 +31,23 @@ use ros_bridge::{
     queue::Limits,
     reach::Reach,
 };
+
+const LATCHED: Qos =
+    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 100, keyed: false };
+
+/// Where processes with other clocks may be heard.
+fn not_alone() -> Reach {
+    Reach { static_peers: vec!["127.0.0.1".to_owned()], ..Reach::default() }
+}
+
+async fn nobody_reads(writer: &Writer) {
+    let gone = async {
+        while writer.matched().now().matched > 0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, gone).await.unwrap();
+}
 
 async fn matched(reader: &Reader, writer: &Writer) {
     let both = async {
@@ -66,6 +88,97 @@ async fn a_volatile_reader_is_not_given_what_another_reader_heard_before_it() {
 }
 
 #[tokio::test]
+async fn a_volatile_reader_is_not_given_the_history_of_a_latched_writer() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let there = Participant::open(3, "there").await.unwrap();
+    let writer = there.writer(&topic(), &twist(), &LATCHED).unwrap();
+    writer.write(&numbered(1)).unwrap();
+    for (number, reach) in (2..).zip([not_alone(), Reach::default()]) {
+        let here = Participant::join(3, "here", &reach).await.unwrap();
+        let mut reader = here.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+        matched(&reader, &writer).await;
+        writer.write(&numbered(number)).unwrap();
+        assert_eq!(next(&mut reader).await.sample, numbered(number), "{reach}");
+        drop((reader, here));
+        nobody_reads(&writer).await;
+    }
+}
+
+#[tokio::test]
+async fn a_latched_reader_that_comes_again_is_not_given_samples_of_a_writer_that_has_gone() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let reader = |topic: &TopicName| here.reader(topic, &twist(), &LATCHED, Limits::default()).unwrap();
+    let writer = there.writer(&topic(), &twist(), &LATCHED).unwrap();
+    writer.write(&numbered(1)).unwrap();
+    let mut before = reader(&topic());
+    assert_eq!(next(&mut before).await.sample, numbered(1));
+    drop(before);
+    nobody_reads(&writer).await;
+    drop(writer);
+    // DDS finishes with one reader before it announces another one.
+    let elsewhere = TopicName::parse("/elsewhere").unwrap();
+    let (other, witness) = (there.writer(&elsewhere, &twist(), &LATCHED).unwrap(), reader(&elsewhere));
+    matched(&witness, &other).await;
+    let mut again = reader(&topic());
+    let newcomer = there.writer(&topic(), &twist(), &LATCHED).unwrap();
+    newcomer.write(&numbered(2)).unwrap();
+    assert_eq!(next(&mut again).await.sample, numbered(2));
+}
+
+#[tokio::test]
+async fn a_large_latched_sample_arrives_from_a_publisher_whose_clock_stands_at_1970() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let here = Participant::open(3, "here").await.unwrap();
+    let mut reader = here.reader_behind(&topic(), &twist(), &LATCHED, Limits::default(), door(7)).unwrap();
+    let there = DomainParticipantBuilder::new(3).only_local(true).build().unwrap();
+    let policies = LATCHED.policies();
+    let dds_topic = there.create_topic(topic().dds(), twist().dds(), &policies, TopicKind::NoKey).unwrap();
+    let publisher = there.create_publisher(&policies).unwrap();
+    let writer = publisher.create_datawriter_no_key_cdr::<Vec<u8>>(&dds_topic, Some(policies)).unwrap();
+    assert!(writer.write(vec![1; 100_000], Some(Timestamp::from_ticks(1 << 32))).is_ok());
+    assert_eq!(next(&mut reader).await.sample.body().len(), 100_004);
+}
+
+#[test]
+fn a_reader_is_told_of_every_one_of_many_writers_that_came_while_nobody_asked_it() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let [here, there] = [(); 2].map(|()| DomainParticipantBuilder::new(3).only_local(true).build().unwrap());
+    let policies = Qos::default().policies();
+    let dds_topic =
+        |of: &DomainParticipant| of.create_topic(topic().dds(), twist().dds(), &policies, TopicKind::NoKey).unwrap();
+    let subscriber = here.create_subscriber(&policies).unwrap();
+    let reader = subscriber.create_datareader_no_key_cdr::<Vec<u8>>(&dds_topic(&here), None).unwrap();
+    let (publisher, topic_there) = (there.create_publisher(&policies).unwrap(), dds_topic(&there));
+    let open = |_| publisher.create_datawriter_no_key_cdr::<Vec<u8>>(&topic_there, None).unwrap();
+    let writers: Vec<_> = (0..20).map(open).collect();
+    let events = here.status_listener();
+    let mut missing: BTreeSet<[u8; 16]> = writers.iter().map(|writer| writer.guid().to_bytes()).collect();
+    let begun = Instant::now();
+    while !missing.is_empty() {
+        assert!(begun.elapsed() < DEADLINE, "{} writers are not matched", missing.len());
+        match events.try_recv_status() {
+            Some(DomainParticipantStatusEvent::RemoteWriterMatched { remote_writer, .. }) => {
+                missing.remove(&remote_writer.to_bytes());
+            }
+            Some(_) => {}
+            None => std::thread::yield_now(),
+        }
+    }
+    let statuses = std::iter::from_fn(|| reader.try_recv_status());
+    let told = statuses.filter(|status| matches!(status, DataReaderStatus::SubscriptionMatched { .. })).count();
+    assert_eq!(told, writers.len());
+}
+
+#[tokio::test]
 async fn samples_arrive_byte_for_byte_and_in_order() {
     if !network::isolated(&|| ()) {
         return;
@@ -95,19 +208,16 @@ async fn a_sample_tells_how_long_it_waited_if_nobody_but_this_host_can_have_sent
     if !network::isolated(&|| ()) {
         return;
     }
-    let latched = Qos { durability: Durability::TransientLocal, ..Qos::default() };
     let there = Participant::open(3, "there").await.unwrap();
-    let writer = there.writer(&topic(), &twist(), &latched).unwrap();
+    let writer = there.writer(&topic(), &twist(), &LATCHED).unwrap();
     writer.write(&numbered(1)).unwrap();
     let written = Instant::now();
     while written.elapsed() < Duration::from_millis(200) {
         tokio::task::yield_now().await;
     }
-    let alone = Reach::default();
-    let not_alone = Reach { static_peers: vec!["127.0.0.1".to_owned()], ..Reach::default() };
-    for (reach, has_clock) in [(alone, true), (not_alone, false)] {
+    for (reach, has_clock) in [(Reach::default(), true), (not_alone(), false)] {
         let here = Participant::join(3, "here", &reach).await.unwrap();
-        let mut reader = here.reader(&topic(), &twist(), &latched, Limits::default()).unwrap();
+        let mut reader = here.reader(&topic(), &twist(), &LATCHED, Limits::default()).unwrap();
         let waited = next(&mut reader).await.waited;
         // The wall clock may be put right meanwhile.
         assert_eq!(waited > Duration::from_millis(100), has_clock, "{waited:?}");
@@ -206,9 +316,8 @@ async fn both_byte_orders_pass_as_they_are() {
     }
     let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
     // Latched, so that what is written before the second DDS writer is matched is not lost.
-    let qos = Qos { durability: Durability::TransientLocal, ..Qos::default() };
-    let writer = here.writer(&topic(), &twist(), &qos).unwrap();
-    let mut reader = there.reader(&topic(), &twist(), &qos, Limits::default()).unwrap();
+    let writer = here.writer(&topic(), &twist(), &LATCHED).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &LATCHED, Limits::default()).unwrap();
     matched(&reader, &writer).await;
     let big = Sample::new(CDR_BE, &[0, 0, 0, 9]).unwrap();
     writer.write(&big).unwrap();
@@ -223,10 +332,9 @@ async fn a_late_reader_gets_what_was_latched() {
         return;
     }
     let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
-    let qos = Qos { durability: Durability::TransientLocal, ..Qos::default() };
-    let writer = here.writer(&topic(), &twist(), &qos).unwrap();
+    let writer = here.writer(&topic(), &twist(), &LATCHED).unwrap();
     writer.write(&numbered(7)).unwrap();
-    let mut reader = there.reader(&topic(), &twist(), &qos, Limits::default()).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &LATCHED, Limits::default()).unwrap();
     assert_eq!(next(&mut reader).await.sample, numbered(7));
 }
 

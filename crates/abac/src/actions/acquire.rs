@@ -61,13 +61,14 @@ pub(crate) struct Passed {
 }
 
 impl Passed {
-    /// As it was passed to that grant, for another certificate of its holder.
-    fn on(holding: &Holding) -> Self {
+    /// As it was passed to that grant, for another certificate of its holder. Since rules 3 it is held as long as before.
+    fn on(ctx: &Context<'_>, holding: &Holding) -> Self {
+        let since = if sharing::known(ctx) { Some(holding.held_since()) } else { holding.since };
         Self {
             givers: holding.givers.clone(),
             may_delegate: holding.grant.may_delegate,
             ends_by: holding.ends_by,
-            since: holding.since,
+            since,
             follows: None,
             preempts: false,
         }
@@ -88,7 +89,7 @@ pub(crate) fn acquire(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
         Room::InLine { .. } => options.wait_ms != Some(0),
         Room::After { .. } => true,
     };
-    if waits && let Some(pending) = confirm::first(ctx, &target, &principal, &options)? {
+    if waits && let Some(pending) = confirm::first(ctx, decider, &target, &principal, &options)? {
         return store::json(&Acquired::Pending { pending });
     }
     settle(ctx, decider, &target, principal, &options, room, permit)
@@ -109,7 +110,7 @@ pub(crate) fn settle(
             return renew::renewed(ctx, decider, target, *own, &permit, options.lease_ms);
         }
         // Another certificate of the same person: whoever holds the old one must be fenced off.
-        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority, Passed::on(&own)),
+        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority, Passed::on(ctx, &own)),
         Room::After { ended, priority } => {
             (ended.into_iter().map(|holding| (holding, Reason::Preempted)).collect(), priority, Passed::default())
         }

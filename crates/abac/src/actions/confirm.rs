@@ -3,7 +3,8 @@
 //! A contender that waits to be confirmed holds no place, and takes none from anybody: it competes when the last one has
 //! confirmed it. It never counts for itself.
 
-use super::acquire;
+use super::acquire::{self, Room};
+use super::end;
 use super::queue::WAITS_MAX;
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::{self, Decider};
@@ -24,6 +25,7 @@ pub(crate) const PENDING_MAX: usize = 64;
 /// Must others confirm this contender first? Answers how it waits for that then. One that is in line was confirmed.
 pub(crate) fn first(
     ctx: &mut Context<'_>,
+    decider: &Decider,
     target: &Target,
     principal: &Principal,
     options: &AcquireOptions,
@@ -36,7 +38,7 @@ pub(crate) fn first(
     let known = pending::of(ctx, &target.id, &contender)?.filter(|known| known.principal.same_certificate(principal));
     let now = ctx.block_time();
     if let Some(known) = known.as_ref().filter(|known| known.until > now) {
-        let is_confirmed = known.counted(now).count() as u64 >= wanted;
+        let is_confirmed = agreed(ctx, decider, target, known) >= wanted;
         return Ok((!is_confirmed).then(|| told(target, known, wanted)));
     }
     check_room(ctx, target, principal)?;
@@ -70,12 +72,18 @@ pub(crate) fn confirm(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     pending::put(ctx, &target.id, &asking)?;
     let pending = told(&target, &asking, wanted);
     ctx.emit("confirmed", &target.id, store::json(&pending)?);
-    let (acquired, refused) = if (asking.counted(ctx.block_time()).count() as u64) < wanted {
+    let (acquired, refused) = if agreed(ctx, decider, &target, &asking) < wanted {
         (None, String::new())
     } else {
         compete(ctx, decider, &target, asking)?
     };
     store::json(&Confirmation { pending, acquired, refused })
+}
+
+/// How many have confirmed it who still may.
+fn agreed(ctx: &Context<'_>, decider: &Decider, target: &Target, asking: &Asking) -> u64 {
+    let may = |principal: &&Principal| decider::may_confirm(ctx, decider, principal, target).is_ok();
+    asking.counted(ctx.block_time()).filter(may).count() as u64
 }
 
 /// The contender competes for the service, or hears why it cannot have it now.
@@ -88,23 +96,28 @@ fn compete(
     let Asking { principal, options, .. } = asking;
     match acquire::may_acquire(ctx, decider, &principal, target, options.priority) {
         Ok((room, permit)) => {
+            let waits = matches!(room, Room::InLine { .. });
             match acquire::settle(ctx, decider, target, principal, &options, room, permit) {
                 Ok(acquired) => Ok((Some(store::parse(b"acquired", &acquired)?), String::new())),
-                // It does not want to wait. Nothing is written yet.
-                Err(refused) if refused.code == Code::Held => Ok((None, refused.message)),
+                // The line refuses before anything is written.
+                Err(refused) if waits => told_or_fault(refused),
                 Err(fault) => Err(fault),
             }
         }
-        Err(fault) if matches!(fault.code, Code::Corrupt | Code::Internal) => Err(fault),
-        Err(refused) => Ok((None, refused.message)),
+        Err(refused) => told_or_fault(refused),
     }
+}
+
+/// Why the contender cannot have it now, unless the state is at fault.
+fn told_or_fault(refused: Rejection) -> Result<(Option<Acquired>, String), Rejection> {
+    if matches!(refused.code, Code::Corrupt | Code::Internal) { Err(refused) } else { Ok((None, refused.message)) }
 }
 
 /// Forgets those whose time is over, and all if the service is gone. Answers when to look again.
 pub(crate) fn send_away(ctx: &mut Context<'_>, service: &str, gone: bool) -> Result<Option<u64>, Rejection> {
     let (now, mut next) = (ctx.block_time(), None);
     for asking in pending::all(ctx, service)? {
-        if !gone && asking.until > now {
+        if !gone && asking.until > now || end::is_full(ctx) {
             next = Some(next.map_or(asking.until, |next: u64| next.min(asking.until)));
             continue;
         }

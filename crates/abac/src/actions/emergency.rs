@@ -32,8 +32,11 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
         for target in commands(&robot) {
             ending.extend(grant::live(ctx, &target.id)?.into_iter().map(|holding| (holding, Reason::Stopped)));
         }
-        let told = told(&robot, &by, &reason)?;
-        ctx.emit("stopped", &robot.name, told);
+        // So many robots that there is no room to tell of them are stopped all the same.
+        if !end::is_full(ctx) {
+            let told = told(&robot, &by, &reason)?;
+            ctx.emit("stopped", &robot.name, told);
+        }
         robots.push(robot.name);
     }
     let ended = end::end_all(ctx, ending)?;
@@ -55,8 +58,10 @@ pub(crate) fn resume(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         for target in commands(&robot) {
             queue::look_now(ctx, &target.id)?;
         }
-        let told = told(&robot, &by, &reason)?;
-        ctx.emit("resumed", &robot.name, told);
+        if !end::is_full(ctx) {
+            let told = told(&robot, &by, &reason)?;
+            ctx.emit("resumed", &robot.name, told);
+        }
         robots.push(robot.name);
     }
     store::json(&EmergencyAnswer { robots, unchanged, ended: Vec::new() })

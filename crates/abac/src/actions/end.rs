@@ -20,6 +20,14 @@ use ledger_rejection::Rejection;
 /// Most grants that one call or the start of one block ends with an event each.
 const ENDINGS_MAX: usize = 256;
 
+/// Events that the end of one right, or one turn, may take.
+const EVENTS_OF_ONE: usize = 64;
+
+/// Is there no room for the events of one more end or turn? The rest is done by the following blocks.
+pub(crate) fn is_full(ctx: &Context<'_>) -> bool {
+    sharing::known(ctx) && ctx.events_left() < EVENTS_OF_ONE
+}
+
 /// Removes a grant, and tells the world why.
 pub(crate) fn end(ctx: &mut Context<'_>, holding: &Holding, reason: Reason) -> Result<Released, Rejection> {
     tell(ctx, holding, reason, None, false)
@@ -62,7 +70,7 @@ fn tell(
     let Grant { service, holder, epoch, .. } = holding.grant.clone();
     queue::look_now(ctx, &service)?;
     if let Some(read) = read_from(&service) {
-        reader::place_ended(ctx, read)?;
+        reader::place_ended(ctx, read, reason)?;
     }
     let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on };
     ctx.emit("released", &released.service, store::json(&released)?);
@@ -76,7 +84,7 @@ fn tell(
 pub(crate) fn end_all(ctx: &mut Context<'_>, ending: Vec<(Holding, Reason)>) -> Result<Vec<Released>, Rejection> {
     let mut released = Vec::new();
     for (holding, reason) in ending {
-        if released.len() < ENDINGS_MAX {
+        if released.len() < ENDINGS_MAX && !is_full(ctx) {
             released.push(end(ctx, &holding, reason)?);
         } else {
             let mut marked = holding.clone();
@@ -103,7 +111,7 @@ pub(crate) fn sweep(ctx: &mut Context<'_>, decider: &Decider) -> Result<(), Reje
             ctx.delete(&key);
             continue;
         };
-        if expires > now {
+        if expires > now || is_full(ctx) {
             break;
         }
         match store::read::<Holding>(ctx, &store::grant_key(service, holder))? {

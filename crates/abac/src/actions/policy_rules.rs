@@ -50,8 +50,11 @@ pub(super) fn needs<'a>(
     }
     let organisations: Vec<String> = store::parse(b"msp organisations", &ctx.call("msp", "organisations", &[])?)?;
     let rules = [(OF_NETWORK, network(ctx)?), (organisation, own(ctx, organisation)?)];
+    // A rule that names an organisation which has left could be met by nobody.
+    let meant =
+        |quorum: &Quorum| !matches!(quorum, Quorum::Admins { of: Some(named), .. } if !organisations.contains(named));
     let need = |(of, quorum): (&str, Option<Quorum>)| {
-        let quorum = quorum?;
+        let quorum = quorum.filter(meant)?;
         let missing = quorum.missing(&approved, &organisations) as u64;
         Some(PolicyNeed { of: of.to_owned(), quorum: quorum.to_string(), missing })
     };

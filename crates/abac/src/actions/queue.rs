@@ -9,7 +9,7 @@ use super::contest::{Contest, claim};
 use super::undecided::{self, IN_BLOCK};
 use super::{confirm, emergency, end, task_turns};
 use crate::policy::decider::{self, Decider};
-use crate::records::grant::Holding;
+use crate::records::grant::{HOLDERS_MAX, Holding};
 use crate::records::line::{self, Waiting};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
@@ -209,7 +209,10 @@ pub(crate) fn members_left(
 
 /// Something about the service has changed that may make it somebody's turn.
 pub(crate) fn look_now(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
-    if sharing::known(ctx) && !(line::is_empty(ctx, service) && task::open(ctx, service, 1).is_empty()) {
+    let nobody = |ctx: &Context<'_>| {
+        line::is_empty(ctx, service) && task::open(ctx, service, 1).is_empty() && pending::is_empty(ctx, service)
+    };
+    if sharing::known(ctx) && !nobody(ctx) {
         line::look_by(ctx, service, ctx.block_time())?;
     }
     Ok(())
@@ -255,6 +258,9 @@ pub(crate) fn go_on(ctx: &mut Context<'_>, decider: &Decider) -> Result<(), Reje
     }
     let mut allowance = Allowance { steps: IN_BLOCK, is_fresh: true };
     for (_, service) in line::next_looks(ctx, LOOKS_MAX).into_iter().filter(|(time, _)| *time <= now) {
+        if end::is_full(ctx) {
+            break;
+        }
         look(ctx, decider, &service, &mut allowance)?;
     }
     Ok(())
@@ -286,13 +292,12 @@ fn look(ctx: &mut Context<'_>, decider: &Decider, service: &str, allowance: &mut
 
 /// The service is gone: nobody waits for it any more.
 fn dissolve(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
-    confirm::send_away(ctx, service, true)?;
+    let asks = confirm::send_away(ctx, service, true)?.is_some();
     let line = line::all(ctx, service)?;
-    for waiting in line.iter().take(LEAVING_MAX) {
-        drop_out(ctx, service, &waiting.place(), LeftReason::RobotRemoved)?;
-    }
+    let left = line.iter().map(|waiting| (waiting, LeftReason::RobotRemoved));
+    let is_left = drop_some(ctx, service, left)?;
     task_turns::dissolve(ctx, service)?;
-    if line.len() > LEAVING_MAX { line::look_by(ctx, service, ctx.block_time()) } else { Ok(()) }
+    if is_left || asks { line::look_by(ctx, service, ctx.block_time()) } else { Ok(()) }
 }
 
 /// Ends the grants of who has published nothing for too long. Answers when the next one would be.
@@ -301,7 +306,7 @@ fn end_idle(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result
     let (now, mut next) = (ctx.block_time(), None);
     for holding in Contest::of(ctx, target)?.holders {
         let until = last_use(ctx, decider, target, &holding)?.saturating_add(idle);
-        if until <= now {
+        if until <= now && !end::is_full(ctx) {
             end::end(ctx, &holding, Reason::Idle)?;
         } else {
             next = Some(next.map_or(until, |next: u64| next.min(until)));
@@ -332,10 +337,23 @@ fn send_away(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Resul
             beside += 1;
         }
     }
-    for (waiting, reason) in leaving.iter().take(LEAVING_MAX) {
-        drop_out(ctx, &target.id, &waiting.place(), *reason)?;
+    let leaving = leaving.iter().map(|(waiting, reason)| (waiting, *reason));
+    if drop_some(ctx, &target.id, leaving)? { line::look_by(ctx, &target.id, now) } else { Ok(()) }
+}
+
+/// Takes contenders out of the line, as many as one look may. Answers if others are left.
+fn drop_some<'w>(
+    ctx: &mut Context<'_>,
+    service: &str,
+    leaving: impl Iterator<Item = (&'w Waiting, LeftReason)>,
+) -> Result<bool, Rejection> {
+    for ((waiting, reason), left) in leaving.zip(0..) {
+        if left >= LEAVING_MAX || end::is_full(ctx) {
+            return Ok(true);
+        }
+        drop_out(ctx, service, &waiting.place(), reason)?;
     }
-    if leaving.len() > LEAVING_MAX { line::look_by(ctx, &target.id, now) } else { Ok(()) }
+    Ok(false)
 }
 
 /// Gives the service to whose turn it is, one after the other. Answers when to look again, if that is known.
@@ -353,8 +371,13 @@ fn turns(
         let Some(next) = next else { return Ok(None) };
         match contest.decide(rule, &claim(&next)) {
             Decision::Wait { again } => return Ok(again),
+            Decision::Refuse if end::is_full(ctx) => return Ok(Some(ctx.block_time())),
             Decision::Refuse => drop_out(ctx, &target.id, &next.place(), LeftReason::Rule)?,
-            Decision::Grant { .. } if !allowance.take(steps) => return Ok(Some(ctx.block_time())),
+            // Whoever goes next makes room, and the service is looked at then.
+            Decision::Grant { ends } if contest.holders.len() >= HOLDERS_MAX + ends.len() => return Ok(None),
+            Decision::Grant { .. } if end::is_full(ctx) || !allowance.take(steps) => {
+                return Ok(Some(ctx.block_time()));
+            }
             Decision::Grant { ends } => {
                 let ended = ends.iter().filter_map(|index| contest.holders.get(*index));
                 turn(ctx, decider, target, &next, ended.cloned().collect())?;

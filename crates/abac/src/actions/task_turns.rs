@@ -160,6 +160,9 @@ pub(crate) fn join(ctx: &mut Context<'_>, target: &Target, kept: &Kept) -> Resul
 pub(crate) fn due(ctx: &mut Context<'_>, target: &Target) -> Result<(), Rejection> {
     let now = ctx.block_time();
     for (_, id) in task::next(ctx, &target.id, DUE_MAX).into_iter().filter(|(time, _)| *time <= now) {
+        if end::is_full(ctx) {
+            break;
+        }
         let Some(before) = task::find(ctx, id)? else { continue };
         if before.task.deadline.is_some_and(|deadline| deadline <= now) {
             conclude(ctx, &before, TaskState::Expired, "its deadline passed")?;
@@ -193,13 +196,16 @@ pub(crate) fn next_due(ctx: &Context<'_>, service: &str) -> Option<u64> {
 
 /// The service is gone: its tasks have failed. Those that run end with their grants.
 pub(crate) fn dissolve(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
-    let open = task::open(ctx, service, DUE_MAX);
-    for id in &open {
-        if let Some(before) = task::find(ctx, *id)? {
+    for id in task::open(ctx, service, DUE_MAX) {
+        if end::is_full(ctx) {
+            break;
+        }
+        if let Some(before) = task::find(ctx, id)? {
             conclude(ctx, &before, TaskState::Failed, REMOVED)?;
         }
     }
-    if open.len() == DUE_MAX { line::look_by(ctx, service, ctx.block_time()) } else { Ok(()) }
+    let is_done = task::open(ctx, service, 1).is_empty();
+    if is_done { Ok(()) } else { line::look_by(ctx, service, ctx.block_time()) }
 }
 
 /// A certificate was revoked: its tasks have failed. Those that run have ended with their grants.

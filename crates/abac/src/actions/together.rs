@@ -61,7 +61,7 @@ fn one(
     match room {
         Room::InLine { .. } => return Err(acquire::held(target, &grant::live(ctx, &target.id)?)),
         Room::After { .. } => {
-            if let Some(pending) = confirm::first(ctx, target, principal, options)? {
+            if let Some(pending) = confirm::first(ctx, decider, target, principal, options)? {
                 return Err(Rejection::new(Code::Held, format!("others must confirm {} first", principal.id()))
                     .found(format!("{} of {} confirmations", pending.confirmed.len(), pending.wanted))
                     .wanted("a contender that is confirmed")

@@ -36,6 +36,11 @@ pub(crate) fn all(ctx: &Context<'_>, service: &str) -> Result<Vec<Asking>, Rejec
     pairs.iter().map(|(key, value)| store::parse(key, value)).collect()
 }
 
+/// Does nobody wait to be confirmed for a service?
+pub(crate) fn is_empty(ctx: &Context<'_>, service: &str) -> bool {
+    ctx.range(&store::pending_prefix(service), 1).is_empty()
+}
+
 /// One of them.
 pub(crate) fn of(ctx: &Context<'_>, service: &str, contender: &str) -> Result<Option<Asking>, Rejection> {
     store::read(ctx, &store::pending_key(service, contender))

@@ -85,8 +85,14 @@ pub(crate) fn texts(
 
 /// Forgets all sets, texts and proposals of an organisation that leaves.
 pub(crate) fn forget_all(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
-    for proposed in proposed::all(ctx)?.into_iter().filter(|proposed| proposed.organisation == organisation) {
-        proposed::remove(ctx, &proposed.id)?;
+    for mut proposed in proposed::all(ctx)? {
+        let before = proposed.approved.len();
+        proposed.approved.retain(|approval| approval.principal.organisation != organisation);
+        if proposed.organisation == organisation {
+            proposed::remove(ctx, &proposed.id)?;
+        } else if proposed.approved.len() < before {
+            proposed::write(ctx, &proposed)?;
+        }
     }
     for prefix in [store::sets_prefix(organisation), store::texts_prefix(organisation)] {
         for (key, _) in ctx.range(&prefix, usize::MAX) {

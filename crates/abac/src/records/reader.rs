@@ -13,7 +13,7 @@ use super::robot::Robot;
 use super::store;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::{KeyPlace, READERS_MAX, ReaderTold};
+use ledger_contract::{KeyPlace, READERS_MAX, ReaderTold, Reason};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
@@ -95,9 +95,15 @@ pub(crate) fn revoked_since(ctx: &Context<'_>, height: u64) -> Result<bool, Reje
     Ok(store::read::<u64>(ctx, store::REVOKED)?.is_some_and(|newest| newest >= height))
 }
 
-/// A place of a subscriber has ended. Its holder may let it end, and take it again, as often as it likes.
-pub(crate) fn place_ended(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
-    if ctx.get(&store::readers_key(service)).is_some() { moved(ctx, service) } else { Ok(()) }
+/// A place of a subscriber has ended. Its holder may let it end, and take it again, as often as it likes. What others decided
+/// against it is a loss.
+pub(crate) fn place_ended(ctx: &mut Context<'_>, service: &str, reason: Reason) -> Result<(), Rejection> {
+    let is_taken = matches!(reason, Reason::Overridden | Reason::Policy | Reason::Revoked | Reason::Taken);
+    match ctx.get(&store::readers_key(service)) {
+        None => Ok(()),
+        Some(_) if is_taken => lost(ctx, service),
+        Some(_) => moved(ctx, service),
+    }
 }
 
 /// All readers of a service, in order of their names.

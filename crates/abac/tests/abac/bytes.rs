@@ -51,7 +51,7 @@ const OF_RULES_2: [&str; 2] = [
 /// Robots have an index by owner, versions of policies their steps, and grants the policies that permitted them. What is decided
 /// again is marked meanwhile, and the newest revocation is noted.
 const OF_RULES_3: [&str; 2] = [
-    "b80e5c9052d9281c29f8d116e1d8a1fb7a2b5b361ff5471313be3581ed57b782",
+    "306ccf88a945ff0e72af0526c0e0b837759426d177af93763622b7e763c55009",
     "3822d3f1034d8d2cd86e3282ebc4bdb318f94c1ab1fd061d94ea5438086ed2e7",
 ];
 

@@ -286,6 +286,25 @@ fn whoever_loses_the_place_of_a_subscriber_gets_no_later_message() {
 }
 
 #[test]
+fn a_place_that_the_owner_takes_back_ends_the_key_at_once() {
+    let (mut fleet, _admin) = fleet();
+    fleet.ok(&owner(), "configure", &[POSES, r#"{"mode":"limited","sharing":{"subscribers":1}}"#]);
+    let reader = Person::new(member("Salma", 71));
+    for (by, is_good) in [(&reader.identity, true), (&owner(), false)] {
+        fleet.ok(&reader.identity, "acquire", &["OptiTrack/poses:subscribe"]);
+        reader.enter(&mut fleet, POSES).unwrap();
+        let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
+        fleet.ok(by, "release", &["OptiTrack/poses:subscribe", "Org1/Salma"]);
+        let height = fleet.height;
+        let sent = send(&mut fleet, &camera(), &sealer, (POSES, 0, height));
+        assert_eq!(
+            sent.map(drop).map_err(|refused| refused.code),
+            if is_good { Ok(()) } else { Err(Code::ReadersChanged) }
+        );
+    }
+}
+
+#[test]
 fn who_may_not_subscribe_enters_not_and_the_owner_always_may() {
     let (mut fleet, _admin) = fleet();
     assert_eq!(Person::new(farhad()).enter(&mut fleet, POSES).unwrap_err().code, Code::MissingAttribute);

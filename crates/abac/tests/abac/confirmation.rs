@@ -108,6 +108,23 @@ fn a_confirmed_contender_waits_in_line_or_tries_again() {
     assert!(last.acquired.is_none() && last.refused.contains("held by Org1/Farhad"), "{last:?}");
     assert_eq!((last.pending.confirmed.len(), state(&fleet).line.len()), (2, 0), "it counts");
 
+    // So does one for whom the line has no room.
+    let mut fleet = self::fleet(r#","on_conflict":"queue","queue_max":1"#);
+    let third = identity("Org1", "Third", Role::Member, &["Turtlebot4"], 54);
+    for contender in [farhad(), third, salma()] {
+        asks(&mut fleet, &contender);
+    }
+    for contender in ["Org1/Farhad", "Org1/Third"] {
+        for officer in [owner(), officer("Safe", 51)] {
+            fleet.ok(&officer, "confirm", &[TURTLEBOT, contender]);
+        }
+    }
+    assert_eq!((state(&fleet).holders.len(), state(&fleet).line.len()), (1, 1));
+    confirm(&mut fleet, &owner());
+    let last = confirm(&mut fleet, &officer("Safe", 51));
+    assert!(last.acquired.is_none() && last.refused.contains("is full"), "{last:?}");
+    assert_eq!(last.pending.confirmed.len(), 2, "it counts");
+
     // With one it takes its place, and needs nobody when its turn comes.
     let mut fleet = self::fleet(r#","on_conflict":"queue""#);
     for who in ["Org1/Farhad", "Org1/Salma"] {
@@ -136,6 +153,18 @@ fn a_revoked_certificate_neither_asks_nor_confirms() {
 }
 
 #[test]
+fn whom_policies_no_longer_permit_to_confirm_counts_no_more() {
+    let mut fleet = fleet("");
+    asks(&mut fleet, &salma());
+    confirm(&mut fleet, &officer("Safe", 51));
+    let text = r#"permit (principal, action, resource); forbid (principal, action == Action::"confirm", resource)
+        when { principal.name == "Safe" };"#;
+    fleet.ok(&owner(), "policy", &["put", "p", text]);
+    assert!(confirm(&mut fleet, &owner()).acquired.is_none(), "one of two counts no more");
+    assert!(confirm(&mut fleet, &officer("Other", 52)).acquired.is_some());
+}
+
+#[test]
 fn who_asked_takes_it_back_and_a_removed_robot_forgets_it() {
     let mut fleet = fleet("");
     asks(&mut fleet, &salma());
@@ -143,7 +172,6 @@ fn who_asked_takes_it_back_and_a_removed_robot_forgets_it() {
     assert_eq!(fleet.newest::<Left>("left").reason.known(), Some(LeftReason::Left));
     asks(&mut fleet, &salma());
     fleet.ok(&owner(), "remove", &["Turtlebot4"]);
-    fleet.time += 61 * SECOND;
     fleet.tick();
     let leftovers = fleet.keys("pending/");
     assert_eq!(leftovers, 0);

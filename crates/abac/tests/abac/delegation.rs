@@ -171,6 +171,23 @@ fn passing_a_robot_on_renews_no_min_hold() {
     fleet.ok(&urgent, "acquire", &[TURTLEBOT]);
 }
 
+/// One with two certificates would else never be preempted.
+#[test]
+fn another_certificate_of_the_holder_renews_no_min_hold() {
+    let sharing = r#","on_conflict":"preempt","priority":"attribute:rank","min_hold_ms":10000"#;
+    let mut fleet = fleet(sharing);
+    let mut urgent = third();
+    urgent.attributes.insert("rank".to_owned(), "1".to_owned());
+    let mut other = salma();
+    other.serial = vec![99];
+    other.fingerprint[0] ^= 1;
+    fleet.time += 9 * SECOND;
+    fleet.ok(&other, "acquire", &[TURTLEBOT]);
+    fleet.refused(&urgent, Code::Held, "acquire", &[TURTLEBOT]);
+    fleet.time += SECOND;
+    fleet.ok(&urgent, "acquire", &[TURTLEBOT]);
+}
+
 #[test]
 fn another_certificate_of_the_receiver_keeps_what_its_giver_said() {
     let mut fleet = fleet("");

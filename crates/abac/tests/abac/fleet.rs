@@ -1,7 +1,7 @@
 //! The network of the paper in memory: two organisations, their people, three robots, and a block at a time.
 
 use bytes::Bytes;
-use ledger::msp::{CertifiedHolder, QUOTAS};
+use ledger::msp::{CertifiedHolder, QUOTAS, Quotas};
 use ledger::{Chaincode, Context, Environment, Meter, Registry, Revocation, Rules};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
@@ -32,6 +32,7 @@ pub(crate) struct Members(
     pub(crate) Mutex<Vec<&'static str>>,
     pub(crate) Mutex<Vec<Identity>>,
     pub(crate) Mutex<Vec<&'static str>>,
+    pub(crate) Mutex<Quotas>,
 );
 
 impl Chaincode for Members {
@@ -44,7 +45,7 @@ impl Chaincode for Members {
             "holder" => self.holder(&args[0]),
             "enrolled" => Ok(serde_json::json!({"items": *self.2.lock().unwrap()}).to_string().into()),
             "identities" => self.identities(&ctx.submitter()?.organisation),
-            "quotas" => Ok(serde_json::to_vec(&QUOTAS).unwrap().into()),
+            "quotas" => Ok(serde_json::to_vec(&*self.3.lock().unwrap()).unwrap().into()),
             _ => Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into()),
         }
     }
@@ -179,6 +180,7 @@ impl Fleet {
                 Mutex::new(vec!["Org1", "Org2"]),
                 Mutex::new(vec![salma(), farhad(), admin1(), owner(), camera()]),
                 Mutex::default(),
+                Mutex::new(QUOTAS),
             )),
             registry: Registry::new(),
             state: Arc::new(MemoryState::default()),
@@ -276,8 +278,7 @@ impl Fleet {
     pub(crate) fn revoke(&mut self, who: &Identity) {
         let revoked = Revocation { issuer: who.issuer, serial: who.serial.clone() };
         self.block(|fleet, overlay, events| {
-            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
-            fleet.abac.identity_revoked(&mut ctx, &revoked);
+            fleet.hook(overlay, events, |ctx| fleet.abac.identity_revoked(ctx, &revoked));
             Ok(Bytes::new())
         })
         .unwrap();
@@ -286,8 +287,7 @@ impl Fleet {
     /// A block in which an organisation loses the authority that has certified this identity.
     pub(crate) fn lose_authority(&mut self, who: &Identity) {
         self.block(|fleet, overlay, events| {
-            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
-            fleet.abac.authority_lost(&mut ctx, &who.issuer);
+            fleet.hook(overlay, events, |ctx| fleet.abac.authority_lost(ctx, &who.issuer));
             Ok(Bytes::new())
         })
         .unwrap();
@@ -305,8 +305,7 @@ impl Fleet {
     /// A block that removes an organisation.
     pub(crate) fn remove_organisation(&mut self, organisation: &str) {
         self.block(|fleet, overlay, events| {
-            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
-            fleet.abac.organisation_removed(&mut ctx, organisation);
+            fleet.hook(overlay, events, |ctx| fleet.abac.organisation_removed(ctx, organisation));
             Ok(Bytes::new())
         })
         .unwrap();
@@ -370,6 +369,11 @@ impl Fleet {
         }
     }
 
+    /// Runs a hook as a node does: it may do no more than a node lets it.
+    fn hook(&self, overlay: &mut Overlay, events: &mut Vec<Event>, body: impl FnOnce(&mut Context<'_>)) {
+        Registry::hook(self.environment(None), &*self.abac, overlay, events, body).unwrap();
+    }
+
     fn block(
         &mut self,
         body: impl FnOnce(&Self, &mut Overlay, &mut Vec<Event>) -> Result<Bytes, Rejection>,
@@ -382,8 +386,7 @@ impl Fleet {
         }
         let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
         if begins {
-            let mut ctx = Context::new(self.environment(None), "abac", &mut overlay, &mut events);
-            self.abac.begin_block(&mut ctx);
+            self.hook(&mut overlay, &mut events, |ctx| self.abac.begin_block(ctx));
         }
         let outcome = body(self, &mut overlay, &mut events);
         let writes = overlay.finish().unwrap();

@@ -17,6 +17,7 @@ mod bytes;
 mod can;
 mod confidential;
 mod confirmation;
+mod crowds;
 mod delegation;
 mod emergency;
 mod examples;

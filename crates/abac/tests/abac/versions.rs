@@ -418,6 +418,22 @@ fn sets_proposals_and_policies_of_an_organisation_that_leaves_are_forgotten_and_
 }
 
 #[test]
+fn approvals_and_rules_of_an_organisation_that_leaves_count_no_more() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.approved("set_policy_approvals", &["admins of Org1 = 1"]);
+    let proposed = propose(&mut fleet, &owner(), &set("more"));
+    fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposed.id]);
+    fleet.ok(&admin1(), "policy", &["approve", &proposed.id]);
+    fleet.remove_organisation("Org1");
+    fleet.members.0.lock().unwrap().retain(|name| *name != "Org1");
+    let standing: PolicyProposal = fleet.get(&owner(), "policy", &["approve", &proposed.id]);
+    let approved: Vec<_> = standing.approved.iter().map(|approval| approval.who.as_str()).collect();
+    assert_eq!((approved, fleet.keys("approving/")), (vec!["Org2/admin"], 1));
+    // Nobody could ever meet that rule again.
+    fleet.ok(&owner(), "policy", &["enact", &proposed.id]);
+}
+
+#[test]
 fn a_holder_of_an_earlier_set_keeps_what_the_new_one_permits() {
     let mut fleet = Fleet::of_the_paper();
     let acquired: Acquired = fleet.get(&salma(), "acquire", &[HUSKY]);

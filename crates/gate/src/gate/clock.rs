@@ -54,12 +54,51 @@ impl Clock {
 
     /// Microseconds since the UNIX epoch: the wall clock, or block time if that is further.
     pub(super) fn now(&self, now: Now) -> u64 {
-        Anchor::at(self.told, now).max(self.signed(now))
+        self.block_time(now).max(now.wall)
     }
 
     /// The same without what a node alone has told.
     pub(super) fn signed(&self, now: Now) -> u64 {
-        Anchor::at(self.signed, now).max(now.wall)
+        self.signed_block_time(now).max(now.wall)
+    }
+
+    /// Block time without the wall clock; 0 if none was heard lately.
+    pub(super) fn block_time(&self, now: Now) -> u64 {
+        Anchor::at(self.told, now).max(self.signed_block_time(now))
+    }
+
+    /// The same without what a node alone has told.
+    pub(super) fn signed_block_time(&self, now: Now) -> u64 {
+        Anchor::at(self.signed, now)
+    }
+}
+
+/// A moment before which nothing counts. A wall clock that was set back was wrong then, so its part goes back with it: else nothing
+/// would count until it is there again.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Bound {
+    /// Block time at that moment, which no clock of this machine moves.
+    block_time: u64,
+    /// The clocks of this machine at that moment.
+    read: Option<Now>,
+}
+
+impl Bound {
+    /// No earlier than this block time.
+    pub(super) fn hear(&mut self, block_time: u64) {
+        self.block_time = self.block_time.max(block_time);
+    }
+
+    /// No earlier than now, with the block time of now.
+    pub(super) fn reach(&mut self, block_time: u64, now: Now) {
+        self.hear(block_time);
+        self.read = Some(now);
+    }
+
+    /// The bound in microseconds since the UNIX epoch, by the clocks as they are now. It is the same as long as none of them jumps.
+    pub(super) fn at(&self, now: Now) -> u64 {
+        let by_clock = |then: Now| then.wall.min(now.wall.saturating_add(then.steady).saturating_sub(now.steady));
+        self.read.map_or(0, by_clock).max(self.block_time)
     }
 }
 
@@ -103,6 +142,21 @@ mod tests {
             clock.heard(block_time, now);
             assert_eq!(clock.now(now), block_time, "after {steady} us");
         }
+    }
+
+    #[test]
+    fn a_bound_goes_back_with_a_wall_clock_that_is_set_back_and_never_on_nor_before_block_time() {
+        let mut bound = Bound::default();
+        let at = |wall, steady| Now { wall, steady };
+        assert_eq!(bound.at(at(9_000, 50)), 0);
+        bound.reach(0, at(9_000, 50));
+        assert_eq!(bound.at(at(9_700, 750)), 9_000, "time goes on");
+        assert_eq!(bound.at(at(20_000, 750)), 9_000, "the clock was set forward");
+        assert_eq!(bound.at(at(2_700, 750)), 2_000, "it was set back by seven seconds");
+        bound.hear(2_500);
+        assert_eq!(bound.at(at(2_700, 750)), 2_500);
+        bound.reach(2_400, at(2_800, 850));
+        assert_eq!(bound.at(at(2_900, 950)), 2_800);
     }
 
     #[test]

@@ -83,7 +83,7 @@ impl Gate {
         if stops {
             self.driver = None;
             // A block of tomorrow closes nothing until then.
-            self.not_before = self.not_before.max(block_time.min(self.clock.now(now)));
+            self.not_before.hear(block_time.min(self.clock.now(now)));
         }
         self.check_epochs(self.epoch);
         stops
@@ -117,7 +117,7 @@ impl Gate {
     /// The robot is being stopped: nothing from before this moment passes any more.
     pub fn stopped(&mut self, now: Now) {
         self.driver = None;
-        self.signed_since = self.signed_since.max(self.clock.signed(now));
-        self.not_before = self.not_before.max(self.clock.now(now));
+        self.signed_since.reach(self.clock.signed_block_time(now), now);
+        self.not_before.reach(self.clock.block_time(now), now);
     }
 }

@@ -60,7 +60,10 @@ pub enum Refused {
 impl Refused {
     /// May the next answer of the voters change that? Then the message waits for it.
     pub const fn may_pass_later(self) -> bool {
-        matches!(self, Self::NoService | Self::Stopped | Self::Stale | Self::UnknownEpoch | Self::Untrusted)
+        matches!(
+            self,
+            Self::NoService | Self::Stopped | Self::Stale | Self::UnknownEpoch | Self::Untrusted | Self::FromFuture
+        )
     }
 
     /// The name that is counted.

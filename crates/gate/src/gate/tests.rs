@@ -1,6 +1,7 @@
 //! Each rule of the gate has a test that fails without it.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+mod clocks;
 mod confidential;
 mod faults;
 mod handover;
@@ -14,7 +15,7 @@ use bytes::Bytes;
 use ledger::transaction::Transaction;
 use proptest::prelude::*;
 
-use super::{Delivered, Gate, HOLDERS_MAX, Refused, Settings};
+use super::{Bound, Delivered, Gate, HOLDERS_MAX, Refused, Settings};
 use crate::service::{Released, Revoked, Service};
 use ledger_contract::{Capabilities, Direction, Fencing, Grant, Publishing, Sequence};
 
@@ -331,7 +332,7 @@ fn a_command_grows_old_from_its_signature_on() {
     let network = Network::default();
     let mut gate = network.gate_with(&service("exclusive"), &[grant("Org1/Salma", 3)], Some(300));
     // Bridges sign for two seconds. This one took 301 ms to its block.
-    gate.signed_since = 0;
+    gate.signed_since = Bound::default();
     let slow = User { not_after: NOW + 2 * SECOND - 301_000, ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &slow, &slow.set(3, 1, &TWIST)), Err(Refused::TooOld));
     let quick = User { not_after: NOW + 2 * SECOND - 300_000, ..network.salma.clone() };

@@ -73,7 +73,8 @@ impl Block {
     /// The message at a position, to be judged later.
     pub(super) fn message(&self, index: u32) -> Message {
         let (transaction, certificate) = self.shown.get(&index).cloned().unwrap_or_default();
-        Message { height: self.height, block_time: self.time, transaction, certificate }
+        let Self { height, time, is_latched, .. } = *self;
+        Message { height, block_time: time, is_latched, transaction, certificate }
     }
 
     /// The meaning of an event to the gate.

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 
 use super::Act;
-use crate::gate::{Delivered, Refused};
+use crate::gate::{Delivered, Gate, Now, Passed, Refused};
 
 /// Most messages that wait; the oldest make room.
 const HELD_MAX: usize = 64;
@@ -15,6 +15,8 @@ const HELD_MAX: usize = 64;
 pub(super) struct Message {
     pub(super) height: u64,
     pub(super) block_time: u64,
+    /// Was its block fetched for those who come late?
+    pub(super) is_latched: bool,
     pub(super) transaction: Bytes,
     /// The creator's certificate, if that came along.
     pub(super) certificate: Bytes,
@@ -40,10 +42,11 @@ impl Waiting {
         self.message.height
     }
 
-    /// As the node delivered it.
-    pub(super) fn delivered(&self) -> Delivered<'_> {
-        let Message { block_time, transaction, certificate, .. } = &self.message;
-        Delivered { block_time: *block_time, transaction, certificate }
+    /// The gate's word on it now.
+    pub(super) fn judge(&self, gate: &mut Gate, now: Now) -> Result<Passed, Refused> {
+        let Message { block_time, is_latched, transaction, certificate, .. } = &self.message;
+        let delivered = Delivered { block_time: *block_time, transaction, certificate };
+        if *is_latched { gate.pass_latched(delivered, now) } else { gate.pass(delivered, now) }
     }
 }
 

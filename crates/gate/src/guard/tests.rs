@@ -1,19 +1,18 @@
 //! A hand-over as the bridge sees it: events in, acts out.
-#![expect(clippy::unwrap_used, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::*;
 use crate::fixture::{NOW, SECOND, TWIST, User, grant, now, service, shared};
 use crate::gate::Refused;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger_contract::Grant;
+use ledger_contract::{Direction, Grant};
 use std::time::Duration;
 
-/// A guard under which Salma drives in epoch 3.
-fn driven() -> Guard {
-    let (network, salma) = (shared(), &shared().salma);
+/// A guard that has asked how its robot stands.
+fn asking() -> Guard {
     let settings = Settings {
-        network: salma.network,
+        network: shared().salma.network,
         sample_bytes_max: 1024,
         max_age: None,
         stale_after: Duration::from_secs(1),
@@ -21,6 +20,13 @@ fn driven() -> Guard {
     };
     let mut guard = Guard::new(settings, "T/cmd_vel", now());
     guard.ask(now());
+    guard
+}
+
+/// A guard under which Salma drives in epoch 3.
+fn driven() -> Guard {
+    let (network, salma) = (shared(), &shared().salma);
+    let mut guard = asking();
     let standing = network.standing(1, &[grant("Org1/Salma", 3)]);
     assert_eq!(guard.answered(&service("exclusive"), &standing, now().steady, now()), []);
     assert!(matches!(message(&mut guard, 2, salma, &salma.set(3, 1, &TWIST)), Some(Act::Publish(_))));
@@ -78,4 +84,40 @@ fn an_end_without_a_next_one_stops_at_once_and_a_made_up_hand_over_at_the_answer
     guard.ask(now());
     let acts = guard.answered(&ended, &shared().standing(5, &[]), now().steady, now());
     assert_eq!(acts, [Act::Stop("released")]);
+}
+
+#[test]
+fn a_message_ahead_of_a_slow_clock_waits_for_the_voters_who_are_asked_once_whatever_they_say() {
+    let (network, robot) = (shared(), &shared().robot);
+    let feed = Service { direction: Direction::Feed, ..service("open") };
+    let ahead = NOW + 600 * SECOND;
+    let of_then = |time, height| Standing { time, ..network.standing(height, &[]) };
+    for is_latched in [false, true] {
+        let mut guard = asking();
+        assert_eq!(guard.answered(&feed, &of_then(NOW, 1), now().steady, now()), []);
+        assert_eq!(guard.asks_at(), None);
+        let said = User { not_after: ahead + 2 * SECOND, ..robot.clone() };
+        for (time, height, passes) in [(NOW, 2, false), (ahead, 3, true)] {
+            let block: fn(u64, u64) -> Block = if is_latched { Block::latched } else { Block::new };
+            let signed = said.set(0, height, &TWIST);
+            let told = Told {
+                index: 0,
+                chaincode: crate::ABAC,
+                name: "message",
+                payload: b"",
+                transaction: signed.encoded(),
+                certificate: &said.certificate,
+            };
+            assert_eq!(guard.told(&mut block(height, ahead), &told, now()), None, "it waits");
+            assert!(guard.asks_at().is_some());
+            guard.ask(now());
+            let acts = guard.answered(&feed, &of_then(time, height), now().steady, now());
+            match &acts[..] {
+                [Act::Publish(_)] => assert!(passes, "the voters have signed that time"),
+                [Act::Refused { refused: Refused::FromFuture, .. }] => assert!(!passes, "only a node has told it"),
+                other => panic!("{other:?}"),
+            }
+            assert_eq!(guard.asks_at(), None, "it is not asked again about the same message");
+        }
+    }
 }

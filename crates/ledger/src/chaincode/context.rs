@@ -16,6 +16,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 const CALL_DEPTH_MAX: usize = 8;
 /// Most events of one transaction or hook.
 const EVENTS_MAX: usize = 1024;
+/// Of these, so many are not for hooks: whoever called one still has to tell its own.
+const EVENTS_KEPT: usize = 64;
 /// Most bytes of one key.
 const KEY_BYTES_MAX: usize = 1024;
 /// Most bytes of one value.
@@ -92,6 +94,8 @@ pub struct Context<'a> {
     overlay: &'a mut Overlay,
     events: &'a mut Vec<Event>,
     limit_exceeded: Option<Rejection>,
+    /// Is it one that cannot refuse? Its events beyond the limit are not told.
+    cannot_refuse: bool,
 }
 
 impl<'a> Context<'a> {
@@ -102,7 +106,8 @@ impl<'a> Context<'a> {
         overlay: &'a mut Overlay,
         events: &'a mut Vec<Event>,
     ) -> Self {
-        Self { environment, chaincode, depth: 0, approved: None, overlay, events, limit_exceeded: None }
+        let (depth, approved, limit_exceeded, cannot_refuse) = (0, None, None, false);
+        Self { environment, chaincode, depth, approved, overlay, events, limit_exceeded, cannot_refuse }
     }
 
     /// The value of one of this chaincode's keys.
@@ -230,9 +235,19 @@ impl<'a> Context<'a> {
         self.depth > 0
     }
 
-    /// Tells subscribers that something happened. Kept only if the call succeeds.
+    /// How many events there is room for.
+    pub fn events_left(&self) -> usize {
+        let most = if self.cannot_refuse { EVENTS_MAX - EVENTS_KEPT } else { EVENTS_MAX };
+        most.saturating_sub(self.events.len())
+    }
+
+    /// Tells subscribers that something happened. Kept only if the call succeeds. Beyond the limits (1024 events of 1 MiB) the
+    /// call is rejected when it returns. A hook cannot be, since rules 3: its events beyond the limit are not told.
     pub fn emit(&mut self, name: &str, subject: &str, payload: impl Into<Bytes>) {
         let payload = payload.into();
+        if self.cannot_refuse && self.events_left() == 0 {
+            return;
+        }
         if self.events.len() >= EVENTS_MAX || payload.len() > VALUE_BYTES_MAX {
             self.exceeded(
                 format!("event {} with {} bytes", self.events.len() + 1, payload.len()),
@@ -325,9 +340,8 @@ impl<'a> Context<'a> {
         // The end of somebody's rights must not fail because there are many.
         environment.meter.uncounted(|| {
             for chaincode in environment.registry.iter() {
-                run((environment, None), chaincode.name(), depth, self.overlay, self.events, |ctx| {
-                    hook(chaincode, ctx);
-                    Ok(Bytes::new())
+                run_hook((environment, chaincode.name(), depth), self.overlay, self.events, |ctx| {
+                    hook(chaincode, ctx)
                 })?;
             }
             Ok(())
@@ -352,6 +366,21 @@ impl<'a> Context<'a> {
     }
 }
 
+/// Runs a hook in a layer of its own, as [`run`] does.
+pub(super) fn run_hook(
+    (environment, chaincode, depth): (Environment<'_>, &'static str, usize),
+    overlay: &mut Overlay,
+    events: &mut Vec<Event>,
+    body: impl FnOnce(&mut Context<'_>),
+) -> Result<(), Rejection> {
+    run((environment, None), chaincode, depth, overlay, events, |ctx| {
+        ctx.cannot_refuse = environment.rules.hooks_leave_room();
+        body(ctx);
+        Ok(Bytes::new())
+    })
+    .map(drop)
+}
+
 /// Runs one call in a layer of its own: kept if it succeeds, undone if it is rejected, panics, exceeded a limit or is over its
 /// budget. The caller at the bottom has the reason from the meter.
 pub(super) fn run(
@@ -365,7 +394,7 @@ pub(super) fn run(
     let (layers, emitted) = (overlay.depth(), events.len());
     overlay.begin();
     let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let mut ctx = Context { environment, chaincode, depth, approved, overlay, events, limit_exceeded: None };
+        let mut ctx = Context { depth, approved, ..Context::new(environment, chaincode, overlay, events) };
         let response = body(&mut ctx)?;
         ctx.limit_exceeded.map_or(Ok(response), Err)
     }))

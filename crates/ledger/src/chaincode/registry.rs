@@ -1,7 +1,7 @@
 //! The chaincodes that a node has installed.
 
 use super::approval::check_ordinary;
-use super::context::{Context, Environment, run};
+use super::context::{Context, Environment, run, run_hook};
 use super::{Chaincode, Foretold};
 use crate::rules::Rules;
 use bytes::Bytes;
@@ -170,18 +170,17 @@ impl Registry {
     }
 
     /// Runs a hook of one chaincode; a hook that panics leaves nothing behind.
-    pub(crate) fn hook(
+    ///
+    /// # Errors
+    /// [`ledger_rejection::Code::ChaincodePanic`], [`ledger_rejection::Code::LimitExceeded`].
+    pub fn hook(
         environment: Environment<'_>,
         chaincode: &dyn Chaincode,
         overlay: &mut Overlay,
         events: &mut Vec<Event>,
         body: impl FnOnce(&mut Context<'_>),
     ) -> Result<(), Rejection> {
-        run((environment, None), chaincode.name(), 0, overlay, events, |ctx| {
-            body(ctx);
-            Ok(Bytes::new())
-        })
-        .map(drop)
+        run_hook((environment, chaincode.name(), 0), overlay, events, body)
     }
 }
 

@@ -72,7 +72,8 @@ pub struct IdentityRecord {
     /// A secret that was made at a node's own machine and is known only there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub local: Option<LocalSecret>,
-    /// Block time at which everything of this name was last revoked or cancelled, microseconds; 0 = never.
+    /// Block time at which everything of this name was last revoked, or a secret at a node cancelled, microseconds; 0 = never.
+    /// Before rules 3, also of any other secret that was cancelled.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voided: u64,
     /// Block time at which its attributes were last changed, microseconds; 0 = never.
@@ -93,6 +94,21 @@ pub struct Secret {
     /// The key that has used it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub used: Option<Use>,
+    /// The certificate by which it was made; none before rules 3, and in answers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub maker: Option<Maker>,
+}
+
+/// The certificate by which a secret was made. The name of its holder is that of the registration's author.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Maker {
+    /// SHA-256 of the issuer's distinguished name.
+    pub issuer: Hash,
+    /// Serial number in hexadecimal.
+    pub serial: String,
+    /// Had it the right of a registrar, and not that of an admin?
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub registrar: bool,
 }
 
 /// The state of a secret.
@@ -197,8 +213,13 @@ fn count(ctx: &mut Context<'_>, organisation: &str, change: impl Fn(u64) -> u64)
 }
 
 fn is_revoked(ctx: &Context<'_>, issued: &IssuedCertificate) -> bool {
-    let serial = hex::decode(&issued.serial).unwrap_or_default();
-    ctx.get(&[REVOKED, &issued.issuer.0[..], &serial].concat()).is_some()
+    was_revoked(ctx, &issued.issuer, &issued.serial)
+}
+
+/// Was the certificate with this serial number (hexadecimal) revoked?
+fn was_revoked(ctx: &Context<'_>, issuer: &Hash, serial: &str) -> bool {
+    let serial = hex::decode(serial).unwrap_or_default();
+    ctx.get(&[REVOKED, &issuer.0[..], &serial].concat()).is_some()
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]

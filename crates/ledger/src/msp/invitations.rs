@@ -189,6 +189,17 @@ pub(super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     json(&invitation)
 }
 
+/// Takes back what an organisation that leaves has proposed: nobody else can cancel it.
+pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
+    for invitation in store::list::<Invitation>(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)? {
+        if invitation.by == name {
+            ctx.delete(invitation_key(&invitation.name).as_bytes());
+            ctx.emit("invitation_cancelled", &invitation.name, json(&invitation)?);
+        }
+    }
+    Ok(())
+}
+
 /// `join_organisation {name, roots, intermediates, node_name, address, signature}`: carried by a node of the network.
 pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"name\", \"roots\", \"intermediates\", \"node_name\", \"address\", \"signature\"}";

@@ -1,12 +1,14 @@
 //! The organisations of the network and their authorities.
 
+mod lost;
+
 use super::action::Action;
 use super::allowance;
 use super::caller::{admin, object, text};
 use super::nodes;
 use super::proposals::{self, decide};
 use super::store::{self, ORGANISATIONS, former_key, json, organisation_key};
-use super::{quorums, quotas};
+use super::{invitations, quorums, quotas};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
@@ -16,6 +18,7 @@ use ledger_identity::msp::Msps;
 use ledger_identity::units::Units;
 use ledger_identity::{Identity, NAME_BYTES_MAX};
 use ledger_rejection::{Code, Rejection};
+use lost::lost;
 use serde::{Deserialize, Serialize};
 
 /// Most organisations of a network.
@@ -139,9 +142,9 @@ pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation
     let described = json(&describe(organisation)?)?;
     ctx.emit("organisation_updated", &organisation.name, described.clone());
     if let Some(before) = before.filter(|_| ctx.rules().ends_rights_of_lost_authorities()) {
-        let (before, after) = (before.msp()?, organisation.msp()?);
-        for lost in before.standing().difference(after.standing()) {
-            ctx.tell_authority_lost(lost)?;
+        for issuer in lost(&before, organisation)? {
+            proposals::forget_approvals(ctx, |approval| approval.issuer.0 == issuer)?;
+            ctx.tell_authority_lost(&issuer)?;
         }
     }
     Ok(described)
@@ -190,8 +193,8 @@ pub(super) struct RemoveOrganisation {
     pub(super) name: String,
 }
 
-/// `remove_organisation {name}`: needs approval. Its certificates count no longer from the next block on, its nodes
-/// become removed, and the rights of its members end in this block.
+/// `remove_organisation {name}`: needs approval. Its nodes become removed, the rights of its members end in this block, and its
+/// certificates count no longer behind this transaction; before rules 3, from the next block on.
 pub(super) fn remove(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let remove: RemoveOrganisation = object("remove_organisation", argument, "{\"name\": NAME}")?;
     if ctx.approved_by().is_some() {
@@ -209,7 +212,8 @@ fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection>
     store::write(ctx, &former_key(name), &organisation)?;
     ctx.delete(organisation_key(name).as_bytes());
     if ctx.rules().proposes_calls() {
-        proposals::forget_organisation(ctx, name)?;
+        proposals::forget_approvals(ctx, |approval| approval.organisation == name)?;
+        invitations::forget_organisation(ctx, name)?;
         quorums::forget_organisation(ctx, name)?;
         allowance::forget(ctx, name);
         quotas::forget_organisation(ctx, name);

@@ -1,9 +1,11 @@
 //! Calls that need approval: proposed by one organisation, executed in the block in which their quorum agrees.
 //!
-//! Only admins propose and approve, each for their organisation. Approvals are counted against the organisations and the
-//! revocations of that moment: those of an organisation that was removed, or of a certificate that was revoked, do not
-//! count. A proposal ends after [`PROPOSAL_LIFE_MAX`] of block time, or when its call fails. Nothing of such a call is kept;
-//! the proposal stands as failed until it expires or is withdrawn.
+//! Only admins propose and approve, each for their organisation. Approvals are counted as things stand at that moment. They do
+//! not count if the organisation was removed, the authority was lost, or the certificate was revoked. One by a certificate that
+//! has run out since counts: it was good when it approved.
+//!
+//! A proposal ends after [`PROPOSAL_LIFE_MAX`] of block time, or when its call fails. Nothing of such a call is kept; the
+//! proposal stands as failed until it expires or is withdrawn.
 //!
 //! Before rules 3 a proposal knows the organisations that agreed and not their admins, and one that fails goes on waiting.
 //! Approvals from then do not count any more: they name no certificate that could be revoked.
@@ -251,11 +253,13 @@ pub(super) fn withdraw(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejec
     json(&proposal)
 }
 
-/// The approvals of an organisation that leaves: if it comes back, it is asked again.
-pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
+/// Takes approvals back whose admins speak for nobody any more: of an organisation that leaves, or by an authority that is lost.
+/// If they come back, they are asked again.
+pub(super) fn forget_approvals(ctx: &mut Context<'_>, of: impl Fn(&Approval) -> bool) -> Result<(), Rejection> {
     for mut proposal in known(ctx)? {
-        if proposal.approvals.remove(name) {
-            proposal.approved_by.retain(|approval| approval.organisation != name);
+        if proposal.approved_by.iter().any(&of) {
+            proposal.approved_by.retain(|approval| !of(approval));
+            proposal.count_organisations();
             store::write(ctx, &proposal_key(&proposal.id), &proposal)?;
         }
     }

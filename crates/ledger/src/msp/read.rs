@@ -6,8 +6,8 @@ use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
 use super::revocation_lists::{LISTS_MAX, ListRecord};
 use super::store::{
-    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATIONS, change_key, invitation_key, json,
-    list_state, parse, read_state,
+    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS, ORGANISATIONS, change_key,
+    invitation_key, json, list_state, parse, read_state,
 };
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;
@@ -15,7 +15,7 @@ use crate::rules::Activation;
 use bytes::Bytes;
 use ledger_light::{Change, Voter, Voters};
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::state::StateRead;
+use ledger_storage::state::{Overlay, StateRead};
 
 /// The records of the nodes in order of ids, removed ones among them: what the network wants (see
 /// [`super::desired`]).
@@ -32,6 +32,11 @@ pub fn nodes(state: &dyn StateRead) -> Result<Vec<NodeRecord>, Rejection> {
 /// As [`nodes`].
 pub fn organisations(state: &dyn StateRead) -> Result<Vec<FoundingOrganisation>, Rejection> {
     list_state(state, ORGANISATIONS, ORGANISATIONS_MAX)
+}
+
+/// The same, as the transactions of a block so far have left them.
+pub(crate) fn organisations_in(overlay: &Overlay) -> Result<Vec<FoundingOrganisation>, Rejection> {
+    overlay.range(ORGANISATION_KEYS, ORGANISATIONS_MAX).iter().map(|(key, value)| parse(key, value)).collect()
 }
 
 /// The newest revocation lists of authorities.

@@ -44,7 +44,8 @@ use serde::de::DeserializeOwned;
 pub(crate) const MEMBERS_KEY: &[u8] = b"msp\0members";
 /// Which rules were activated at which heights; a block that writes it may change the rules of the next one.
 pub(crate) const RULES_KEY: &[u8] = b"msp\0rules";
-/// Keys of the organisations start with this; a block that writes one changes whom the next block trusts.
+/// Keys of the organisations start with this. A write to one changes whom the next block trusts, and since rules 3 the
+/// rest of the same block.
 pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
 
 /// Keys of the newest revocation lists start with this.

@@ -1,5 +1,6 @@
 use crate::world::{Ca, DAY, Network, SECOND, code, is_executed, json, waiting};
 use bytes::Bytes;
+use ledger::Rules;
 use ledger::msp::{self, JoinOrganisation, NodeRole, Organisation};
 use ledger::network::FoundingOrganisation;
 use ledger_hash::Hash;
@@ -26,6 +27,12 @@ fn signed(network: &Network, organisation: FoundingOrganisation) -> JoinOrganisa
 /// The request, carried by a node of Org1.
 fn carry(network: &mut Network, join: &JoinOrganisation) -> Result<Bytes, Rejection> {
     network.node(1, "join_organisation", &[&serde_json::to_string(join).unwrap()])
+}
+
+/// The argument of `update_organisation`.
+fn authorities(roots: &[&Ca]) -> String {
+    let roots: Vec<_> = roots.iter().map(|ca| format!("{:?}", hex::encode(ca.root()))).collect();
+    format!(r#"{{"roots":[{}]}}"#, roots.join(","))
 }
 
 fn names(network: &Network) -> Vec<String> {
@@ -186,6 +193,86 @@ fn what_a_removed_organisation_signed_has_no_effect_behind_the_removal_in_the_sa
 }
 
 #[test]
+fn behind_the_removal_of_an_organisation_in_a_block_its_members_call_no_chaincode() {
+    for (rules, wanted) in [(Rules::FIRST, Code::Ok), (Rules::NEWEST, Code::Untrusted)] {
+        let mut network = Network::founded_with(rules, 3, 3);
+        let id = waiting(network.admin(1, "remove_organisation", &[&remove("Org3")]));
+        let boss = network.cas[1].user("Boss", "admin", KeyKind::Ed25519);
+        let [salma, omar] = [2, 0].map(|index| network.cas[index].user("Salma", "member", KeyKind::Ed25519));
+        let before = network.sign_for("listener", &salma, "arm", &[]);
+        let approve = network.sign(&boss, "approve", &[&id]);
+        let behind = network.sign_for("listener", &salma, "arm", &[]);
+        let other = network.sign_for("listener", &omar, "arm", &[]);
+        let codes: Vec<_> = network.block(&[&before, &approve, &behind, &other]).iter().map(code).collect();
+        assert_eq!(codes, [Code::Ok, Code::Ok, wanted, Code::Ok], "rules {rules}");
+        let late = network.sign_for("listener", &salma, "arm", &[]);
+        assert_eq!(code(&network.block(&[&late]).remove(0)), Code::Untrusted, "rules {rules}");
+    }
+}
+
+#[test]
+fn behind_the_loss_of_an_authority_in_a_block_nobody_acts_with_its_certificates() {
+    for (rules, wanted) in [(Rules::FIRST, Code::Ok), (Rules::NEWEST, Code::Untrusted)] {
+        let mut network = Network::founded_with(rules, 2, 2);
+        let renewed = Ca::new("org1-ca-2031");
+        let both = authorities(&[&network.cas[0], &renewed]);
+        network.admin(1, "update_organisation", &[&both]).unwrap();
+        let anew = renewed.user("Admin", "admin", KeyKind::Ed25519);
+        let [old, salma] =
+            [("Boss", "admin"), ("Salma", "member")].map(|(name, role)| network.cas[0].user(name, role, KeyKind::P256));
+        let update = network.sign(&anew, "update_organisation", &[&authorities(&[&renewed])]);
+        let register = format!(
+            r#"{{"name":"Mallory","role":"admin","secret":"{}","expires":{}}}"#,
+            Hash::ZERO,
+            network.time + DAY
+        );
+        let register = network.sign(&old, "register", &[&register]);
+        let arm = network.sign_for("listener", &salma, "arm", &[]);
+        let stays = network.sign_for("listener", &anew, "arm", &[]);
+        let codes: Vec<_> = network.block(&[&update, &register, &arm, &stays]).iter().map(code).collect();
+        assert_eq!(codes, [Code::Ok, wanted, wanted, Code::Ok], "rules {rules}");
+    }
+}
+
+#[test]
+fn a_ca_founded_anew_under_the_name_of_the_old_one_ends_what_the_old_key_vouched_for() {
+    let mut network = Network::new(2, 2);
+    let anew = Ca::new("org2-ca");
+    let both = authorities(&[&network.cas[1], &anew]);
+    network.admin(2, "update_organisation", &[&both]).unwrap();
+    assert_eq!(network.lost(), "", "both keys vouch");
+    let boss = anew.user("Boss", "admin", KeyKind::Ed25519);
+    let issuer = network.ledger.msps().verify(&boss.certificate, &[], network.time).unwrap().issuer;
+    let salma = network.cas[1].user("Salma", "member", KeyKind::Ed25519);
+    let update = network.sign(&boss, "update_organisation", &[&authorities(&[&anew])]);
+    let [behind, later] = [(); 2].map(|()| network.sign_for("listener", &salma, "arm", &[]));
+    let codes: Vec<_> = network.block(&[&update, &behind]).iter().map(code).collect();
+    assert_eq!(network.lost(), hex::encode(issuer), "other chaincodes were told in the same block");
+    let refused = code(&network.block(&[&later]).remove(0));
+    assert_ne!(refused, Code::Ok);
+    assert_eq!(codes, [Code::Ok, refused], "at once as in the next block");
+}
+
+#[test]
+fn the_invitations_of_an_organisation_end_with_it() {
+    let mut network = Network::new(3, 3);
+    for (organisation, name) in [(3, "Beta"), (1, "Gamma")] {
+        let argument = invite(&network, name);
+        let id = waiting(network.admin(organisation, "invite_organisation", &[&argument]));
+        assert!(is_executed(network.admin(2, "approve", &[&id])));
+    }
+    let id = waiting(network.admin(1, "remove_organisation", &[&remove("Org3")]));
+    assert!(is_executed(network.admin(2, "approve", &[&id])));
+    assert!(network.event_names().contains(&"invitation_cancelled"));
+    let join = |network: &mut Network, name: &str| {
+        let join = signed(network, FoundingOrganisation::below(name, Ca::new(&format!("{name}-ca")).root()));
+        code(&carry(network, &join))
+    };
+    assert_eq!(join(&mut network, "Beta"), Code::NotInvited);
+    assert_eq!(join(&mut network, "Gamma"), Code::Ok, "that of an organisation that stays");
+}
+
+#[test]
 fn neither_the_last_organisation_nor_the_one_with_the_last_voters_is_removed() {
     let mut network = Network::new(1, 1);
     assert_eq!(code(&network.admin(1, "remove_organisation", &[&remove("Org1")])), Code::LastOne);
@@ -217,20 +304,16 @@ fn a_former_name_comes_back_only_with_a_root_that_it_had() {
 fn an_organisation_renews_its_own_roots_and_keeps_at_least_one() {
     let mut network = Network::new(2, 2);
     let renewed = Ca::new("org1-ca-2031");
-    let lists = |roots: &[&Ca]| {
-        let roots: Vec<_> = roots.iter().map(|ca| format!("{:?}", hex::encode(ca.root()))).collect();
-        format!(r#"{{"roots":[{}]}}"#, roots.join(","))
-    };
     let new_admin = renewed.user("Admin", "admin", KeyKind::Ed25519);
     assert_eq!(code(&network.call(&new_admin, "proposals", &[])), Code::Untrusted);
-    let both = lists(&[&network.cas[0], &renewed]);
-    let only = lists(&[&renewed]);
+    let both = authorities(&[&network.cas[0], &renewed]);
+    let only = authorities(&[&renewed]);
     network.admin(1, "update_organisation", &[&both]).unwrap();
     assert_eq!(network.event_names(), ["organisation_updated"]);
     assert_eq!(code(&network.call(&new_admin, "proposals", &[])), Code::QueryOnly, "the certificate counts");
     assert_eq!(code(&network.admin(1, "update_organisation", &[&only])), Code::LastOne, "it would lock itself out");
     assert_eq!(code(&network.call(&new_admin, "update_organisation", &[r#"{"roots":[]}"#])), Code::LastOne);
-    let foreign = lists(&[&renewed, &network.cas[1]]);
+    let foreign = authorities(&[&renewed, &network.cas[1]]);
     assert_ne!(code(&network.call(&new_admin, "update_organisation", &[&foreign])), Code::Ok);
     network.call(&new_admin, "update_organisation", &[&only]).unwrap();
     assert_eq!(code(&network.admin(1, "proposals", &[])), Code::Untrusted, "the old root counts no longer");

@@ -1,6 +1,6 @@
 //! Proposals of any call that needs approval, and the quorums that they need.
 
-use crate::world::{DAY, Network, User, code, is_executed, json, waiting};
+use crate::world::{Ca, DAY, Network, User, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::Rules;
 use ledger::msp::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
@@ -123,6 +123,25 @@ fn the_approval_of_a_revoked_admin_does_not_count() {
     assert_eq!(waiting(network.admin(1, "approve", &[&id])), id, "one of three");
     assert!(is_executed(network.admin(2, "approve", &[&id])), "another admin of that organisation agrees");
     assert!(!network.agreed().contains("Boss"), "{}", network.agreed());
+}
+
+#[test]
+fn the_approval_of_an_admin_whose_authority_was_lost_does_not_count() {
+    let mut network = Network::new(3, 1);
+    let renewed = Ca::new("org2-ca-2031");
+    let roots = |cas: &[&Ca]| {
+        let roots: Vec<_> = cas.iter().map(|ca| hex::encode(ca.root())).collect();
+        value!({ "roots": roots }).to_string()
+    };
+    let both = roots(&[&network.cas[1], &renewed]);
+    network.admin(2, "update_organisation", &[&both]).unwrap();
+    let id = waiting(network.admin(2, "propose", &[&agree("yes")]));
+    let boss = renewed.user("Boss", "admin", KeyKind::Ed25519);
+    network.call(&boss, "update_organisation", &[&roots(&[&renewed])]).unwrap();
+    let standing: Vec<Decision> = network.query("proposals", &[]);
+    assert_eq!((standing[0].missing, standing[0].proposal.as_ref().unwrap().approvals.len()), (2, 0));
+    assert_eq!(waiting(network.admin(1, "approve", &[&id])), id, "one of three");
+    assert!(is_executed(network.call(&boss, "approve", &[&id])), "an admin whose authority stands agrees");
 }
 
 #[test]

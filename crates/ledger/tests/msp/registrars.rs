@@ -147,8 +147,76 @@ fn the_right_of_a_registrar_ends_by_an_admins_word_and_with_its_name() {
     assert_eq!(code(&older.admin(1, "set_registrar", &[more])), Code::UnknownFunction);
 }
 
+#[test]
+fn a_registrar_registers_no_name_that_an_admin_has_made_a_registrar_before() {
+    let (mut network, farhad) = with_registrar();
+    network.admin(1, "set_registrar", &[r#"{"name":"Bob","affiliation":"ops","attributes":["Husky"]}"#]).unwrap();
+    let refused = register(&mut network, &farhad, "Bob", &in_department("sales"));
+    assert_eq!(code(&refused), Code::NotAdmin);
+    assert!(refused.unwrap_err().found.contains("Org1/Bob, who is a registrar"));
+    by_admin(&mut network, "Bob", &in_department("ops")).unwrap();
+}
+
+#[test]
+fn a_secret_is_worth_nothing_once_its_maker_has_lost_the_right_by_which_it_was_made() {
+    let (mut network, farhad) = with_registrar();
+    let sales = [("hf.Affiliation", "sales")];
+    register(&mut network, &farhad, "Nadia", &in_department("sales")).unwrap();
+    for set in [r#"{"name":"Farhad"}"#, r#"{"name":"Farhad","affiliation":"finance"}"#] {
+        network.admin(1, "set_registrar", &[set]).unwrap();
+        assert_eq!(code(&try_enrol(&mut network, "Nadia", &sales).1), Code::EnrolmentRefused, "{set}");
+    }
+    network.admin(1, "set_registrar", &[r#"{"name":"Farhad","affiliation":"sales"}"#]).unwrap();
+    enrol(&mut network, "Nadia", &sales);
+
+    let boss = network.cas[0].user("Boss", "admin", KeyKind::Ed25519);
+    for (maker, name) in [(&farhad, "Omar"), (&boss, "Lena")] {
+        register(&mut network, maker, name, &in_department("sales")).unwrap();
+        revoke(&mut network, maker);
+        let refused = try_enrol(&mut network, name, &sales).1;
+        assert_eq!(code(&refused), Code::EnrolmentRefused, "{name}");
+        assert!(refused.unwrap_err().found.contains("was revoked"), "{name}");
+    }
+    by_admin(&mut network, "Lena", &value!({"again": true})).unwrap();
+    enrol(&mut network, "Lena", &sales);
+}
+
+#[test]
+fn who_cancels_a_secret_of_an_enrolled_name_ends_neither_its_right_nor_its_certificates() {
+    let (mut network, farhad) = with_registrar();
+    let again = value!({"again": true});
+    register(&mut network, &farhad, "Nadia", &in_department("sales")).unwrap();
+    enrol(&mut network, "Nadia", &[("hf.Affiliation", "sales")]);
+    register(&mut network, &farhad, "Nadia", &again).unwrap();
+    network.admin(1, "set_registrar", &[r#"{"name":"Nadia","affiliation":"ops"}"#]).unwrap();
+    network.call(&farhad, "cancel_registration", &[r#"{"name":"Nadia"}"#]).unwrap();
+    let registrars = |network: &Network| {
+        let known: Vec<SetRegistrar> = network.query("registrars", &[]);
+        known.into_iter().map(|known| known.name).collect::<Vec<_>>()
+    };
+    assert_eq!(registrars(&network), ["Farhad", "Nadia"]);
+    network.admin(1, "set_registrar", &[r#"{"name":"Nadia"}"#]).unwrap();
+    register(&mut network, &farhad, "Nadia", &again).unwrap();
+    network.admin(1, "set_registrar", &[r#"{"name":"Nadia","affiliation":"ops"}"#]).unwrap();
+    network.admin(1, "revoke_identity", &[r#"{"name":"Nadia"}"#]).unwrap();
+    assert_eq!(registrars(&network), ["Farhad"], "who is revoked is no registrar any more");
+}
+
+/// The certificate of somebody is revoked.
+fn revoke(network: &mut Network, user: &User) {
+    let identity = network.ledger.msps().verify(&user.certificate, &[], network.time).unwrap();
+    network.admin(1, "revoke", &[&hex::encode(identity.issuer), &hex::encode(&identity.serial)]).unwrap();
+}
+
 /// Somebody enrols with a secret and these attributes.
 fn enrol(network: &mut Network, name: &str, attributes: &[(&str, &str)]) -> User {
+    let (user, answer) = try_enrol(network, name, attributes);
+    answer.unwrap();
+    user
+}
+
+/// The same, and the answer.
+fn try_enrol(network: &mut Network, name: &str, attributes: &[(&str, &str)]) -> (User, Result<Bytes, Rejection>) {
     let map = attributes.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
     let json = ledger_identity::certificate::encode_attributes(&map).unwrap();
     let user = network.cas[0].user_as([name, "member"], KeyKind::Ed25519, |params| {
@@ -158,8 +226,8 @@ fn enrol(network: &mut Network, name: &str, attributes: &[(&str, &str)]) -> User
     let argument = value!({
         "organisation": "Org1", "certificate": hex::encode(&user.certificate), "ground": {"secret": secret()},
     });
-    network.node(1, "record_certificate", &[&argument.to_string()]).unwrap();
-    user
+    let answer = network.node(1, "record_certificate", &[&argument.to_string()]);
+    (user, answer)
 }
 
 #[test]

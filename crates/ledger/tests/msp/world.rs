@@ -24,7 +24,7 @@ pub(crate) const START: u64 = 1_893_456_000_000_000;
 pub(crate) const SECOND: u64 = 1_000_000;
 pub(crate) const DAY: u64 = 24 * 3600 * SECOND;
 
-/// Remembers which organisations it was told of, and who agreed to its calls.
+/// Remembers which organisations and lost authorities it was told of, and who agreed to its calls.
 struct Listener;
 
 /// `agree TEXT` notes who agreed; with the text `refuse` or `panic` it does that instead, once it was armed.
@@ -52,6 +52,7 @@ impl Chaincode for Listener {
                 Ok(Bytes::new())
             }
             ("agreed", []) => Ok(ctx.get(b"agreed").unwrap_or_default()),
+            ("lost", []) => Ok(ctx.get(b"lost").unwrap_or_default()),
             ("disarm", []) => {
                 ctx.delete(b"armed");
                 Ok(Bytes::new())
@@ -84,6 +85,10 @@ impl Chaincode for Listener {
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
         ctx.put(b"removed", organisation.to_owned());
+    }
+
+    fn authority_lost(&self, ctx: &mut Context<'_>, issuer: &[u8; 32]) {
+        ctx.put(b"lost", hex::encode(issuer));
     }
 }
 
@@ -273,17 +278,24 @@ impl Network {
         KnownIdentity { name: name.into(), role, attributes, secret: None, certificates: vec![issued] }
     }
 
-    /// The call that the other chaincode received.
+    /// The removal that the other chaincode was told of.
     pub(crate) fn told(&self) -> String {
-        let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
-        let (answer, _) = self.ledger.query(&caller, self.time, "listener", "removed", &[]).unwrap();
-        String::from_utf8(answer.to_vec()).unwrap()
+        self.listener("removed")
+    }
+
+    /// The lost authority that the other chaincode was told of last, in hexadecimal.
+    pub(crate) fn lost(&self) -> String {
+        self.listener("lost")
     }
 
     /// Which calls of the other chaincode were approved, by whom.
     pub(crate) fn agreed(&self) -> String {
+        self.listener("agreed")
+    }
+
+    fn listener(&self, function: &str) -> String {
         let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
-        let (answer, _) = self.ledger.query(&caller, self.time, "listener", "agreed", &[]).unwrap();
+        let (answer, _) = self.ledger.query(&caller, self.time, "listener", function, &[]).unwrap();
         String::from_utf8(answer.to_vec()).unwrap()
     }
 

@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeMap,
     sync::Arc,
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use futures::StreamExt;
@@ -25,12 +25,15 @@ use crate::{
     error::Result,
     mark::Mark,
     names::{TopicName, TypeName},
-    qos::Qos,
+    qos::{Durability, Qos},
     queue::{Incoming, Limits, Queue},
 };
 
 /// Most writers whose mark is remembered; beyond it all are looked up again.
 const MARKS_MAX: usize = 4096;
+/// How far ahead of the clock of this host a sample may seem to be written, in parts of a second of which there are 2^32: the
+/// clock is put right now and then.
+const AHEAD_TICKS_MAX: u64 = 1 << 32;
 
 /// Reads one topic; ends when dropped. A task moves samples from DDS into a queue that is limited in bytes.
 pub struct Reader {
@@ -56,6 +59,9 @@ impl Reader {
         let policies = participant.with_type_hash(policies, message);
         let policies = door.as_ref().map_or_else(|| policies.clone(), |door| door.mark().put_on(&policies));
         let policies = policies.with_data_representation(accepted());
+        // With one clock, a sample tells whether it is history. Otherwise its place before the first HEARTBEAT does.
+        let policies = if participant.is_alone { policies } else { policies.without_history() };
+        let opened = (qos.durability == Durability::Volatile).then(Instant::now);
         let subscriber = participant.dds.create_subscriber(&qos.policies()).map_err(failed)?;
         let source: SimpleDataReader<Sample, AnyRaw> =
             subscriber.create_simple_datareader_no_key(&dds_topic, Some(policies)).map_err(failed)?;
@@ -64,6 +70,7 @@ impl Reader {
         let queue = Queue::new(&limits);
         let pump = Pump {
             topic: topic.clone(),
+            opened,
             intake: Intake::new(participant.guid_prefix()),
             matches,
             sample_bytes_max: limits.sample_bytes_max,
@@ -108,6 +115,8 @@ impl Drop for Reader {
 /// The state of the task behind a reader.
 struct Pump {
     topic: TopicName,
+    /// When a reader was opened that takes nothing written before; none if it is latched.
+    opened: Option<Instant>,
     intake: Intake,
     matches: Matches,
     sample_bytes_max: usize,
@@ -161,6 +170,10 @@ impl Pump {
         if self.matches.with_endpoints(|present| self.intake.judge(source, sequence, present)) != Verdict::Admit {
             return;
         }
+        // A publisher may send what it keeps for others, or for those who come late.
+        if self.opened.is_some_and(|opened| waited > opened.elapsed()) {
+            return self.skip_history();
+        }
         if sample.wire().len() > self.sample_bytes_max {
             return self.drop_large(sample.wire().len());
         }
@@ -172,7 +185,13 @@ impl Pump {
             }
         }
         let sequence = u64::try_from(sequence).unwrap_or_default();
-        self.queue.push(Incoming { sample, source, sequence, received, waited });
+        self.queue.push(Incoming { sample, source, sequence, received, wall: SystemTime::now(), waited });
+    }
+
+    fn skip_history(&mut self) {
+        if let Some(not_logged) = self.complaint.worth("history", Instant::now()) {
+            tracing::info!(topic = %self.topic, not_logged, "a sample is not taken in: its publisher wrote it before this route read the topic");
+        }
     }
 
     fn drop_large(&mut self, bytes: usize) {
@@ -231,13 +250,17 @@ impl Pump {
     }
 }
 
-/// How long ago that was by the clock of this host; zero if it lies ahead, or is no time.
+/// How long ago that was by the clock of this host; zero if it is no time. If it lies ahead, the clock was set back since then,
+/// and nobody knows.
 fn since(sent: Timestamp) -> Duration {
-    if sent == Timestamp::ZERO {
+    if [Timestamp::ZERO, Timestamp::INVALID, Timestamp::INFINITE].contains(&sent) {
         return Duration::ZERO;
     }
-    // In parts of a second of which there are 2^32.
-    let ticks = Timestamp::now().to_ticks().saturating_sub(sent.to_ticks());
+    let (now, sent) = (Timestamp::now().to_ticks(), sent.to_ticks());
+    if sent > now.saturating_add(AHEAD_TICKS_MAX) {
+        return Duration::MAX;
+    }
+    let ticks = now.saturating_sub(sent);
     let micros = (u128::from(ticks) * 1_000_000) >> 32_u32;
     Duration::from_micros(u64::try_from(micros).unwrap_or(u64::MAX))
 }
@@ -247,11 +270,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_that_lies_ahead_or_is_none_makes_no_sample_old() {
-        let ahead = Timestamp::from_ticks(Timestamp::now().to_ticks() + (60 << 32));
-        for sent in [Timestamp::ZERO, Timestamp::INVALID, Timestamp::INFINITE, ahead] {
+    fn a_sample_of_before_the_clock_was_set_back_is_older_than_any_and_one_without_a_time_is_not_old() {
+        for sent in [Timestamp::ZERO, Timestamp::INVALID, Timestamp::INFINITE] {
             assert_eq!(since(sent), Duration::ZERO, "{sent:?}");
         }
+        let ahead = Timestamp::from_ticks(Timestamp::now().to_ticks() + (3600 << 32));
+        assert_eq!(since(ahead), Duration::MAX);
         let before = Timestamp::from_ticks(Timestamp::now().to_ticks() - (60 << 32));
         assert!(since(before) >= Duration::from_secs(60));
     }

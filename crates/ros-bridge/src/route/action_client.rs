@@ -27,8 +27,9 @@ use self::{earlier::Earlier, said::Said};
 use super::{
     Clocks, Stop,
     actions::{
-        FEEDBACK, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, RUN_MS_MAX, STATUS, cancel_of, feedback, goal_of,
-        goals_in, is_accepted, is_over, is_unknown_or_over, result_patience, split_request, status,
+        FEEDBACK, GoalId, Goals, LOST, Part, RESULT_KEY, RESULT_PATIENCE, RUN_MS_MAX, STATUS, cancel_of, feedback,
+        goal_of, goals_in, ids_in, is_accepted, is_of_no_goal, is_over, is_unknown_or_over, result_patience,
+        split_request, status,
     },
     calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Waiting, patience, reply_to},
     kind::{self, Beside, Kind, Opened, Opening, Plan, STALE_AFTER, STALE_KEY},
@@ -156,6 +157,7 @@ impl Settings {
             waiting: Waiting::new(self.patience),
             results: Waiting::new(self.results),
             goals: Goals::new(self.goal),
+            servers: 0,
             earlier,
             clocks,
             said: Said::new(self.feedback_every),
@@ -205,6 +207,8 @@ enum Call {
     Passed { request: Hash, part: Part, goal: Option<GoalId> },
     /// A cancelling of the bridge's own.
     Own(GoalId),
+    /// A question of the bridge's own, whether the server knows the goal: for its result.
+    Asked(GoalId),
 }
 
 /// The clients of the three services.
@@ -240,6 +244,8 @@ struct Desk {
     waiting: Waiting<(Part, Number), Call>,
     results: Waiting<(Part, Number), Call>,
     goals: Goals,
+    /// How many servers there were at the last look.
+    servers: usize,
     earlier: Earlier,
     clocks: Clocks,
     said: Said,
@@ -315,7 +321,7 @@ impl Desk {
         let waiting = if part == Part::Result { &self.results } else { &self.waiting };
         let is_full = waiting.is_full() || (part == Part::Goal && self.goals.is_full());
         match (part, goal) {
-            (Part::Alive, _) => return,
+            (Part::Alive, _) => return self.tell_lost(&message),
             (_, None) => return self.account.refuse("bad_payload", "a request of an action names a goal"),
             _ if is_full => {
                 return self.account.refuse(TOO_MANY, &format!("{CALLS_MAX} goals or requests have not ended"));
@@ -326,6 +332,16 @@ impl Desk {
         let is_made = self.call(part, &message, Call::Passed { request: *transaction, part, goal });
         if let (Part::Goal, Some(goal), false) = (part, goal, is_made) {
             self.goals.answered(&goal, false, Instant::now());
+        }
+    }
+
+    /// Tells a user's bridge which of the goals that it keeps the grant for are lost: else it would keep it for ever.
+    fn tell_lost(&mut self, alive: &[u8]) {
+        let lost: Vec<GoalId> = ids_in(alive).filter(|goal| self.goals.has_lost(goal)).collect();
+        if !lost.is_empty() {
+            // A goal that has just ended is not lost: its last state comes first.
+            self.say();
+            self.submit(LOST, &lost.concat());
         }
     }
 
@@ -373,7 +389,10 @@ impl Desk {
                 let goal = hex::encode(goal);
                 tracing::error!(service = self.service, goal, "THE ROBOT REFUSES TO CANCEL A GOAL");
             }
-            Some(Call::Own(_)) => {}
+            Some(Call::Asked(goal)) if is_of_no_goal(part, message) => {
+                self.goals.lose(&goal);
+            }
+            Some(Call::Own(_) | Call::Asked(_)) => {}
             Some(Call::Passed { request, part, goal }) => {
                 if let Some(goal) = goal {
                     self.learn(part, goal, message);
@@ -435,9 +454,9 @@ impl Desk {
 
     fn submit(&mut self, request: Hash, message: &[u8]) {
         let Ok(sample) = reply_to(request, message) else { return };
-        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        let sequence = self.last.saturating_add(1);
         self.last = sequence;
-        self.answers.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
+        self.answers.push(Incoming::own(sample, sequence));
     }
 
     /// Gives up what nobody has answered, and cancels what runs for too long.
@@ -453,11 +472,18 @@ impl Desk {
         self.cancel(&overdue, "it has not ended in time");
     }
 
-    /// A server that has left may only stand still: when it comes back, its goals are cancelled.
+    /// A server that has left may only stand still: when it comes back, its goals are cancelled. Where another one has taken its place
+    /// meanwhile, that one is asked which goals it knows.
     fn look(&mut self) {
-        if self.clients.goals.matched().now().matched > 0 {
+        let servers = self.clients.goals.matched().now().matched;
+        let before = std::mem::replace(&mut self.servers, servers);
+        if servers > 0 {
             let back = self.goals.come_back(Instant::now());
             self.cancel(&back, "its server has come back");
+            let asked = if servers == 1 && before > 1 { self.goals.accepted() } else { Vec::new() };
+            for goal in asked {
+                self.call(Part::Result, &goal, Call::Asked(goal));
+            }
         } else if self.goals.leave() {
             tracing::warn!(
                 service = self.service,

@@ -22,8 +22,9 @@ use tokio::time::{interval, sleep_until};
 use super::{
     Stop, actions,
     actions::{
-        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, STATUS, cancel_of,
-        goal_of, goals_in, is_accepted, is_over, request_of, result_patience,
+        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, LOST, Part, RESULT_KEY, RESULT_PATIENCE, STATUS,
+        aborted, cancel_of, goal_of, goals_in, ids_in, is_accepted, is_of_no_goal, is_over, is_unknown_or_over,
+        request_of, result_patience,
     },
     calls::{Account, CALLS_MAX, Handed, PATIENCE, TOO_MANY, Told, Waiting, Ways, answers_of, patience, split},
     kind::{Beside, Kind, Opened, Opening, Plan},
@@ -217,10 +218,10 @@ impl Desk {
 
     /// A request goes to the ledger. Answers with its number.
     fn submit(&mut self, part: Part, message: &[u8]) -> u64 {
-        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        let sequence = self.last.saturating_add(1);
         self.last = sequence;
         if let Ok(sample) = request_of(part, message) {
-            self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
+            self.ways.requests.push(Incoming::own(sample, sequence));
         }
         sequence
     }
@@ -247,7 +248,8 @@ impl Desk {
         });
         let is_used = !self.callers.is_empty();
         if is_used {
-            self.submit(Part::Alive, &[]);
+            let goals = self.goals.accepted().concat();
+            self.submit(Part::Alive, &goals);
         }
         if is_used || self.callers.len() < before {
             for goal in self.goals.overdue(now) {
@@ -323,6 +325,7 @@ impl Desk {
                     }
                     self.tell(&message, |desk| &desk.status);
                 }
+                LOST => ids_in(&message).for_each(|goal| self.lose(&goal)),
                 id => {
                     // Replies to others are for other bridges.
                     let Some(call) = self.ids.get(&id).copied().and_then(|number| self.take_call(number)) else {
@@ -355,7 +358,25 @@ impl Desk {
             Part::Result if message.first().is_some_and(|state| is_over(*state)) => {
                 self.goals.ended(&call.goal);
             }
+            Part::Result | Part::Cancel if is_of_no_goal(call.part, message) => self.lose(&call.goal),
+            // Its last state may still be on its way.
+            Part::Cancel if is_unknown_or_over(message) => {
+                self.goals.lose(&call.goal);
+            }
             Part::Result | Part::Cancel | Part::Alive => {}
+        }
+    }
+
+    /// The robot does not know a goal any more: its client hears that it was aborted. A result cannot be made up, because its type is
+    /// not known here.
+    fn lose(&mut self, goal: &GoalId) {
+        if self.goals.lose(goal) {
+            tracing::warn!(
+                robot = self.robot,
+                goal = hex::encode(goal),
+                "the robot has lost a goal: it counts as aborted"
+            );
+            self.tell(&Bytes::copy_from_slice(&aborted(*goal)), |desk| &desk.status);
         }
     }
 

@@ -6,7 +6,8 @@
 //!
 //! A goal runs under the grant of whoever has set it. The bridge of the robot cancels the goals that it has passed on when the gate
 //! says that the robot must stop. While a goal runs and its client is there, the user's bridge gives a sign of life, which uses the
-//! grant. So a lease that ends tells the robot that the user's bridge is gone.
+//! grant. So a lease that ends tells the robot that the user's bridge is gone. The robot's bridge answers it with the goals that it has
+//! lost: else the grant would be used for them for ever.
 
 mod frame;
 mod goals;
@@ -17,8 +18,8 @@ use ledger_settings::Section;
 
 pub(super) use self::{
     frame::{
-        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Part, STATUS, Stated, cancel_of, goal_of, goals_in,
-        is_accepted, is_over, is_unknown_or_over, request_of, split_request,
+        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, LOST, Part, STATUS, Stated, aborted, cancel_of, goal_of,
+        goals_in, ids_in, is_accepted, is_of_no_goal, is_over, is_unknown_or_over, request_of, split_request,
     },
     goals::Goals,
 };

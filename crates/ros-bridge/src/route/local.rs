@@ -1,6 +1,7 @@
 //! The local side of routes: DDS, and shared memory beside it.
 
 use std::{
+    collections::VecDeque,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -75,7 +76,8 @@ impl Local {
             None => None,
         };
         let (matched, in_memory) = (reader.matched().clone(), shm.as_ref().map(shm::Subscriber::peers));
-        let topic = TopicInlet { topic: topic.clone(), reader, open: Box::new(open), qos, participant, lost: 0, shm };
+        let (topic, open, left) = (topic.clone(), Box::new(open), VecDeque::new());
+        let topic = TopicInlet { topic, reader, left, open, qos, participant, lost: 0, shm };
         Ok((Inlet::Topic(Box::new(topic)), matched, in_memory))
     }
 
@@ -130,6 +132,8 @@ pub(crate) enum Inlet {
 pub(crate) struct TopicInlet {
     topic: TopicName,
     reader: Reader,
+    /// Samples that readers before this one have heard, and nobody has taken yet.
+    left: VecDeque<Incoming>,
     /// Opens a reader in the place of the one before.
     open: Open<Reader>,
     /// The quality of service that it follows.
@@ -143,6 +147,9 @@ pub(crate) struct TopicInlet {
 
 impl TopicInlet {
     async fn next(&mut self) -> Option<Incoming> {
+        if let Some(left) = self.left.pop_front() {
+            return Some(left);
+        }
         if let Some(shm) = &mut self.shm {
             tokio::select! {
                 incoming = self.reader.next() => return incoming,
@@ -165,11 +172,17 @@ impl TopicInlet {
         let qos = *self.qos.borrow_and_update();
         match (self.open)(&qos) {
             Ok(reader) => {
-                self.lost = self.lost.saturating_add(self.reader.dropped());
-                self.reader = reader;
+                let mut before = std::mem::replace(&mut self.reader, reader);
+                self.left.extend(std::iter::from_fn(|| before.try_next()));
+                self.lost = self.lost.saturating_add(before.dropped());
             }
             Err(error) => tracing::warn!(%error, "the topic is read as before"),
         }
+    }
+
+    fn try_next(&mut self) -> Option<Incoming> {
+        let next = self.left.pop_front().or_else(|| self.reader.try_next());
+        next.or_else(|| self.shm.as_mut()?.try_next())
     }
 
     fn dropped(&self) -> u64 {
@@ -190,7 +203,7 @@ impl Inlet {
     /// The next sample if one waits.
     pub(crate) fn try_next(&mut self) -> Option<Incoming> {
         match self {
-            Self::Topic(topic) => topic.reader.try_next().or_else(|| topic.shm.as_mut()?.try_next()),
+            Self::Topic(topic) => topic.try_next(),
             Self::Calls(queue) => queue.try_next(),
         }
     }
@@ -219,8 +232,8 @@ impl Inlet {
         }
     }
 
-    /// Reads with the quality of service that meets the others; answers who they are now. Samples that the reader before
-    /// has heard are lost with it, unless they were taken.
+    /// Reads with the quality of service that meets the others; answers who they are now. Samples that the reader before has heard
+    /// come first.
     pub(crate) fn follow(&mut self) -> Option<Matched> {
         let Self::Topic(topic) = self else { return None };
         topic.follow();

@@ -163,8 +163,8 @@ impl Desk {
     fn reply(&mut self, Reply { number, message }: &Reply) {
         let Some(request) = self.waiting.take(number) else { return };
         let Ok(sample) = reply_to(request, message) else { return };
-        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        let sequence = self.last.saturating_add(1);
         self.last = sequence;
-        self.answers.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
+        self.answers.push(Incoming::own(sample, sequence));
     }
 }

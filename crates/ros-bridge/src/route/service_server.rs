@@ -141,10 +141,10 @@ impl Desk {
             return self.account.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for their replies"));
         }
         let Ok(sample) = Sample::new(CDR_LE, &message) else { return };
-        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        let sequence = self.last.saturating_add(1);
         self.last = sequence;
-        self.waiting.insert(sequence, Call { caller, id: None }, received);
-        self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received, waited: Duration::ZERO });
+        self.waiting.insert(sequence, Call { caller, id: None }, Instant::now());
+        self.ways.requests.push(Incoming::own(sample, sequence));
     }
 
     fn hear(&mut self, told: Told) {

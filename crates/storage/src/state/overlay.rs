@@ -146,6 +146,14 @@ impl Overlay {
         Ok(found)
     }
 
+    /// The writes to keys that start with `prefix`, in order of keys, as far as they are in the bottom layer: those of the
+    /// transactions so far.
+    pub fn written<'a>(&'a self, prefix: &'a [u8]) -> impl Iterator<Item = (&'a Bytes, &'a Option<Bytes>)> {
+        let from: (Bound<&[u8]>, Bound<&[u8]>) = (Bound::Included(prefix), Bound::Unbounded);
+        let bottom = self.layers.first().into_iter();
+        bottom.flat_map(move |writes| writes.range::<[u8], _>(from)).take_while(move |(key, _)| key.starts_with(prefix))
+    }
+
     /// The writes of the bottom layer.
     ///
     /// # Errors

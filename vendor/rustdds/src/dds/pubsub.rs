@@ -55,6 +55,10 @@ use crate::{
 #[cfg(not(feature = "security"))]
 use crate::no_security::{security_plugins::SecurityPluginsHandle, EndpointSecurityInfo};
 
+// Status events of an endpoint that wait to be taken. Beyond it they are lost, and
+// with them who is matched.
+const STATUS_EVENTS_MAX: usize = 1024;
+
 // -------------------------------------------------------------------
 
 /// DDS Publisher
@@ -481,7 +485,7 @@ impl InnerPublisher {
     SA: adapters::with_key::SerializerAdapter<D>,
   {
     // Status reports back from Writer to DataWriter.
-    let (status_sender, status_receiver) = sync_status_channel(4)?;
+    let (status_sender, status_receiver) = sync_status_channel(STATUS_EVENTS_MAX)?;
 
     // DDS Spec 2.2.2.4.1.5 create_datawriter:
     // If no QoS is specified, we should take the Publisher default
@@ -1142,7 +1146,7 @@ impl InnerSubscriber {
     // incoming data notification channel from Reader to DataReader
     let (send, rec) = crate::mio_source::notification_channel(4);
     // status change channel from Reader to DataReader
-    let (status_sender, status_receiver) = sync_status_channel::<DataReaderStatus>(4)?;
+    let (status_sender, status_receiver) = sync_status_channel::<DataReaderStatus>(STATUS_EVENTS_MAX)?;
 
     // reader command channel from Datareader to Reader.
     // Capacity 0 is a rendezvous, matching the previous mio-extras channel: the

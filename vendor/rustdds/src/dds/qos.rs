@@ -211,6 +211,7 @@ impl QosPolicyBuilder {
       // policies never need it. Set it via `QosPolicies::with_data_representation`.
       data_representation: None,
       user_data: None,
+      without_history: None,
       #[cfg(feature = "security")]
       property: None,
     }
@@ -237,6 +238,7 @@ pub struct QosPolicies {
   pub(crate) lifespan: Option<policy::Lifespan>,
   pub(crate) data_representation: Option<policy::DataRepresentation>,
   pub(crate) user_data: Option<Vec<u8>>,
+  pub(crate) without_history: Option<bool>,
   #[cfg(feature = "security")]
   pub(crate) property: Option<policy::Property>,
 }
@@ -325,6 +327,19 @@ impl QosPolicies {
     self
   }
 
+  /// A volatile, reliable DataReader requests nothing that a DataWriter had before
+  /// its first HEARTBEAT. It loses what is written before both have matched.
+  #[must_use]
+  pub fn without_history(mut self) -> Self {
+    self.without_history = Some(true);
+    self
+  }
+
+  pub(crate) fn skips_history(&self) -> bool {
+    let durability = self.durability.unwrap_or(policy::Durability::Volatile);
+    self.without_history == Some(true) && durability == policy::Durability::Volatile
+  }
+
   pub const fn lifespan(&self) -> Option<policy::Lifespan> {
     self.lifespan
   }
@@ -378,6 +393,7 @@ impl QosPolicies {
         .clone()
         .or(self.data_representation.clone()),
       user_data: other.user_data.clone().or(self.user_data.clone()),
+      without_history: other.without_history.or(self.without_history),
       #[cfg(feature = "security")]
       property: other.property.clone().or(self.property.clone()),
     }
@@ -582,7 +598,8 @@ impl QosPolicies {
       resource_limits,
       lifespan,
       data_representation,
-      user_data: _, // of endpoints only: emitted by SEDP
+      user_data: _,       // of endpoints only: emitted by SEDP
+      without_history: _, // of this process only
       #[cfg(feature = "security")]
         property: _, // TODO: properties to parameter list?
     } = self;
@@ -756,6 +773,7 @@ impl QosPolicies {
       lifespan,
       data_representation,
       user_data: None, // read by SEDP
+      without_history: None,
       #[cfg(feature = "security")]
       property,
     })

@@ -8,7 +8,10 @@
 use std::{
   io,
   pin::Pin,
-  sync::{Arc, Mutex},
+  sync::{
+    atomic::{AtomicBool, AtomicUsize, Ordering},
+    Arc, Mutex,
+  },
   task::{Context, Poll, Waker},
 };
 
@@ -66,13 +69,17 @@ pub(crate) fn sync_status_channel<T>(
   capacity: usize,
 ) -> io::Result<(StatusChannelSender<T>, StatusChannelReceiver<T>)> {
   let (signal_receiver, signal_sender) = make_poll_channel()?;
-  let (actual_sender, actual_receiver) = std::sync::mpsc::sync_channel(capacity);
+  // Allocates as events come, where `sync_channel` would reserve all of its capacity.
+  let (actual_sender, actual_receiver) = std::sync::mpsc::channel();
+  let waiting = Arc::new(AtomicUsize::new(0));
   #[cfg(feature = "mio_06")]
   let (legacy_sender, legacy_receiver) = mio_channel::sync_channel(capacity);
   let waker = Arc::new(Mutex::new(None));
   Ok((
     StatusChannelSender {
       actual_sender,
+      waiting: Arc::clone(&waiting),
+      capacity,
       signal_sender,
       #[cfg(feature = "mio_06")]
       legacy_sender,
@@ -80,6 +87,7 @@ pub(crate) fn sync_status_channel<T>(
     },
     StatusChannelReceiver {
       actual_receiver: Mutex::new(actual_receiver),
+      waiting,
       signal_receiver,
       #[cfg(feature = "mio_06")]
       legacy_receiver: Mutex::new(legacy_receiver),
@@ -91,7 +99,10 @@ pub(crate) fn sync_status_channel<T>(
 // TODO: try to make this (and the Receiver) private types
 #[derive(Clone)]
 pub struct StatusChannelSender<T> {
-  actual_sender: std::sync::mpsc::SyncSender<T>,
+  actual_sender: std::sync::mpsc::Sender<T>,
+  // Events in the channel, of which there are at most so many.
+  waiting: Arc<AtomicUsize>,
+  capacity: usize,
   signal_sender: PollEventSender,
   #[cfg(feature = "mio_06")]
   legacy_sender: mio_channel::SyncSender<()>,
@@ -100,6 +111,7 @@ pub struct StatusChannelSender<T> {
 
 pub struct StatusChannelReceiver<T> {
   actual_receiver: Mutex<std::sync::mpsc::Receiver<T>>,
+  waiting: Arc<AtomicUsize>,
   signal_receiver: PollEventSource,
   #[cfg(feature = "mio_06")]
   legacy_receiver: Mutex<mio_channel::Receiver<()>>,
@@ -126,7 +138,7 @@ impl<T> StatusChannelSender<T> {
 
   pub(crate) fn try_send_impl(&self, t: T) -> Result<(), std::sync::mpsc::TrySendError<T>> {
     let mut w = self.waker.lock().unwrap(); // lock already at the beginning
-    match self.actual_sender.try_send(t) {
+    match self.try_send_actual(t) {
       Ok(()) => {
         self.signal_sender.send();
         #[cfg(feature = "mio_06")]
@@ -157,6 +169,19 @@ impl<T> StatusChannelSender<T> {
       Err(other_fail) => Err(other_fail),
     }
   }
+
+  // Called with the waker locked, i.e. by one sender at a time.
+  fn try_send_actual(&self, t: T) -> Result<(), std::sync::mpsc::TrySendError<T>> {
+    if self.waiting.load(Ordering::SeqCst) >= self.capacity {
+      return Err(std::sync::mpsc::TrySendError::Full(t));
+    }
+    // Counted first, as the receiver may take it at once.
+    self.waiting.fetch_add(1, Ordering::SeqCst);
+    self
+      .actual_sender
+      .send(t)
+      .map_err(|e| std::sync::mpsc::TrySendError::Disconnected(e.0))
+  }
 }
 
 impl<T> StatusChannelReceiver<T> {
@@ -166,7 +191,11 @@ impl<T> StatusChannelReceiver<T> {
     self.signal_receiver.drain();
     #[cfg(feature = "mio_06")]
     while self.legacy_receiver.lock().unwrap().try_recv().is_ok() {}
-    self.actual_receiver.lock().unwrap().try_recv()
+    let received = self.actual_receiver.lock().unwrap().try_recv();
+    if received.is_ok() {
+      self.waiting.fetch_sub(1, Ordering::SeqCst);
+    }
+    received
   }
 
   pub(crate) fn get_waker_update_lock(&self) -> std::sync::MutexGuard<'_, Option<Waker>> {
@@ -285,8 +314,6 @@ impl<T> mio1::event::Source for StatusChannelReceiver<T> {
 // -------------------------------------------------------------------------------
 // -------------------------------------------------------------------------------
 // -------------------------------------------------------------------------------
-
-use std::sync::atomic::{AtomicBool, Ordering};
 
 // TODO: try to make private
 pub struct StatusReceiverStream<'a, T> {

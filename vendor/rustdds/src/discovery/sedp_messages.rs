@@ -287,6 +287,7 @@ impl SubscriptionBuiltinTopicData {
       resource_limits: None, // nor Resource Limits, see Figure 8.30 in RTPS spec 2.5
       lifespan: self.lifespan,
       user_data: None,
+      without_history: None,
       data_representation: self.data_representation.clone(),
 
       #[cfg(feature = "security")]
@@ -740,6 +741,7 @@ impl PublicationBuiltinTopicData {
       resource_limits: None, // nor Resource Limits, see Figure 8.30 in RTPS spec 2.5
       lifespan: self.lifespan,
       user_data: None,
+      without_history: None,
       data_representation: self.data_representation.clone(),
       #[cfg(feature = "security")]
       property: None, // TODO: no property Qos?
@@ -1105,6 +1107,7 @@ impl HasQoSPolicy for TopicBuiltinTopicData {
       resource_limits: self.resource_limits,
       lifespan: self.lifespan,
       user_data: None,
+      without_history: None,
       data_representation: None, // Topic-level DATA_REPRESENTATION not tracked
       #[cfg(feature = "security")]
       property: None, // TODO: no property Qos?

@@ -1104,7 +1104,15 @@ impl DPEventLoop {
   }
 
   fn remove_local_reader(&mut self, reader_guid: GUID) {
-    if self.message_receiver.remove_reader(reader_guid).is_some() {
+    if let Some(removed) = self.message_receiver.remove_reader(reader_guid) {
+      // What was heard is for readers that were there. One that comes later requests
+      // it again of writers that are still there.
+      let topic_name = removed.topic_name();
+      let mut remaining = self.message_receiver.available_readers.values();
+      if remaining.all(|reader| reader.topic_name() != topic_name) {
+        removed.forget_topic();
+      }
+
       // The timer is shared and stays with the loop. Reader commands share the
       // poll waker, so there is no per-reader registration to drop. A timeout
       // already scheduled for this reader is ignored on dispatch (lookup miss).

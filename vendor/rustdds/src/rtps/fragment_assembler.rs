@@ -2,6 +2,7 @@ use std::{
   cmp::min,
   collections::{btree_map::Entry, BTreeMap},
   fmt, iter,
+  time::{Duration, Instant},
 };
 
 use enumflags2::BitFlags;
@@ -21,7 +22,6 @@ use crate::{
   structure::{
     cache_change::ChangeKind,
     sequence_number::{FragmentNumber, SequenceNumber},
-    time::Timestamp,
   },
 };
 
@@ -47,8 +47,8 @@ struct AssemblyBuffer {
 
   #[allow(dead_code)] // TODO: Purpose is to use this later for e.g.
   // garbage collection, in case some buffer is not completed within reasonable time.
-  created_time: Timestamp,
-  modified_time: Timestamp,
+  created_time: Instant,
+  modified_time: Instant,
 }
 
 impl AssemblyBuffer {
@@ -63,7 +63,7 @@ impl AssemblyBuffer {
       return None;
     }
 
-    let now = Timestamp::now();
+    let now = Instant::now();
 
     Some(Self {
       data_size,
@@ -165,7 +165,7 @@ impl AssemblyBuffer {
       );
       at = until;
     }
-    self.modified_time = Timestamp::now();
+    self.modified_time = Instant::now();
     true
   }
 
@@ -344,9 +344,9 @@ impl FragmentAssembler {
     }
   }
 
-  pub fn garbage_collect_before(&mut self, expire_before: Timestamp) {
+  pub fn garbage_collect(&mut self, timeout: Duration) {
     self.assembly_buffers.retain(|sn, ab| {
-      let retain = ab.modified_time >= expire_before;
+      let retain = ab.modified_time.elapsed() <= timeout;
       if !retain {
         info!("AssemblyBuffer dropping {sn:?}");
       }
@@ -360,6 +360,11 @@ impl FragmentAssembler {
   // completion,   // the list should be just the list of current
   // AssemblyBuffers   self.assembly_buffers.keys()
   // }
+
+  // In ascending order.
+  pub fn partially_received(&self) -> impl Iterator<Item = SequenceNumber> + '_ {
+    self.assembly_buffers.keys().copied()
+  }
 
   pub fn is_partially_received(&self, sn: SequenceNumber) -> bool {
     self.assembly_buffers.contains_key(&sn)

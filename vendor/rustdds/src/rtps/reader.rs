@@ -4,7 +4,7 @@ use std::{
   rc::Rc,
   sync::{Arc, Mutex, MutexGuard},
   task::Waker,
-  time::Duration as StdDuration,
+  time::{Duration as StdDuration, Instant},
 };
 
 use mio1::Token;
@@ -49,7 +49,6 @@ use crate::{
   structure::{
     cache_change::{CacheChange, ChangeKind},
     dds_cache::TopicCache,
-    duration::Duration,
     entity::RTPSEntity,
     guid::{EntityId, GuidPrefix, GUID},
     locator::Locator,
@@ -119,6 +118,8 @@ pub(crate) struct Reader {
   like_stateless: bool,
   // Reliability Qos. Note that a StatelessReader cannot be Reliable (RTPS Spec: Section 8.4.11.2)
   reliability: policy::Reliability,
+  // Is what a Writer had before its first HEARTBEAT of no interest?
+  skips_history: bool,
   // Reader stores a pointer to a mutex on the topic cache
   topic_cache: Arc<Mutex<TopicCache>>,
 
@@ -139,7 +140,7 @@ pub(crate) struct Reader {
   received_heartbeat_count: i32,
 
   fragment_assemblers: BTreeMap<GUID, FragmentAssembler>,
-  last_fragment_garbage_collect: Timestamp,
+  last_fragment_garbage_collect: Instant,
   matched_writers: BTreeMap<GUID, RtpsWriterProxy>,
   // Counts of ACKNACKs begin here for writers that are matched from now on. One that
   // was lost and comes back may remember ours, and ignore lower ones (Fast DDS).
@@ -163,9 +164,9 @@ pub(crate) struct Reader {
 
 // If we are assembling a fragment, but it does not receive any updates
 // for this time, the AssemblyBuffer is just dropped.
-const FRAGMENT_ASSEMBLY_TIMEOUT: Duration = Duration::from_secs(10);
+const FRAGMENT_ASSEMBLY_TIMEOUT: StdDuration = StdDuration::from_secs(10);
 // minimum interval (max frequency) of AssemblyBuffer GC
-const MIN_FRAGMENT_GC_INTERVAL: Duration = Duration::from_secs(2);
+const MIN_FRAGMENT_GC_INTERVAL: StdDuration = StdDuration::from_secs(2);
 
 impl Reader {
   pub(crate) fn new(
@@ -197,6 +198,7 @@ impl Reader {
         .qos_policy
         .reliability() // use qos specification
         .unwrap_or(policy::Reliability::BestEffort), // or default to BestEffort
+      skips_history: i.qos_policy.skips_history(),
       topic_cache: i.topic_cache_handle,
       topic_name: i.topic_name,
       qos_policy: i.qos_policy,
@@ -209,7 +211,7 @@ impl Reader {
       heartbeat_suppression_duration: StdDuration::new(0, 0),
       received_heartbeat_count: 0,
       fragment_assemblers: BTreeMap::new(),
-      last_fragment_garbage_collect: Timestamp::now(),
+      last_fragment_garbage_collect: Instant::now(),
       matched_writers: BTreeMap::new(),
       // Fast DDS ignores a first count of 0.
       first_ack_nack_count: 1,
@@ -627,22 +629,6 @@ impl Reader {
       return;
     }
 
-    // check if this submessage is expired already
-    // TODO: Maybe this check is in the wrong place altogether? It should be
-    // done when Datareader fetches data for the application.
-    if let (Some(source_timestamp), Some(lifespan)) =
-      (mr_state.source_timestamp, self.qos().lifespan)
-    {
-      let elapsed = receive_timestamp.duration_since(source_timestamp);
-      if lifespan.duration < elapsed {
-        info!(
-          "DataFrag {:?} from {:?} lifespan exceeded. duration={:?} elapsed={:?}",
-          seq_num, writer_guid, lifespan.duration, elapsed
-        );
-        return;
-      }
-    }
-
     // parse write_options out of the message
     // TODO: This is almost duplicate code from DATA processing
     let mut write_options_b = WriteOptionsBuilder::new();
@@ -718,15 +704,13 @@ impl Reader {
     // fragment assemblers and discard those assembly buffers whose
     // creation / modification timestamps look like it is no longer receiving
     // data and can therefore be discarded.
-    let now = Timestamp::now();
-    if now - self.last_fragment_garbage_collect > MIN_FRAGMENT_GC_INTERVAL {
-      self.last_fragment_garbage_collect = now;
-
-      let expire_before = now - FRAGMENT_ASSEMBLY_TIMEOUT;
+    // The wall clock may be set back.
+    if self.last_fragment_garbage_collect.elapsed() > MIN_FRAGMENT_GC_INTERVAL {
+      self.last_fragment_garbage_collect = Instant::now();
 
       self.fragment_assemblers.retain(|writer, fa| {
         debug!("AssemblyBuffer GC writer {writer:?}");
-        fa.garbage_collect_before(expire_before);
+        fa.garbage_collect(FRAGMENT_ASSEMBLY_TIMEOUT);
         !fa.is_empty()
       });
     } else {
@@ -969,10 +953,19 @@ impl Reader {
           // This heartbeat was already seen an processed.
           return false;
         }
+        let is_first = writer_proxy.received_heartbeat_count == 0;
         writer_proxy.received_heartbeat_count = heartbeat.count;
 
         // remove changes until first_sn.
         writer_proxy.irrelevant_changes_up_to(heartbeat.first_sn);
+
+        // What the Writer has by now is history, except for what came of it: that was
+        // sent to this Reader.
+        if is_first && this.skips_history {
+          let assembler = this.fragment_assemblers.get(&writer_guid);
+          let wanted = assembler.into_iter().flat_map(|fa| fa.partially_received());
+          writer_proxy.irrelevant_history(heartbeat.last_sn, wanted);
+        }
 
         let marker_moved = this
           .acquire_the_topic_cache_guard()
@@ -1507,6 +1500,11 @@ impl Reader {
     &self.topic_name
   }
 
+  // No Reader of this topic is left.
+  pub fn forget_topic(&self) {
+    self.acquire_the_topic_cache_guard().forget_all();
+  }
+
   fn acquire_the_topic_cache_guard(&self) -> MutexGuard<'_, TopicCache> {
     self.topic_cache.lock().unwrap_or_else(|e| {
       panic!(
@@ -1548,7 +1546,7 @@ mod tests {
   use crate::{
     dds::{qos::policy::Reliability, statusevents::sync_status_channel, typedesc::TypeDesc},
     polling::{new_shared_timer, wake_channel, LoopWaker},
-    structure::{dds_cache::DDSCache, guid::EntityKind},
+    structure::{dds_cache::DDSCache, duration::Duration, guid::EntityKind},
     QosPolicyBuilder,
   };
   use super::*;

@@ -298,6 +298,23 @@ impl RtpsWriterProxy {
     self.irrelevant_changes_range(SequenceNumber::new(0), smallest_seqnum);
   }
 
+  // Used to mark everything up to `last` irrelevant, except for what is wanted, in
+  // ascending order, and what was received.
+  pub fn irrelevant_history(
+    &mut self,
+    last: SequenceNumber,
+    wanted: impl Iterator<Item = SequenceNumber>,
+  ) {
+    let mut from = SequenceNumber::zero();
+    for sn in wanted.take_while(|sn| *sn <= last) {
+      self.irrelevant_changes_range(from, sn);
+      from = sn.plus_1();
+    }
+    if from <= last {
+      self.irrelevant_changes_range(from, last.plus_1());
+    }
+  }
+
   fn discovered_or_default(drd: &[Locator], default: &[Locator]) -> Vec<Locator> {
     if drd.is_empty() {
       default.to_vec()
@@ -463,6 +480,18 @@ mod bounded_map_tests {
     assert_eq!(missing.first(), Some(&SequenceNumber::new(2)));
     assert_eq!(missing.last(), Some(&SequenceNumber::new(257)));
     assert_eq!(missing.len(), 255);
+  }
+
+  #[test]
+  fn history_is_given_up_but_not_what_was_received_or_is_being_assembled() {
+    let mut wp = test_proxy();
+    let sn = SequenceNumber::new;
+    wp.received_changes_add(sn(3), Timestamp::INVALID);
+    wp.irrelevant_history(sn(6), [sn(4), sn(9)].into_iter());
+    assert_eq!(wp.all_ackable_before(), sn(4));
+    assert_eq!(wp.missing_seqnums(sn(1), sn(7)), [sn(4), sn(7)]);
+    wp.received_changes_add(sn(4), Timestamp::INVALID);
+    assert_eq!(wp.all_ackable_before(), sn(7));
   }
 
   #[test]

@@ -4,6 +4,7 @@ use std::{
   iter,
   ops::Bound::{Excluded, Included},
   sync::{Arc, Mutex},
+  time::{Duration, Instant},
 };
 
 #[allow(unused_imports)]
@@ -111,6 +112,9 @@ impl DDSCache {
   }
 }
 
+// Changes are reallocated when they are older than this.
+const REALLOCATE_TIMEOUT: Duration = Duration::from_secs(5);
+
 #[derive(Debug)]
 pub(crate) struct TopicCache {
   topic_name: String,
@@ -135,6 +139,10 @@ pub(crate) struct TopicCache {
   // persists in the TopicCaceh for some time, it should no longer hold onto the receive buffer,
   // so we can recycle the buffers. Otherwise, we (practically) leak memory.
   changes_reallocated_up_to: Timestamp,
+
+  // The next ones to be reallocated are those up to this key, which were there at this
+  // time. The wall clock may be set back.
+  reallocate_next: (Instant, Timestamp),
 
   // The largest key ever inserted into `changes`. Used to keep the keys strictly
   // monotonic: `receive_timestamp` is `Timestamp::now()` sampled per incoming
@@ -167,6 +175,7 @@ impl TopicCache {
       max_keep_samples: 1, // dummy value, next call will overwrite this
       changes: BTreeMap::new(),
       changes_reallocated_up_to: Timestamp::ZERO,
+      reallocate_next: (Instant::now(), Timestamp::ZERO),
       last_added_instant: Timestamp::ZERO,
       sequence_numbers: BTreeMap::new(),
       received_reliably_before: BTreeMap::new(),
@@ -412,6 +421,13 @@ impl TopicCache {
       .retain(|writer, _| writer.prefix != participant);
   }
 
+  // No reader of this topic is left.
+  pub fn forget_all(&mut self) {
+    self.changes.clear();
+    self.sequence_numbers.clear();
+    self.received_reliably_before.clear();
+  }
+
   fn insert_sn(&mut self, instant: Timestamp, cc: &CacheChange) {
     self
       .sequence_numbers
@@ -581,11 +597,11 @@ impl TopicCache {
     }
 
     // Now, reallocate old cache changes
-    let reallocate_timeout = crate::Duration::from_secs(5);
-    let now = Timestamp::now();
-
-    // Take max to avoid crash if clock jumps backward.
-    let reallocate_limit = max(now - reallocate_timeout, self.changes_reallocated_up_to);
+    let (since, reallocate_limit) = self.reallocate_next;
+    if since.elapsed() < REALLOCATE_TIMEOUT {
+      return;
+    }
+    self.reallocate_next = (Instant::now(), self.last_added_instant);
 
     self
       .changes

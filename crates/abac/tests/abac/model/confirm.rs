@@ -9,22 +9,28 @@ pub(crate) struct Asking {
     pub(crate) who: usize,
     pub(crate) until: u64,
     pub(super) confirmed: Vec<usize>,
-    /// How much lower a priority it wants, and how long it waits.
+    /// The priority that it wants, and how long it waits.
     wishes: (i64, Option<u64>),
 }
 
 impl Model {
     /// Must others agree before this one competes? It asks them if it did not before.
     pub(super) fn must_be_confirmed(&mut self, at: usize, who: usize, wishes: (i64, Option<u64>), now: u64) -> bool {
-        let service = &mut self.services[at];
+        let service = &self.services[at];
         let Some(wanted) = service.settings.confirm else { return false };
         if let Some(known) = service.asking.iter().find(|asking| asking.who == who && asking.until > now) {
-            return known.confirmed.len() < wanted;
+            return self.agreed(known) < wanted;
         }
+        let service = &mut self.services[at];
         service.asking.retain(|asking| asking.who != who);
         let until = now + service.settings.confirm_within;
         service.asking.push(Asking { who, until, confirmed: vec![], wishes });
         true
+    }
+
+    /// How many have confirmed it who still may.
+    fn agreed(&self, asking: &Asking) -> usize {
+        asking.confirmed.iter().filter(|who| **who == OWNER || self.permits(**who).is_ok()).count()
     }
 
     pub(crate) fn confirm(&mut self, at: usize, by: usize, who: usize, now: u64) -> Answer {
@@ -37,21 +43,15 @@ impl Model {
         if by != OWNER {
             self.permits(by)?;
         }
-        let before = self.clone();
         let asking = &mut self.services[at].asking[asking];
         asking.confirmed.retain(|confirmed| *confirmed != by);
         asking.confirmed.push(by);
-        let (count, wishes) = (asking.confirmed.len(), asking.wishes);
-        if count < self.services[at].settings.confirm.unwrap_or(0) {
-            return Ok(Got::Done);
+        let (asking, settings) = (asking.clone(), self.services[at].settings);
+        if self.agreed(&asking) >= settings.confirm.unwrap_or(0) {
+            let ((asked, wait), own) = (asking.wishes, settings.priority(who, 0));
+            // If it is refused, it may try again.
+            let _ = self.compete(at, who, (own - own.min(asked), wait), false, now);
         }
-        match self.compete(at, who, wishes, false, now) {
-            Err(Code::LineFull) => {
-                *self = before;
-                Err(Code::LineFull)
-            }
-            // It may try again.
-            _ => Ok(Got::Done),
-        }
+        Ok(Got::Done)
     }
 }

@@ -101,7 +101,7 @@ impl Model {
         let place = self.services[at].place(index, now);
         let waits = settings.line > 0 && wait != Some(0);
         let is_new = known.is_none() && asks;
-        if is_new && (place.is_some() || waits) && self.must_be_confirmed(at, who, (less, wait), now) {
+        if is_new && (place.is_some() || waits) && self.must_be_confirmed(at, who, (priority, wait), now) {
             self.services[at].line = before;
             return Ok(Got::Pending);
         }

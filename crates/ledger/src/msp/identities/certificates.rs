@@ -8,10 +8,11 @@ use super::super::carriers::check_may_issue;
 use super::super::organisations;
 use super::super::revocations;
 use super::super::store::{self, issued_key, json};
+use super::registrar::maker_lost;
 use super::registration::{check, keep_look, make_room, unknown};
 use super::{
-    CERTIFICATES_MAX, ENROLMENT_REPEAT_MAX, IdentityRecord, IssuedCertificate, LocalSecret, RENEWAL_PAUSE, Use, find,
-    is_revoked, write,
+    CERTIFICATES_MAX, ENROLMENT_REPEAT_MAX, IdentityRecord, IssuedCertificate, LocalSecret, RENEWAL_PAUSE, Secret, Use,
+    find, is_revoked, write,
 };
 use crate::Rules;
 use crate::chaincode::{Context, Revocation};
@@ -187,17 +188,23 @@ fn take_secret(
     fingerprint: Hash,
 ) -> Result<Option<Bytes>, Rejection> {
     let now = ctx.block_time();
-    let Some(secret) = record.secret.as_mut().filter(|secret| secret.sha256 == presented) else {
+    let Some(secret) = record.secret.clone().filter(|secret| secret.sha256 == presented) else {
         return Err(refused("another secret than the one that is registered"));
     };
-    let Some(used) = &secret.used else {
+    let Some(used) = secret.used else {
         if now > secret.expires {
             return Err(refused("a secret that has expired"));
         }
-        secret.used = Some(Use { key, fingerprint, time: now });
+        if let Some(maker) = &secret.maker
+            && let Some(lost) = maker_lost(ctx, record, maker)?
+        {
+            return Err(refused(lost));
+        }
+        let used = Some(Use { key, fingerprint, time: now });
+        record.secret = Some(Secret { used, ..secret });
         return Ok(None);
     };
-    let (used, der) = (used.clone(), ctx.get(&issued_key(&used.fingerprint)));
+    let der = ctx.get(&issued_key(&used.fingerprint));
     let revoked = record.certificate(&used.fingerprint).is_none_or(|issued| is_revoked(ctx, issued));
     let spent = ctx.get(&store::known_certificate_key(&used.fingerprint)).is_some();
     if used.key != key || revoked || spent || now.saturating_sub(used.time) > ENROLMENT_REPEAT_MAX {

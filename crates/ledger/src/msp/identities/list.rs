@@ -86,10 +86,10 @@ pub(in super::super) fn enrolled(ctx: &Context<'_>, page: &Bytes) -> Result<Byte
     json(&paging.page(ctx, IDENTITIES.as_bytes(), name)?)
 }
 
-/// The record for readers: without the hash of the secret, and with what was revoked.
+/// The record for readers: without hash and maker of the secret, and with what was revoked.
 pub(super) fn shown(ctx: &Context<'_>, mut record: IdentityRecord) -> IdentityRecord {
     if let Some(secret) = &mut record.secret {
-        secret.sha256 = Hash::ZERO;
+        (secret.sha256, secret.maker) = (Hash::ZERO, None);
     }
     for issued in &mut record.certificates {
         issued.revoked = is_revoked(ctx, issued);

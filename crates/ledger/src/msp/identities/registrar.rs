@@ -2,13 +2,15 @@
 //!
 //! The department (affiliation) is the attribute `hf.Affiliation`, as Fabric's CA has it: `sales`, or `sales.north` below it. So
 //! it stands in the certificate, and policies can name it. A registrar gives nobody more than it was let: role member, its
-//! own department, and the attributes that the admin has named. A name that was revoked, or that has more, is for admins.
+//! own department, and the attributes that the admin has named. A name that was revoked, or that has more, is for admins. A secret
+//! of a registrar ends with its right.
 
 use super::super::caller::{admin, bad, object, submitter};
 use super::super::store::{self, json, registrar_key};
-use super::{IdentityRecord, is_revoked};
+use super::{IdentityRecord, Maker, is_revoked, was_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
+use ledger_hash::Hash;
 use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -35,6 +37,28 @@ pub struct SetRegistrar {
     /// Names of the attributes that it may give besides.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub attributes: BTreeSet<String>,
+}
+
+impl SetRegistrar {
+    /// The part of this that is more than it may give, and what it may give instead.
+    fn excess(&self, role: Option<Role>, attributes: &BTreeMap<String, String>) -> Option<(String, String)> {
+        let own = self.affiliation.as_deref().unwrap_or_default();
+        if let Some(role) = role.filter(|role| *role != Role::Member) {
+            return Some((format!("role {role}"), "role member".to_owned()));
+        }
+        let within = |department: &str| {
+            department.strip_prefix(own).is_some_and(|below| below.is_empty() || below.starts_with('.'))
+        };
+        match attributes.get(AFFILIATION) {
+            Some(department) if within(department) => {}
+            Some(department) => return Some((format!("the department {department:?}"), own.to_owned())),
+            None => return Some(("no department".to_owned(), own.to_owned())),
+        }
+        let mut names = attributes.keys().filter(|name| *name != AFFILIATION);
+        let more = names.find(|name| !self.attributes.contains(*name))?;
+        let may: Vec<_> = self.attributes.iter().map(String::as_str).collect();
+        Some((format!("the attribute {more:?}"), format!("attributes among: {}", may.join(", "))))
+    }
 }
 
 /// `set_registrar {name, affiliation?, attributes?}`
@@ -86,6 +110,24 @@ pub(super) fn forget(ctx: &mut Context<'_>, organisation: &str, name: &str) {
     }
 }
 
+/// Why a secret of this registration is worth nothing any more: its maker was revoked, or may not give so much now.
+pub(super) fn maker_lost(
+    ctx: &Context<'_>,
+    record: &IdentityRecord,
+    maker: &Maker,
+) -> Result<Option<&'static str>, Rejection> {
+    if was_revoked(ctx, &maker.issuer, &maker.serial) {
+        return Ok(Some("a secret by somebody whose certificate was revoked"));
+    }
+    if !maker.registrar {
+        return Ok(None);
+    }
+    let name = record.by.split_once('/').map_or("", |(_, name)| name);
+    let bounds: Option<SetRegistrar> = store::read(ctx, &registrar_key(&record.organisation, name))?;
+    let may = bounds.is_some_and(|bounds| bounds.excess(Some(record.role), &record.attributes).is_none());
+    Ok(if may { None } else { Some("a secret by somebody who may register this name no longer") })
+}
+
 /// Somebody who may register.
 pub(super) struct Registering<'a> {
     /// The submitter.
@@ -109,27 +151,20 @@ impl<'a> Registering<'a> {
 
     /// May it give this role and these attributes?
     pub(super) fn check(&self, role: Option<Role>, attributes: &BTreeMap<String, String>) -> Result<(), Rejection> {
-        let Some(bounds) = &self.bounds else { return Ok(()) };
-        let own = bounds.affiliation.as_deref().unwrap_or_default();
-        if let Some(role) = role.filter(|role| *role != Role::Member) {
-            return Err(self.beyond(format!("role {role}"), "role member"));
-        }
-        let within = |department: &str| {
-            department.strip_prefix(own).is_some_and(|below| below.is_empty() || below.starts_with('.'))
-        };
-        match attributes.get(AFFILIATION) {
-            Some(department) if within(department) => {}
-            Some(department) => return Err(self.beyond(format!("the department {department:?}"), own)),
-            None => return Err(self.beyond("no department".to_owned(), own)),
-        }
-        let mut names = attributes.keys().filter(|name| *name != AFFILIATION);
-        match names.find(|name| !bounds.attributes.contains(*name)) {
+        match self.bounds.as_ref().and_then(|bounds| bounds.excess(role, attributes)) {
             None => Ok(()),
-            Some(more) => {
-                let may: Vec<_> = bounds.attributes.iter().map(String::as_str).collect();
-                Err(self.beyond(format!("the attribute {more:?}"), &format!("attributes among: {}", may.join(", "))))
-            }
+            Some((found, wanted)) => Err(self.beyond(found, &wanted)),
         }
+    }
+
+    /// May it give a secret to this name, as far as the name's own right is concerned? A registrar becomes no other registrar, also
+    /// where an admin has named one whose name is not registered yet.
+    pub(super) fn check_no_right(&self, ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
+        let organisation = &self.caller.organisation;
+        if self.bounds.is_none() || ctx.get(registrar_key(organisation, name).as_bytes()).is_none() {
+            return Ok(());
+        }
+        Err(self.beyond(format!("{organisation}/{name}, who is a registrar"), "a name without that right"))
     }
 
     /// May it give a new secret to this registered name? The secret makes its bearer that person: so a registrar gives it to those
@@ -143,9 +178,7 @@ impl<'a> Registering<'a> {
                 self.beyond(format!("{}, whom {} registered", known.id(), known.by), "a name that it registered")
             );
         }
-        if ctx.get(registrar_key(&known.organisation, &known.name).as_bytes()).is_some() {
-            return Err(self.beyond(format!("{}, who is a registrar", known.id()), "a name without that right"));
-        }
+        self.check_no_right(ctx, &known.name)?;
         if known.voided > 0 || known.certificates.last().is_some_and(|newest| is_revoked(ctx, newest)) {
             return Err(self.beyond(format!("{}, which was revoked", known.id()), "a name that was not revoked"));
         }
@@ -158,6 +191,13 @@ impl<'a> Registering<'a> {
             return Ok(());
         }
         Err(self.beyond(format!("a registration by {}", known.by), "a registration of its own"))
+    }
+
+    /// The maker of a secret, to be kept with it.
+    pub(super) fn maker(&self, ctx: &Context<'_>) -> Option<Maker> {
+        let Identity { issuer, serial, .. } = self.caller;
+        let (issuer, serial, registrar) = (Hash(*issuer), hex::encode(serial), self.bounds.is_some());
+        ctx.rules().has_registrars().then_some(Maker { issuer, serial, registrar })
     }
 
     fn beyond(&self, found: String, wanted: &str) -> Rejection {

@@ -58,7 +58,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     }
     let organisation = &caller.organisation;
     let known = find(ctx, organisation, &name)?;
-    let secret = Some(Secret { sha256: secret, expires, used: None });
+    let secret = Some(Secret { sha256: secret, expires, used: None, maker: registering.maker(ctx) });
     let record = match (known, again) {
         (Some(known), true) => {
             if role.is_some_and(|role| role != known.role) {
@@ -83,6 +83,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
         (None, false) => {
             registering.check(role, &attributes)?;
             check_new_name(&name)?;
+            registering.check_no_right(ctx, &name)?;
             take_look(ctx, organisation, &name)?;
             make_room(ctx, organisation)?;
             IdentityRecord {
@@ -121,7 +122,7 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
             .wanted("a registration whose secret was not used yet")
             .next(format!("to end its rights: ledgerctl identity revoke {name}")));
     }
-    void(ctx, record)?;
+    void(ctx, record, false)?;
     Ok(Bytes::new())
 }
 
@@ -159,13 +160,18 @@ pub(super) fn keep_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -
     Ok(())
 }
 
-/// Voids the secrets of a name; forgets it if it never had a certificate.
-pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord) -> Result<(), Rejection> {
-    let never = record.certificates.is_empty() && record.local.is_none();
-    let pending = record.pending(ctx.block_time()).is_some();
-    let record = IdentityRecord { secret: None, local: None, voided: ctx.block_time(), ..record };
-    registrar::forget(ctx, &record.organisation, &record.name);
+/// Voids the secrets of a name; forgets it if it never had a certificate. Its right as a registrar ends with the name, and where
+/// its certificates are `revoked`.
+pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord, revoked: bool) -> Result<(), Rejection> {
+    let (never, now) = (record.certificates.is_empty() && record.local.is_none(), ctx.block_time());
+    let pending = record.pending(now).is_some();
     // A node at which a secret lies has to learn that it is void: then the name stays.
+    let marked = revoked || record.local.is_some() || !ctx.rules().has_registrars();
+    let voided = if marked { now } else { record.voided };
+    let record = IdentityRecord { secret: None, local: None, voided, ..record };
+    if never || revoked {
+        registrar::forget(ctx, &record.organisation, &record.name);
+    }
     if never {
         ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
         for look in look_keys(&record.organisation, &record.name) {

@@ -49,6 +49,6 @@ pub(in super::super) fn revoke(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
         let serial = hex::decode(&issued.serial).unwrap_or_default();
         revoke_certificate(ctx, caller, &record.organisation, (&issued.issuer, &serial), reason)?;
     }
-    void(ctx, record)?;
+    void(ctx, record, true)?;
     json(&RevokedIdentity { certificates: live, cancelled })
 }

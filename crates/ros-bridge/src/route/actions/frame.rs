@@ -11,13 +11,16 @@
 //! ```
 //! Feedback and status answer no request. There the id is 31 zero bytes and a 1 for feedback, or a 2 for status: no
 //! transaction has such a hash. Both heads keep the alignment of all numbers behind them.
+//!
+//! A sign of life holds the ids of the goals that were accepted and have not ended, 16 bytes each. Of those that the robot's bridge has
+//! lost it says the ids, behind a 3 as for feedback.
 
 use bytes::{BufMut, Bytes, BytesMut};
 use ledger_gate::sample::{CDR_LE, Sample};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
-use super::super::calls::message_of;
+use super::super::calls::{CALLS_MAX, message_of};
 
 /// Bytes in front of the CDR of a request.
 const PART_BYTES: usize = 8;
@@ -28,6 +31,8 @@ const STATES_MAX: usize = 1024;
 pub(in crate::route) const FEEDBACK: Hash = said(1);
 /// The id of a status.
 pub(in crate::route) const STATUS: Hash = said(2);
+/// The id of the goals that the robot's bridge has lost.
+pub(in crate::route) const LOST: Hash = said(3);
 
 /// `SendGoal_Response`: not accepted, stamp zero.
 pub(in crate::route) const GOAL_REFUSED: [u8; 12] = [0; 12];
@@ -84,6 +89,11 @@ pub(in crate::route) fn goal_of(message: &[u8]) -> Option<GoalId> {
     message.first_chunk().copied()
 }
 
+/// The goals of a sign of life, or those that were lost.
+pub(in crate::route) fn ids_in(message: &[u8]) -> impl Iterator<Item = GoalId> {
+    message.as_chunks::<16>().0.iter().take(CALLS_MAX).copied()
+}
+
 /// The request to cancel one goal: its id, and no time.
 pub(in crate::route) fn cancel_of(goal: GoalId) -> [u8; 24] {
     let mut message = [0; 24];
@@ -96,6 +106,12 @@ pub(in crate::route) fn is_accepted(reply: &[u8]) -> bool {
     reply.first().is_some_and(|accepted| *accepted != 0)
 }
 
+/// Does the reply to a cancelling, or to a request for a result, say that there is no such goal (`ERROR_UNKNOWN_GOAL_ID`,
+/// `STATUS_UNKNOWN`)?
+pub(in crate::route) fn is_of_no_goal(part: Part, reply: &[u8]) -> bool {
+    matches!((part, reply.first()), (Part::Cancel, Some(2)) | (Part::Result, Some(0)))
+}
+
 /// Does the reply to a cancelling say that there is no such goal, or that it is over (`ERROR_UNKNOWN_GOAL_ID`,
 /// `ERROR_GOAL_TERMINATED`)?
 pub(in crate::route) fn is_unknown_or_over(reply: &[u8]) -> bool {
@@ -105,6 +121,15 @@ pub(in crate::route) fn is_unknown_or_over(reply: &[u8]) -> bool {
 /// Has a goal of this state ended (`STATUS_SUCCEEDED`, `STATUS_CANCELED`, `STATUS_ABORTED`)?
 pub(in crate::route) fn is_over(state: u8) -> bool {
     matches!(state, 4..=6)
+}
+
+/// The status of a goal that was lost: `STATUS_ABORTED`, and no time.
+pub(in crate::route) fn aborted(goal: GoalId) -> [u8; 29] {
+    let mut status = [0; 29];
+    let head = 1_u32.to_le_bytes().into_iter().chain(goal);
+    status.iter_mut().zip(head).for_each(|(to, from)| *to = from);
+    status[28] = 6;
+    status
 }
 
 /// A goal in a status.
@@ -195,6 +220,22 @@ mod tests {
         }
         status[..4].copy_from_slice(&u32::MAX.to_le_bytes());
         assert_eq!(goals_in(&status), all, "a length that lies");
+    }
+
+    #[test]
+    fn a_reply_says_that_there_is_no_such_goal_by_the_code_of_its_service() {
+        let says = |part| (0..=6).filter(move |code| is_of_no_goal(part, &[*code])).collect::<Vec<u8>>();
+        assert_eq!(Part::ALL.map(says), [vec![], vec![2], vec![0], vec![]]);
+        assert!(!is_of_no_goal(Part::Result, &[]));
+    }
+
+    #[test]
+    fn a_lost_goal_is_over_in_its_status() {
+        assert_eq!(goals_in(&aborted([7; 16])), [Stated { goal: [7; 16], accepted: 0, state: 6 }]);
+        let ids: Vec<_> = ids_in(&[[7_u8; 16], [8; 16]].concat()).collect();
+        assert_eq!(ids, [[7; 16], [8; 16]]);
+        assert_eq!(ids_in(&[1_u8; 15]).count(), 0);
+        assert_eq!(ids_in(&[1_u8; 17 * CALLS_MAX]).count(), CALLS_MAX);
     }
 
     #[test]

@@ -102,6 +102,23 @@ impl Goals {
         self.goals.remove(goal).is_some()
     }
 
+    /// The server does not know this goal. One that it has not answered yet may still be accepted, so it stays. True if it was known.
+    pub(in crate::route) fn lose(&mut self, goal: &GoalId) -> bool {
+        let is_answered = self.goals.get(goal).is_some_and(|state| !matches!(state, State::Asked { .. }));
+        is_answered && self.ended(goal)
+    }
+
+    /// Is this goal not known here, or has its server left?
+    pub(in crate::route) fn has_lost(&self, goal: &GoalId) -> bool {
+        self.goals.get(goal).is_none_or(|state| *state == State::Left)
+    }
+
+    /// The goals that were accepted, as far as it is known, and have not ended. Not those whose server has left.
+    pub(in crate::route) fn accepted(&self) -> Vec<GoalId> {
+        let is_accepted = |state: &State| matches!(state, State::Runs(_) | State::Ends(_));
+        self.goals.iter().filter(|(_, state)| is_accepted(state)).map(|(goal, _)| *goal).collect()
+    }
+
     /// The server has left: it may be gone, or stand still. True if it had goals.
     pub(in crate::route) fn leave(&mut self) -> bool {
         let had_goals = !self.rests();
@@ -242,6 +259,23 @@ mod tests {
         assert_eq!(goals.overdue(start), [[0; 16]; 0], "once");
         assert!(goals.answered(&[3; 16], true, start), "when it is accepted");
         assert_eq!(goals.overdue(start + AGAIN), [GOAL, [3; 16]], "until they have ended");
+    }
+
+    #[test]
+    fn a_goal_that_its_server_does_not_know_is_lost_unless_it_may_still_be_accepted() {
+        let (mut goals, start) = (Goals::new(None), Instant::now());
+        for goal in [GOAL, [2; 16], [3; 16]] {
+            goals.ask(goal);
+        }
+        goals.answered(&GOAL, true, start);
+        goals.answered(&[2; 16], true, start);
+        goals.give_up(&[2; 16], start);
+        assert_eq!(goals.accepted(), [GOAL, [2; 16]]);
+        assert!(goals.lose(&GOAL) && goals.lose(&[2; 16]) && !goals.lose(&GOAL), "once");
+        assert!(!goals.lose(&[3; 16]) && goals.has(&[3; 16]));
+        assert!(goals.has_lost(&GOAL) && !goals.has_lost(&[3; 16]));
+        goals.leave();
+        assert!(goals.has_lost(&[3; 16]) && goals.accepted().is_empty(), "nobody is there who runs it");
     }
 
     #[test]

@@ -161,6 +161,7 @@ mod tests {
             source: [source; 16],
             sequence: 0,
             received,
+            wall: std::time::SystemTime::now(),
             waited: Duration::ZERO,
         }
     }

@@ -1,6 +1,6 @@
 //! Which samples go out, and how those did that went.
 
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
@@ -60,7 +60,7 @@ impl ToLedger {
     /// signature on.
     pub(super) fn is_too_old(&mut self, incoming: &Incoming) -> bool {
         let now = Instant::now();
-        let age = incoming.age(now);
+        let age = incoming.age(now, SystemTime::now());
         let Some(max_age) = self.max_age.filter(|max_age| age > *max_age) else { return false };
         let (age, max_age) = (age.as_millis(), max_age.as_millis());
         self.counters.lock().summary.samples_in += 1;

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use ledger_api::v1::EventRecord;
     use ledger_gate::sample::{CDR_LE, Sample};
-    use std::time::{Duration, Instant};
+    use std::time::{Duration, Instant, SystemTime};
 
     fn publishing() -> Publishing {
         Publishing { service: "T/cmd_vel".into(), me: "Org1/Salma".into(), epoch: 0, last_seq: 0, as_of: 0 }
@@ -96,9 +96,15 @@ mod tests {
 
     fn samples(count: u64) -> Vec<Incoming> {
         let sample = Sample::new(CDR_LE, &[7]).unwrap();
-        let received = Instant::now();
-        let incoming =
-            |sequence| Incoming { sample: sample.clone(), source: [0; 16], sequence, received, waited: Duration::ZERO };
+        let (received, wall) = (Instant::now(), SystemTime::now());
+        let incoming = |sequence| Incoming {
+            sample: sample.clone(),
+            source: [0; 16],
+            sequence,
+            received,
+            wall,
+            waited: Duration::ZERO,
+        };
         (1..=count).map(incoming).collect()
     }
 

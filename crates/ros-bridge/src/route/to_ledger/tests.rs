@@ -1,7 +1,7 @@
 //! Samples out of a queue, before a ledger that accepts all of them.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use std::path::Path;
+use std::{path::Path, time::SystemTime};
 
 use bytes::Bytes;
 use futures::future::join;
@@ -24,7 +24,7 @@ const TOO_LONG: Duration = Duration::from_secs(61);
 
 fn incoming(number: u8, received: Instant, waited: Duration) -> Incoming {
     let sample = Sample::new(CDR_LE, &[number; 48]).unwrap();
-    Incoming { sample, source: [1; 16], sequence: u64::from(number), received, waited }
+    Incoming { sample, source: [1; 16], sequence: u64::from(number), received, wall: SystemTime::now(), waited }
 }
 
 /// A route, with both ends.
