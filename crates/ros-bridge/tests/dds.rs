@@ -179,6 +179,21 @@ fn a_reader_is_told_of_every_one_of_many_writers_that_came_while_nobody_asked_it
 }
 
 #[tokio::test]
+async fn a_newcomer_finds_a_reader_after_very_many_others_came_and_went() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let here = Participant::open(3, "here").await.unwrap();
+    let open = |topic: &TopicName| here.reader(topic, &twist(), &Qos::default(), Limits::default()).unwrap();
+    let (reader, elsewhere) = (open(&topic()), TopicName::parse("/elsewhere").unwrap());
+    for _ in 0..4200 {
+        drop(open(&elsewhere));
+    }
+    let there = Participant::open(3, "there").await.unwrap();
+    matched(&reader, &there.writer(&topic(), &twist(), &Qos::default()).unwrap()).await;
+}
+
+#[tokio::test]
 async fn samples_arrive_byte_for_byte_and_in_order() {
     if !network::isolated(&|| ()) {
         return;

@@ -95,8 +95,8 @@ pub(crate) fn revoked_since(ctx: &Context<'_>, height: u64) -> Result<bool, Reje
     Ok(store::read::<u64>(ctx, store::REVOKED)?.is_some_and(|newest| newest >= height))
 }
 
-/// A place of a subscriber has ended. Its holder may let it end, and take it again, as often as it likes. What others decided
-/// against it is a loss.
+/// A place of a subscriber has ended. Its holder may let it end, and take it again, as often as it likes. An end that others
+/// decided is a loss.
 pub(crate) fn place_ended(ctx: &mut Context<'_>, service: &str, reason: Reason) -> Result<(), Rejection> {
     let is_taken = matches!(reason, Reason::Overridden | Reason::Policy | Reason::Revoked | Reason::Taken);
     match ctx.get(&store::readers_key(service)) {

@@ -48,8 +48,8 @@ const OF_RULES_2: [&str; 2] = [
     "7d4913a4df1dd0a9a4b14548131ea22f2bfed74f738fb4206b2ceabba3be6778",
     "82a50de3ff171b82e01a9a975708dfcf5c6a4ee84207f9a3a4d1d4cb86f90043",
 ];
-/// Robots have an index by owner, versions of policies their steps, and grants the policies that permitted them. What is decided
-/// again is marked meanwhile, and the newest revocation is noted.
+/// Robots have an index by owner, versions of policies their steps, and grants the policies that permitted them. Robots with
+/// grants that are decided again are marked meanwhile, and the newest revocation is noted.
 const OF_RULES_3: [&str; 2] = [
     "306ccf88a945ff0e72af0526c0e0b837759426d177af93763622b7e763c55009",
     "3822d3f1034d8d2cd86e3282ebc4bdb318f94c1ab1fd061d94ea5438086ed2e7",

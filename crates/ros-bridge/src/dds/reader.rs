@@ -31,8 +31,8 @@ use crate::{
 
 /// Most writers whose mark is remembered; beyond it all are looked up again.
 const MARKS_MAX: usize = 4096;
-/// How far ahead of the clock of this host a sample may seem to be written, in parts of a second of which there are 2^32: the
-/// clock is put right now and then.
+/// How far ahead of the clock of this host a sample may seem to be written: the clock is put right now and then. In parts of a
+/// second, of which there are 2^32.
 const AHEAD_TICKS_MAX: u64 = 1 << 32;
 
 /// Reads one topic; ends when dropped. A task moves samples from DDS into a queue that is limited in bytes.

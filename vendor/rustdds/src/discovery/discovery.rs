@@ -214,6 +214,8 @@ pub(crate) struct Discovery {
   participant_lease: StdDuration,
   domain_participant: DomainParticipantWeak,
   discovery_db: Arc<RwLock<DiscoveryDB>>,
+  // Local endpoints that have gone.
+  removed_endpoints: usize,
 
   // Discovery started sender confirms to application thread that we are running
   discovery_started_sender: std::sync::mpsc::Sender<CreateResult<()>>,
@@ -301,6 +303,8 @@ pub(crate) struct Discovery {
 }
 
 impl Discovery {
+  // Each endpoint that comes and goes takes two samples of `DEFAULT_WRITER_MAX_SAMPLES`.
+  const ANNOUNCE_AGAIN_AFTER: usize = 1024;
   const PARTICIPANT_CLEANUP_PERIOD: StdDuration = StdDuration::from_secs(2);
   const TOPIC_CLEANUP_PERIOD: StdDuration = StdDuration::from_secs(60); // timer for cleaning up inactive topics
   const SPDP_PUBLISHES_PER_LEASE: u32 = 5;
@@ -662,6 +666,7 @@ impl Discovery {
       poll,
       domain_participant,
       discovery_db,
+      removed_endpoints: 0,
       discovery_started_sender,
       discovery_updated_sender,
       discovery_command_receiver,
@@ -712,14 +717,7 @@ impl Discovery {
     // but better make sure.
     // TODO: Check if there can acually be any. If not, then this code is
     // unnecessary.
-    let db = discovery_db_read(&self.discovery_db);
-    for reader in db.get_all_local_topic_readers() {
-      self.sedp_publish_single_user_reader(reader);
-    }
-    for writer in db.get_all_local_topic_writers() {
-      self.sedp_publish_single_user_writer(writer);
-    }
-    drop(db);
+    self.sedp_publish_all();
 
     if self.discovery_started_sender.send(Ok(())).is_err() {
       error!("Discovery start notification send failed: main thread receiver dropped");
@@ -785,6 +783,7 @@ impl Discovery {
                   }
                   self.send_endpoint_dispose_message(guid);
                   discovery_db_write(&self.discovery_db).remove_local_topic_writer(guid);
+                  self.endpoint_removed();
                 }
                 DiscoveryCommand::RemoveLocalReader { guid } => {
                   if guid == self.dcps_subscription.writer.guid() {
@@ -792,6 +791,7 @@ impl Discovery {
                   }
                   self.send_endpoint_dispose_message(guid);
                   discovery_db_write(&self.discovery_db).remove_local_topic_reader(guid);
+                  self.endpoint_removed();
                 }
                 DiscoveryCommand::ManualAssertLiveliness => {
                   self
@@ -1794,6 +1794,26 @@ impl Discovery {
 
   pub fn topic_cleanup(&self) {
     discovery_db_write(&self.discovery_db).topic_cleanup();
+  }
+
+  // The history of built-in Writers is bounded. What was announced long ago is announced
+  // again before it is gone, for Participants that come later.
+  fn endpoint_removed(&mut self) {
+    self.removed_endpoints += 1;
+    if self.removed_endpoints >= Self::ANNOUNCE_AGAIN_AFTER {
+      self.removed_endpoints = 0;
+      self.sedp_publish_all();
+    }
+  }
+
+  fn sedp_publish_all(&self) {
+    let db = discovery_db_read(&self.discovery_db);
+    for reader in db.get_all_local_topic_readers() {
+      self.sedp_publish_single_user_reader(reader);
+    }
+    for writer in db.get_all_local_topic_writers() {
+      self.sedp_publish_single_user_writer(writer);
+    }
   }
 
   fn sedp_publish_single_user_reader(&self, reader_data: &DiscoveredReaderData) {

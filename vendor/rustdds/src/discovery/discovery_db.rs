@@ -340,6 +340,25 @@ impl DiscoveryDB {
   }
 
   pub fn topic_cleanup(&mut self) {
+    // removing what endpoints told that have gone
+    let Self {
+      topics,
+      local_topic_readers,
+      local_topic_writers,
+      external_topic_readers,
+      external_topic_writers,
+      ..
+    } = self;
+    for sources in topics.values_mut() {
+      sources.retain(|guid, _| {
+        !guid.entity_id.kind().is_user_defined()
+          || local_topic_readers.contains_key(guid)
+          || local_topic_writers.contains_key(guid)
+          || external_topic_readers.contains_key(guid)
+          || external_topic_writers.contains_key(guid)
+      });
+    }
+
     // removing topics that have no readers or writers
     let dead_topics: Vec<_> = self
       .topics
