@@ -65,6 +65,8 @@ pub(super) struct Model {
     asking: confirm::Askings,
     /// Of each confidential service.
     circles: BTreeMap<String, Circle>,
+    /// How many certificates were revoked, and the height of the newest revocation.
+    newest_revocation: (usize, u64),
     /// Robots.
     stopped: BTreeSet<String>,
     /// Organisations with policies from before their steps were counted.
@@ -143,6 +145,7 @@ impl Model {
             tasks: Vec::new(),
             asking: confirm::Askings::new(),
             circles: BTreeMap::new(),
+            newest_revocation: (0, 0),
             stopped: BTreeSet::new(),
             uncounted: BTreeSet::new(),
             last: BTreeMap::new(),

@@ -159,12 +159,16 @@ impl Model {
             && shared.robot == robot
             && shared.policies == self.policies_of(&robot.owner);
         let (moves, moved_at) = circle.moves;
-        let in_time = shared.moves == moves || time < moved_at + GRACE;
+        let in_time = shared.moves == moves || (time < moved_at + GRACE && self.newest_revocation.1 < shared.height);
         if same && in_time { Ok(()) } else { Err(Code::ReadersChanged) }
     }
 
-    /// With a revoked certificate nobody reads any more.
+    /// With a revoked certificate nobody reads any more, and nobody lingers.
     pub(super) fn read_no_more(&mut self, is_revoked: impl Fn(usize) -> bool) {
+        if self.revoked.len() > self.newest_revocation.0 {
+            self.newest_revocation = (self.revoked.len(), self.network_of_nodes.height());
+            self.circles.values_mut().for_each(|circle| circle.gone.clear());
+        }
         for circle in self.circles.values_mut() {
             let before = circle.entered.len();
             circle.entered.retain(|_, (person, _)| !is_revoked(*person));
