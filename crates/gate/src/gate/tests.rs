@@ -19,6 +19,17 @@ use super::{Bound, Delivered, Gate, HOLDERS_MAX, Refused, Settings};
 use crate::service::{Released, Revoked, Service};
 use ledger_contract::{Capabilities, Direction, Fencing, Grant, Publishing, Sequence};
 
+/// Settings as a route of commands has them, in this network.
+fn of_commands(network: &Network) -> Settings {
+    Settings {
+        network: network.salma.network,
+        sample_bytes_max: 1024,
+        max_age: None,
+        stale_after: std::time::Duration::from_secs(1),
+        command_timeout: None,
+    }
+}
+
 /// Delivers a transaction in a block of now, with the certificate.
 fn deliver(gate: &mut Gate, user: &User, transaction: &Transaction) -> Result<usize, Refused> {
     deliver_at(gate, user, transaction, NOW)

@@ -12,14 +12,7 @@ fn ahead(after: u64) -> Now {
 
 /// A gate that was opened while the wall clock was ahead.
 fn opened_ahead(network: &Network) -> Gate {
-    let settings = Settings {
-        network: network.salma.network,
-        sample_bytes_max: 1024,
-        max_age: None,
-        stale_after: std::time::Duration::from_secs(1),
-        command_timeout: None,
-    };
-    let mut gate = Gate::new(settings, "T/cmd_vel", ahead(0));
+    let mut gate = Gate::new(of_commands(network), "T/cmd_vel", ahead(0));
     ask(&mut gate, network, 0, ahead(0));
     gate
 }

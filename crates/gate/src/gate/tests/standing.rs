@@ -112,14 +112,7 @@ fn a_network_whose_time_is_ahead_of_the_robots_clock_drives_it() {
 #[test]
 fn a_gate_that_was_opened_in_a_network_whose_time_is_ahead_takes_nothing_from_before() {
     let network = Network::default();
-    let settings = Settings {
-        network: network.salma.network,
-        sample_bytes_max: 1024,
-        max_age: None,
-        stale_after: std::time::Duration::from_secs(1),
-        command_timeout: None,
-    };
-    let mut gate = Gate::new(settings, "T/cmd_vel", now());
+    let mut gate = Gate::new(of_commands(&network), "T/cmd_vel", now());
     let (ahead, later) = (NOW + 600 * SECOND, now_at(NOW + SECOND / 2));
     let standing = Standing { time: ahead, ..network.standing(2, &[]) };
     gate.learn(&service("open"), &standing, later.steady, later);
