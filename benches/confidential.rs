@@ -100,9 +100,9 @@ impl Side {
 
 /// Microseconds to seal and open one Twist, without a ledger.
 fn alone(times: u32) -> f64 {
+    use ledger_base::hash::Hash;
     use ledger_confidential::{Keyring, ReadingKey, Sealer};
     use ledger_contract::{Reader, Readers};
-    use ledger_hash::Hash;
     let (service, publisher) = ("Husky/cmd_vel", "Org1/Salma");
     let mut keyring = Keyring::new(Hash::ZERO, "Org2/Husky".into(), ReadingKey::generate());
     let reader =

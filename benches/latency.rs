@@ -39,7 +39,7 @@ use etcd::Etcd;
 use floor::Floor;
 use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS, THREE_VOTERS_AND_LEARNER};
 use hdrhistogram::Histogram;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use load::{Run, histogram, open_loop, paced};
 use network::{Arrivals, Network, Operator};
 use report::{Line, Side};

@@ -24,7 +24,7 @@ mod stops;
 use founding::{Founding, PAPER};
 use hdrhistogram::Histogram;
 use ledger::transaction::Transaction;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use load::{Run, closed_loop, histogram, open_loop};
 use network::{Arrivals, Network, Operator};
 use report::percentiles;

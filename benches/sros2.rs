@@ -39,7 +39,7 @@ use fastdds::End;
 use graph::{Ends, Middleware};
 use hdrhistogram::Histogram;
 use ledger_api::Enrolment;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::KeyKind;

@@ -24,7 +24,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use check::Check;
 use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 pub(crate) use node::{WatchedNode, is_ready};
 use prometheus_client::encoding::text::encode;
 use prometheus_client::registry::Registry;

@@ -18,11 +18,11 @@ use crate::identity::{JOINED_FILE, Joined};
 use crate::verify::verified;
 use ledger::network::Genesis;
 use ledger::verify::Report;
-use ledger_durable::{PUBLIC_MODE, SECRET_MODE, create_directory, read, replace};
-use ledger_hash::Hash;
+use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE, create_directory, read, replace};
+use ledger_base::hash::Hash;
+use ledger_base::progress::{Progress, Step};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
-use ledger_progress::{Progress, Step};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::archive::{Extent, Reached, archive};
 use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
@@ -170,7 +170,7 @@ fn own(data: &Path) -> Result<(Hash, String), Rejection> {
 /// Sees to it that a directory is empty, or an earlier backup of this node; until the new one is whole, it is none.
 fn prepare(to: &Path, network: Hash, node: &str) -> Result<(), Rejection> {
     create_directory(to)?;
-    let mut entries = fs::read_dir(to).map_err(|error| ledger_durable::failed("read", to, &error))?;
+    let mut entries = fs::read_dir(to).map_err(|error| ledger_base::durable::failed("read", to, &error))?;
     if entries.next().is_none() {
         return begin(to, network, node);
     }
@@ -183,9 +183,9 @@ fn prepare(to: &Path, network: Hash, node: &str) -> Result<(), Rejection> {
     }
     match fs::remove_file(to.join(MANIFEST_FILE)) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(ledger_durable::failed("remove", &to.join(MANIFEST_FILE), &error))
+            Err(ledger_base::durable::failed("remove", &to.join(MANIFEST_FILE), &error))
         }
-        _ => ledger_durable::sync_directory(to),
+        _ => ledger_base::durable::sync_directory(to),
     }
 }
 

@@ -8,7 +8,7 @@ pub(crate) use interest::Interest;
 use interest::Interests;
 use ledger::block::{Header, content};
 use ledger::{Ledger, Outcome};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_replica::Observer;
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::result::TransactionResult;

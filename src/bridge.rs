@@ -1,7 +1,7 @@
 //! The bridge inside a node: the same as `ledgerd bridge`, through the node's own gateway.
 
 use ledger_api::Client;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_traces::Tracer;
 use ros_bridge::Bridge;
 use ros_bridge::sight::Sight;

@@ -33,11 +33,11 @@ pub use secret::PRESENTED_BYTES_MAX;
 
 use issue::Holder;
 use ledger::msp::CarryCa;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::{Certificate, encode_attributes};
 use ledger_identity::key::{KeyKind, PublicKey, SigningKey};
 use ledger_identity::{Identity, Role, check_new_name};
-use ledger_rejection::{Code, Rejection};
 use place::Stamp;
 use registry::Registry;
 use ring::rand::SystemRandom;

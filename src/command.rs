@@ -9,7 +9,7 @@ use crate::{backup, demo, dev, join, memory, recover, setup, telemetry, verify};
 use clap::{CommandFactory, Parser, Subcommand};
 use futures::{FutureExt, Stream, StreamExt, future, stream};
 use ledger_api::report;
-use ledger_rejection::{Class, Code, Rejection};
+use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_traces::Tracer;
 use ros_bridge::sight::Sight;
 use std::ffi::OsString;
@@ -113,7 +113,7 @@ pub fn run(builder: NodeBuilder) -> ExitCode {
 /// As [`run`], with another command line than that of the process; the name of the program comes first.
 pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let _known = memory::give_back();
-    ledger_invariant::end_process();
+    ledger_base::invariant::end_process();
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
         Err(error) => {

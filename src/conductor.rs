@@ -6,9 +6,9 @@
 
 use crate::catch_up::CatchUp;
 use crate::orderer::Engines;
-use ledger_invariant::vital_task;
+use ledger_base::invariant::vital_task;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Secret;
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::{self, Happened, Next};
 use ledger_replica::{Settings, Timing};

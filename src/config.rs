@@ -11,15 +11,15 @@ use crate::ca::CertificateAuthority;
 use crate::instance::count;
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::settings::{Reader, Section};
 use ledger_replica::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
-use ledger_settings::{Reader, Section};
 use ledger_storage::retention::Retention;
 use ledger_traces::Settings as Traces;
 use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
 
-pub use ledger_settings::Fault;
+pub use ledger_base::settings::Fault;
 
 /// Bytes of the unit of `storage.segment_mib`.
 const SEGMENT_UNIT: u64 = 1024 * 1024;
@@ -221,7 +221,7 @@ impl Config {
     /// # Errors
     /// Every fault of the file, in the order of its lines.
     pub fn load(path: &Path) -> Result<Self, Vec<Fault>> {
-        Self::parse(&ledger_settings::load(path)?, path)
+        Self::parse(&ledger_base::settings::load(path)?, path)
     }
 
     /// Reads the text of a file; the path is for messages, and what relative paths in it are relative to.

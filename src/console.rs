@@ -33,7 +33,7 @@ use axum::middleware::from_fn_with_state;
 use challenge::Challenges;
 use guard::Names;
 use ledger_api::tls::TrustSource;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use sessions::{LIFE_MAX, Sessions};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};

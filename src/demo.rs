@@ -17,7 +17,7 @@ use bridges::{Plan, Route};
 use bytes::Bytes;
 use graph::{DISCOVERY_TIME_MAX, Publisher, Received, Robot, nobody_there};
 use ledger_api::Client;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use measure::{Phase, RosToRos};
 use network::Network;
 use picture::Picture;

@@ -9,7 +9,7 @@ use gathered::One;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
 use ledger_api::v1::Denial;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;

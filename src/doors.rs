@@ -3,7 +3,7 @@
 use crate::host::{Crowd, Stay, network_of};
 use axum::extract::connect_info::Connected;
 use axum::serve::{IncomingStream, Listener};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::pin::Pin;

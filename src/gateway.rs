@@ -51,8 +51,8 @@ use ledger_api::v1::{
     SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord, TransferLeadershipRequest,
     TransferLeadershipResponse,
 };
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 pub(crate) use links::Links;
 pub(crate) use looks::Looks;
 pub(crate) use nodes::Nodes;

@@ -5,7 +5,7 @@
 
 use crate::admin::is_ready;
 use crate::gateway::Description;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;

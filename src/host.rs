@@ -30,8 +30,8 @@ pub(crate) use sources::network_of;
 
 use crate::clock::Machine;
 use descriptors::Connections;
-use ledger_invariant::vital_task;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::invariant::vital_task;
+use ledger_base::rejection::{Code, Rejection};
 use ledgers::Ledgers;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;

@@ -10,10 +10,10 @@ use ledger::Ledger;
 use ledger::msp::{self, NodeRole};
 use ledger::network::Genesis;
 use ledger_api::tls::TlsIdentity;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::msp::{Msp, Msps, Usage};
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::REJOIN;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -58,7 +58,7 @@ impl Joined {
         if !path.exists() {
             return Ok(None);
         }
-        serde_json::from_slice(&ledger_durable::read(&path, JOINED_BYTES_MAX)?).map(Some).map_err(|error| {
+        serde_json::from_slice(&ledger_base::durable::read(&path, JOINED_BYTES_MAX)?).map(Some).map_err(|error| {
             Rejection::new(Code::BadFile, format!("{} cannot be read", path.display()))
                 .found(error.to_string())
                 .next("restore it from a copy, or join anew with another data directory")

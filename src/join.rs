@@ -30,7 +30,7 @@ use ledger::network::Genesis;
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Credentials, Enrolment, Options};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use place::JoinDirectory;
 use serde::Deserialize;
 use std::io::ErrorKind;

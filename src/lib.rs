@@ -7,7 +7,7 @@
 //! # struct Inventory;
 //! # impl ledger::Chaincode for Inventory {
 //! #     fn name(&self) -> &'static str { "inventory" }
-//! #     fn invoke(&self, _: &mut ledger::Context<'_>, _: &str, _: &[bytes::Bytes]) -> Result<bytes::Bytes, ledger_rejection::Rejection> {
+//! #     fn invoke(&self, _: &mut ledger::Context<'_>, _: &str, _: &[bytes::Bytes]) -> Result<bytes::Bytes, ledger_base::rejection::Rejection> {
 //! #         Ok(bytes::Bytes::new())
 //! #     }
 //! # }

@@ -31,7 +31,7 @@ use crate::waiters::Client;
 pub(crate) use engines::{Engines, Log, Outside, Pace, no_thread};
 use execute::Execute;
 use inbox::Inbox;
-use ledger_invariant::vital;
+use ledger_base::invariant::vital;
 use ledger_raft::{Input, RoleChange, Status};
 use ledger_replica::Replica;
 use order::Order;

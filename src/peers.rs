@@ -18,8 +18,8 @@ pub(crate) use service::PeerService;
 
 use bytes::Bytes;
 use ledger_api::tls::{TlsIdentity, TrustSource};
-use ledger_hash::Hash;
-use ledger_invariant::vital_task;
+use ledger_base::hash::Hash;
+use ledger_base::invariant::vital_task;
 use ledger_raft::PeerMessage;
 use link::Way;
 use pace::Paces;

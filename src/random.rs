@@ -1,6 +1,6 @@
 //! Randomness of the operating system.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 
 /// A random number.

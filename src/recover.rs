@@ -21,7 +21,7 @@ use crate::stores::Stores;
 use bytes::Bytes;
 use ledger::members::Membership;
 use ledger::msp::Recovery;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::entry::{Entry, EntryKind, HardState};
 use ledger_storage::layout::GENESIS_FILE;
 use std::collections::BTreeSet;
@@ -242,7 +242,7 @@ impl Survivor {
 fn unmark(config: &Config) -> Result<(), Rejection> {
     let mark = config.data.join(RESTORED_FILE);
     match fs::remove_file(&mark) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_durable::failed("remove", &mark, &error)),
-        _ => ledger_durable::sync_directory(&config.data),
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_base::durable::failed("remove", &mark, &error)),
+        _ => ledger_base::durable::sync_directory(&config.data),
     }
 }

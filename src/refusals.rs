@@ -7,7 +7,7 @@ use crate::space::Space;
 use ledger::Rules;
 use ledger::msp::TellRefusals;
 use ledger::transaction::Transaction;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::sleep;

@@ -13,11 +13,11 @@ use endings::Endings;
 use ledger::Ledger;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Credentials, Renewal, renewal_due};
-use ledger_durable::{PUBLIC_MODE, SECRET_MODE};
+use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msps, Usage};
-use ledger_rejection::{Code, Rejection};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -175,9 +175,9 @@ pub(crate) fn store(data: &Path, before: &TlsIdentity, after: &TlsIdentity) -> R
     let (before, after) = (before.own(), after.own());
     let (certificate, key) = (data.join(CERTIFICATE_FILE), data.join(KEY_FILE));
     let [old_key, new_key] = [&before, &after].map(|own| own.key.to_pkcs8_pem());
-    ledger_durable::replace(&key, format!("{old_key}{new_key}").as_bytes(), SECRET_MODE)?;
-    ledger_durable::replace(&certificate, pem(&after.chain).as_bytes(), PUBLIC_MODE)?;
-    ledger_durable::replace(&key, new_key.as_bytes(), SECRET_MODE)
+    ledger_base::durable::replace(&key, format!("{old_key}{new_key}").as_bytes(), SECRET_MODE)?;
+    ledger_base::durable::replace(&certificate, pem(&after.chain).as_bytes(), PUBLIC_MODE)?;
+    ledger_base::durable::replace(&key, new_key.as_bytes(), SECRET_MODE)
 }
 
 /// First and last valid moment of the certificate, microseconds since the UNIX epoch.

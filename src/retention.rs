@@ -4,7 +4,7 @@
 use crate::space::Space;
 use ledger::Ledger;
 use ledger::network::Genesis;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_replica::space::Measured;
 use ledger_replica::trust;
 use ledger_storage::archive::{Extent, archive};

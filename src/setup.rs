@@ -21,11 +21,11 @@ use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use bytes::Bytes;
 use ledger::Rules;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
-use ledger_durable::{PUBLIC_MODE, SECRET_MODE};
-use ledger_hash::Hash;
+use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
 use ledger_identity::{Role, check_name};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use ring::rand::{SecureRandom, SystemRandom};
 use std::collections::{BTreeMap, BTreeSet};
@@ -201,10 +201,10 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
 }
 
 fn write_node(directory: &Path, document: &[u8], issued: &Issued) -> Result<(), Rejection> {
-    ledger_durable::create(&directory.join(GENESIS_FILE), document, PUBLIC_MODE)?;
-    ledger_durable::create(&directory.join(CERTIFICATE_FILE), issued.chain_pem().as_bytes(), PUBLIC_MODE)?;
-    ledger_durable::create(&directory.join(KEY_FILE), issued.key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
-    ledger_durable::sync_directory(directory)
+    ledger_base::durable::create(&directory.join(GENESIS_FILE), document, PUBLIC_MODE)?;
+    ledger_base::durable::create(&directory.join(CERTIFICATE_FILE), issued.chain_pem().as_bytes(), PUBLIC_MODE)?;
+    ledger_base::durable::create(&directory.join(KEY_FILE), issued.key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
+    ledger_base::durable::sync_directory(directory)
 }
 
 /// The files made so far; dropped unless kept, they are removed again.
@@ -223,24 +223,28 @@ impl Made {
         let missing: Vec<_> =
             parent.ancestors().filter(|path| !path.as_os_str().is_empty() && !path.exists()).collect();
         self.parents.extend(missing.into_iter().rev().map(Path::to_owned));
-        fs::create_dir_all(parent).map_err(|error| ledger_durable::failed("make directory", parent, &error))?;
+        fs::create_dir_all(parent).map_err(|error| ledger_base::durable::failed("make directory", parent, &error))?;
         tempfile::Builder::new()
             .prefix(".founding-")
             .permissions(Permissions::from_mode(0o700))
             .tempdir_in(parent)
-            .map_err(|error| ledger_durable::failed("make a directory in", parent, &error))
+            .map_err(|error| ledger_base::durable::failed("make a directory in", parent, &error))
     }
 
     /// Puts a staged directory in its place.
     fn publish(&mut self, stage: TempDir, data: &Path) -> Result<(), Rejection> {
         // An empty directory that appeared meanwhile would be replaced silently.
         if fs::symlink_metadata(data).is_ok() {
-            return Err(ledger_durable::failed("make directory", data, &std::io::ErrorKind::AlreadyExists.into()));
+            return Err(ledger_base::durable::failed(
+                "make directory",
+                data,
+                &std::io::ErrorKind::AlreadyExists.into(),
+            ));
         }
-        fs::rename(stage.path(), data).map_err(|error| ledger_durable::failed("make directory", data, &error))?;
+        fs::rename(stage.path(), data).map_err(|error| ledger_base::durable::failed("make directory", data, &error))?;
         let _ = stage.keep();
         self.published.push(data.to_owned());
-        ledger_durable::sync_directory(parent(data))
+        ledger_base::durable::sync_directory(parent(data))
     }
 
     fn keep(mut self) {

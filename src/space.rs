@@ -2,7 +2,7 @@
 
 mod reserve;
 
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_replica::space::{self, Accepts, Ground, Measured, Reserve, Wrote};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -109,7 +109,7 @@ impl Ground for DataDisk {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_rejection::Code;
+    use ledger_base::rejection::Code;
 
     #[test]
     fn the_reserve_takes_its_place_and_gives_it_back() {

@@ -2,7 +2,7 @@
 
 use crate::signer::Author;
 use ledger::msp::{self, NodeRole, Speaks};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::time::Duration;
 use tokio::time::{MissedTickBehavior, interval};
 

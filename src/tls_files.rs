@@ -1,6 +1,6 @@
 //! TLS from files of an operator: a certificate with its key, and the authorities of clients.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use rustls::server::WebPkiClientVerifier;
 use rustls::server::danger::ClientCertVerifier;
 use rustls::{RootCertStore, crypto::CryptoProvider};

@@ -3,10 +3,10 @@
 use crate::command::print_line;
 use crate::host::NodeBuilder;
 use ledger::verify::{Dissent, Reached, Report, verify_directory};
-use ledger_durable::read;
+use ledger_base::durable::read;
+use ledger_base::progress::{Progress, Step};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
-use ledger_progress::{Progress, Step};
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

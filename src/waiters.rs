@@ -2,8 +2,8 @@
 
 use crate::meters::observe;
 use ledger_api::v1::{SubmitResponse, Verdict};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_replica::gateway::InFlight;
 use ledger_replica::{Answer, Executed, Waiter};
 use ledger_storage::result::TransactionResult;

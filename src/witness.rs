@@ -10,7 +10,7 @@ use crate::peers::Directory;
 use crate::signer::Author;
 use ledger::msp::{self, Attest};
 use ledger::{Ledger, Outcome};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_replica::Observer;
 use ledger_replica::company::Point;
 pub(crate) use ledger_replica::witness::Seen;

@@ -8,7 +8,7 @@ use futures::future::join_all;
 use ledger::transaction::{Body, Transaction};
 use ledger_abac::{Acquired, Grant};
 use ledger_api::{Client, Context, Pending};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 /// How long after now a command may still be executed, microseconds.

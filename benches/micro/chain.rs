@@ -5,7 +5,7 @@ use crate::{BLOCK_TRANSACTIONS, ENTRY_BYTES, timed};
 use bytes::Bytes;
 use criterion::{BenchmarkId, Criterion, Throughput};
 use ledger::block::Payload;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::RealDisk;
 use ledger_storage::entry::{Entry, EntryKind, HardState};

@@ -2,8 +2,8 @@
 
 use crate::log;
 use bytes::Bytes;
+use ledger_base::rejection::Rejection;
 use ledger_raft::{Ballot, Ballots, Engine, EngineConfig, Input, Lane, Membership, Output};
-use ledger_rejection::Rejection;
 use ledger_storage::block_store::BlockStore;
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,7 +1,7 @@
 //! Governing writes are refused, or written as they were read; the chain over them takes them in one order only.
 #![no_main]
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_light::Change;
 use libfuzzer_sys::fuzz_target;
 

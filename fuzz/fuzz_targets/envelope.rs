@@ -1,9 +1,9 @@
 //! An envelope is refused, or written as it was read; and what nobody sealed is never opened.
 #![no_main]
 
+use ledger_base::hash::Hash;
 use ledger_confidential::{Keyring, ReadingKey};
 use ledger_contract::{Envelope, Share};
-use ledger_hash::Hash;
 use libfuzzer_sys::fuzz_target;
 use std::sync::LazyLock;
 

@@ -2,8 +2,8 @@
 #![no_main]
 
 use ledger::evidence::Evidence;
+use ledger_base::hash::Hash;
 use ledger_fuzz::EVIDENCE;
-use ledger_hash::Hash;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {

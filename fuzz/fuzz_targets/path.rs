@@ -1,7 +1,7 @@
 //! A Merkle path is refused, or written as it was read. It leads from no leaf to a root that it does not compute.
 #![no_main]
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_light::merkle::Path;
 use libfuzzer_sys::fuzz_target;
 

@@ -6,7 +6,7 @@ pub mod files;
 pub mod fleet;
 pub mod messages;
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_light::{Change, Governance, Lie, Proof, Statement};
 use serde_json::Value;

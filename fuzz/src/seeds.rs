@@ -5,10 +5,10 @@
 use bytes::Bytes;
 use ledger::block::Payload;
 use ledger_abac::DEFAULT_POLICY;
+use ledger_base::hash::Hash;
 use ledger_contract::Envelope;
 use ledger_fuzz::files::File;
 use ledger_fuzz::{BEGINNINGS, bytes, evidence, list, messages, vectors};
-use ledger_hash::Hash;
 use mcap::{Stamp, Writer};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use rcgen::{CertificateRevocationListParams, KeyIdMethod, SerialNumber, date_time_ymd};

@@ -5,7 +5,7 @@ mod metrics;
 
 use super::Watched;
 use super::check::Check;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 pub(super) use metrics::register;
 use prometheus_client::registry::Registry;
 use ros_bridge::sight::Sight;

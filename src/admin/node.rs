@@ -7,7 +7,7 @@ use super::bridge;
 use super::check::Check;
 use super::{Watched, is_well};
 use crate::gateway::Description;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use prometheus_client::registry::Registry;
 use ros_bridge::sight::Sight;
 use std::sync::Arc;

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger::msp::{IssuedCertificate, RecordedList, RevocationRecord};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::audit::{Holder, Row};
 use ledger_storage::result::Event;
 

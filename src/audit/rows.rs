@@ -5,7 +5,7 @@ use ledger::Outcome;
 use ledger::msp::{Refused, TellRefusals};
 use ledger::transaction::Transaction;
 use ledger_abac::MessageEvent;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::audit::{Holder, Row};
 use ledger_storage::result::{EmittedEvent, Event, TransactionResult};
 use serde_json::Value;

@@ -6,8 +6,8 @@ use crate::host::{CERTIFICATE_FILE, KEY_FILE, NodeBuilder};
 use crate::join::refuse_rejoining;
 use crate::verify::verified;
 use ledger_api::tls::TlsIdentity;
-use ledger_durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, SNAPSHOTS_DIRECTORY};
 use std::fs::{self, File};
 use std::io::ErrorKind;
@@ -148,10 +148,10 @@ fn place(from: &Path, data: &Path) -> Result<(), Rejection> {
     }
     fs::copy(from.join(super::MANIFEST_FILE), unfinished.join(RESTORED_FILE))
         .and_then(|_| File::open(unfinished.join(RESTORED_FILE))?.sync_all())
-        .map_err(|error| ledger_durable::failed("write", &unfinished.join(RESTORED_FILE), &error))?;
+        .map_err(|error| ledger_base::durable::failed("write", &unfinished.join(RESTORED_FILE), &error))?;
     sync_directory(&unfinished)?;
     match fs::remove_dir(data) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_durable::failed("remove", data, &error)),
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_base::durable::failed("remove", data, &error)),
         _ => rename(&unfinished, data),
     }
 }
@@ -189,7 +189,9 @@ impl<'a> CopiedBlocks<'a> {
 
 fn remove(directory: &Path) -> Result<(), Rejection> {
     match fs::remove_dir_all(directory) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_durable::failed("remove", directory, &error)),
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(ledger_base::durable::failed("remove", directory, &error))
+        }
         _ => Ok(()),
     }
 }
@@ -199,11 +201,11 @@ fn copy(from: &Path, to: &Path, name: &str) -> Result<(), Rejection> {
     let target = to.join(name);
     fs::copy(from.join(name), &target)
         .and_then(|_| File::open(&target)?.sync_all())
-        .map_err(|error| ledger_durable::failed("copy", &from.join(name), &error))
+        .map_err(|error| ledger_base::durable::failed("copy", &from.join(name), &error))
 }
 
 fn copy_directory(from: &Path, to: &Path) -> Result<(), Rejection> {
-    let failed = |error: std::io::Error| ledger_durable::failed("read", from, &error);
+    let failed = |error: std::io::Error| ledger_base::durable::failed("read", from, &error);
     let entries = match fs::read_dir(from) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
         entries => entries.map_err(failed)?,

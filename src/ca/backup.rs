@@ -5,11 +5,11 @@
 
 use super::place::ROOT_BYTES_MAX;
 use super::{CertificateAuthority, pem as certificates};
-use ledger_durable::SECRET_MODE;
-use ledger_hash::Hash;
+use ledger_base::durable::SECRET_MODE;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::{KEY_BYTES_MAX, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use pkcs8::pkcs5::EncryptionScheme;
 use pkcs8::pkcs5::pbes2::{Kdf, ScryptParams};
 use pkcs8::{EncryptedPrivateKeyInfoRef, PrivateKeyInfoRef};
@@ -43,8 +43,8 @@ pub(crate) struct Backup {
 /// # Errors
 /// [`Code::BadArgument`] for a short passphrase, [`Code::BadFile`] if the file exists, a failing disk.
 pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &Path) -> Result<(), Rejection> {
-    ledger_durable::create(path, text(authority, passphrase)?.as_bytes(), SECRET_MODE)?;
-    ledger_durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
+    ledger_base::durable::create(path, text(authority, passphrase)?.as_bytes(), SECRET_MODE)?;
+    ledger_base::durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
 }
 
 /// The content of a backup's file.
@@ -72,7 +72,7 @@ pub(crate) fn text(authority: &CertificateAuthority, passphrase: &str) -> Result
 /// # Errors
 /// [`Code::BadFile`] if it is none, or the passphrase is another.
 pub(crate) fn read(path: &Path, passphrase: &str) -> Result<Backup, Rejection> {
-    parse(&path.display().to_string(), &ledger_durable::read(path, BACKUP_BYTES_MAX)?, passphrase)
+    parse(&path.display().to_string(), &ledger_base::durable::read(path, BACKUP_BYTES_MAX)?, passphrase)
 }
 
 /// As [`read`], of the content of a file that is called so.

@@ -1,10 +1,10 @@
 //! The certificates that a CA signs: its own root, and those of identities.
 
 use super::request::{failed, signer};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::certificate::{ATTRIBUTES_OID, Certificate, encode_attributes};
 use ledger_identity::key::{PublicKey, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use rcgen::{
     BasicConstraints, CertificateParams, CustomExtension, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
     Issuer, KeyUsagePurpose, SanType, SerialNumber, SubjectPublicKeyInfo, date_time_ymd,

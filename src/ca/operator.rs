@@ -10,9 +10,9 @@ use crate::host::CERTIFICATE_FILE;
 use crate::identity::Joined;
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::passphrase;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -122,7 +122,7 @@ impl Backing {
         let own = Own::read(&config.data)?;
         let authority = open(&config.data, &own, self.organisation.as_deref())?;
         if fs::symlink_metadata(&self.file).is_ok() {
-            return Err(ledger_durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()));
+            return Err(ledger_base::durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()));
         }
         backup::write(&authority, &passphrase(self.passphrase_file.as_deref(), true)?, &self.file)?;
         Ok(format!(
@@ -144,7 +144,7 @@ impl Backing {
             backup
         };
         let directory = config.data.join(DIRECTORY).join(&organisation);
-        ledger_durable::create_directory(&config.data.join(DIRECTORY))?;
+        ledger_base::durable::create_directory(&config.data.join(DIRECTORY))?;
         let authority = CertificateAuthority::install(&directory, &organisation, &key, &root)?;
         let _absent = fs::remove_file(given_up_file(&config.data, &organisation));
         Ok(format!(
@@ -189,8 +189,8 @@ fn give_up(data: &Path, organisation: &str) -> Result<String, Rejection> {
             .next("move the directory to a safe place first, if this node shall not carry the CA any more"));
     }
     let mark = given_up_file(data, organisation);
-    ledger_durable::create_directory(&data.join(DIRECTORY))?;
-    ledger_durable::replace(&mark, b"", ledger_durable::SECRET_MODE)?;
+    ledger_base::durable::create_directory(&data.join(DIRECTORY))?;
+    ledger_base::durable::replace(&mark, b"", ledger_base::durable::SECRET_MODE)?;
     Ok(format!(
         "the CA of {organisation} is given up at this node; the ledger learns it when the node runs\n\n\
          Other nodes that carry it go on issuing: ledgerctl ca status. If none does, nobody can enrol or renew any more."
@@ -210,14 +210,15 @@ struct Own {
 
 impl Own {
     fn read(data: &Path) -> Result<Self, Rejection> {
-        let (genesis, _) = Genesis::from_bytes(&ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
+        let (genesis, _) =
+            Genesis::from_bytes(&ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
         let path = data.join(CERTIFICATE_FILE);
         let bad = |found: String| {
             Rejection::new(Code::BadFile, format!("{} is not usable", path.display()))
                 .found(found)
                 .wanted("the node's certificate and the root above it")
         };
-        let text = ledger_durable::read(&path, FILE_BYTES_MAX)?;
+        let text = ledger_base::durable::read(&path, FILE_BYTES_MAX)?;
         let chain = CertificateDer::pem_slice_iter(&text).collect::<Result<Vec<_>, _>>();
         let chain = chain.map_err(|error| bad(error.to_string()))?;
         let (Some(own), Some(root)) = (chain.first(), chain.last()) else {

@@ -2,11 +2,11 @@
 
 use super::registry::{FILE, Registry};
 use super::{CertificateAuthority, DIRECTORY, bad_argument, issue, key_failed, pem};
-use ledger_durable::{PUBLIC_MODE, SECRET_MODE};
+use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::check_name;
 use ledger_identity::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -50,11 +50,11 @@ impl CertificateAuthority {
         let unfinished = parent.join(format!("{UNFINISHED}{organisation}"));
         remove(&unfinished)?;
         let written = || {
-            ledger_durable::create_directory(&unfinished)?;
-            ledger_durable::create(&unfinished.join(KEY_FILE), key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
-            ledger_durable::create(&unfinished.join(ROOT_FILE), pem(&[root]).as_bytes(), PUBLIC_MODE)?;
+            ledger_base::durable::create_directory(&unfinished)?;
+            ledger_base::durable::create(&unfinished.join(KEY_FILE), key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
+            ledger_base::durable::create(&unfinished.join(ROOT_FILE), pem(&[root]).as_bytes(), PUBLIC_MODE)?;
             Registry::new(organisation).stage(&unfinished)?.publish()?;
-            ledger_durable::rename(&unfinished, directory)?;
+            ledger_base::durable::rename(&unfinished, directory)?;
             Self::open(directory)
         };
         written().inspect_err(|_| {
@@ -76,11 +76,11 @@ impl CertificateAuthority {
                 .found(found)
                 .next("put a copy of the directory back, or ledgerd ca restore FILE --config ledgerd.toml")
         };
-        let text = ledger_durable::read(&key_path, KEY_BYTES_MAX)?;
+        let text = ledger_base::durable::read(&key_path, KEY_BYTES_MAX)?;
         let key = SigningKey::from_pkcs8_pem(&String::from_utf8_lossy(&text))
             .map_err(|error| bad(&key_path, error.to_string()))?;
         let root_path = directory.join(ROOT_FILE);
-        let root = CertificateDer::from_pem_slice(&ledger_durable::read(&root_path, ROOT_BYTES_MAX)?)
+        let root = CertificateDer::from_pem_slice(&ledger_base::durable::read(&root_path, ROOT_BYTES_MAX)?)
             .map_err(|error| bad(&root_path, error.to_string()))?
             .to_vec();
         let certificate = Certificate::parse(&root).map_err(|error| bad(&root_path, error.to_string()))?;
@@ -114,7 +114,7 @@ impl CertificateAuthority {
 /// The organisations of which a node has a CA's directory.
 pub(crate) fn carried(data: &Path) -> Result<Vec<String>, Rejection> {
     let directory = data.join(DIRECTORY);
-    let read = |error: io::Error| ledger_durable::failed("read", &directory, &error);
+    let read = |error: io::Error| ledger_base::durable::failed("read", &directory, &error);
     if fs::symlink_metadata(&directory).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
         return Ok(Vec::new());
     }
@@ -133,7 +133,7 @@ pub(crate) fn carried(data: &Path) -> Result<Vec<String>, Rejection> {
 pub(crate) fn remove(directory: &Path) -> Result<(), Rejection> {
     match fs::remove_dir_all(directory) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(ledger_durable::failed("remove", directory, &error))
+            Err(ledger_base::durable::failed("remove", directory, &error))
         }
         _ => Ok(()),
     }
@@ -150,15 +150,15 @@ pub(super) struct Stamp {
 impl Stamp {
     pub(super) fn of(directory: &Path) -> Result<Self, Rejection> {
         let path = directory.join(FILE);
-        let file = fs::metadata(&path).map_err(|error| ledger_durable::failed("read", &path, &error))?;
+        let file = fs::metadata(&path).map_err(|error| ledger_base::durable::failed("read", &path, &error))?;
         Ok(Self { inode: file.ino(), length: file.len(), changed: (file.mtime(), file.mtime_nsec()) })
     }
 }
 
 /// Opens a CA's directory and waits for its lock: who has it is the only one that changes the CA, and has it for moments.
 pub(super) fn lock(directory: &Path) -> Result<File, Rejection> {
-    let file = File::open(directory).map_err(|error| ledger_durable::failed("open CA", directory, &error))?;
-    file.lock().map_err(|error| ledger_durable::failed("lock CA", directory, &error))?;
+    let file = File::open(directory).map_err(|error| ledger_base::durable::failed("open CA", directory, &error))?;
+    file.lock().map_err(|error| ledger_base::durable::failed("lock CA", directory, &error))?;
     Ok(file)
 }
 
@@ -167,7 +167,8 @@ pub(super) fn lock(directory: &Path) -> Result<File, Rejection> {
 /// # Errors
 /// [`Code::BadFile`] with the file, its mode, and what to do; `then` says what else, should somebody have read it.
 pub(crate) fn check_secret(path: &Path, then: &str) -> Result<(), Rejection> {
-    let found = fs::metadata(path).map_err(|error| ledger_durable::failed("read", path, &error))?.permissions().mode();
+    let found =
+        fs::metadata(path).map_err(|error| ledger_base::durable::failed("read", path, &error))?.permissions().mode();
     if found & 0o077 == 0 {
         return Ok(());
     }

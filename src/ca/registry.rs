@@ -2,10 +2,10 @@
 //! the file `identities.json`. Registrations of admins over the network stand on the ledger and never here.
 
 use super::secret::OneTimeSecret;
-use ledger_durable::{SECRET_MODE, Staged};
-use ledger_hash::Hash;
+use ledger_base::durable::{SECRET_MODE, Staged};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -81,7 +81,7 @@ impl Registry {
     /// Reads the file. A missing or damaged one is refused: an empty registry would let names be registered anew.
     pub(super) fn load(directory: &Path) -> Result<Self, Rejection> {
         let path = directory.join(FILE);
-        let content = ledger_durable::read(&path, FILE_BYTES_MAX)?;
+        let content = ledger_base::durable::read(&path, FILE_BYTES_MAX)?;
         let damaged = |found: String| {
             Rejection::new(Code::Corrupt, format!("{} cannot be read, so nobody can enrol here", path.display()))
                 .found(found)
@@ -107,7 +107,7 @@ impl Registry {
                 .wanted(format!("at most {FILE_BYTES_MAX} bytes"))
                 .next("use shorter attributes"));
         }
-        ledger_durable::stage(&directory.join(FILE), &content, SECRET_MODE)
+        ledger_base::durable::stage(&directory.join(FILE), &content, SECRET_MODE)
     }
 }
 

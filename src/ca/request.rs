@@ -1,7 +1,7 @@
 //! Certificate signing requests (PKCS #10). Of a request only the public key is used.
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{PublicKey, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use rcgen::{
     CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ECDSA_P384_SHA384, PKCS_ED25519,
 };

@@ -3,9 +3,9 @@
 //! Guesses change nothing here: a secret has 128 random bits, and who guesses is slowed down where guesses come in.
 
 use ledger::msp::ENROLMENT_REPEAT_MAX;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::PublicKey;
-use ledger_rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
 use subtle::ConstantTimeEq;

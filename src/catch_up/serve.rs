@@ -14,9 +14,9 @@ use ledger_api::v1::{
     self, Attested, BlockEntries, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse,
     WritesResponse,
 };
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::ReceiptKey;
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Holding, store_holds};
 use ledger_replica::company::Point;
 use ledger_replica::trust;

@@ -10,7 +10,7 @@ use super::blocks::in_time;
 use bytes::Bytes;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{SnapshotChunksRequest, SnapshotRequest};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_replica::catch_up::Got;
 use ledger_replica::trust::{ATTESTED_MAX, Attested, Trial};
 use ledger_storage::snapshot::{CHUNK_BYTES_MAX, MANIFEST_BYTES_MAX, Manifest, Snapshot, Snapshots};

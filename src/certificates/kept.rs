@@ -1,9 +1,9 @@
 //! The files: the proof of the newest certified block, those of blocks that changed who governs, and the proofs of lies.
 
-use ledger_durable::{PUBLIC_MODE, create_directory, failed, read, rename, replace};
+use ledger_base::durable::{PUBLIC_MODE, create_directory, failed, read, rename, replace};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::proof::PROOF_BYTES_MAX;
 use ledger_light::{DoubleVote, Lie, Proof};
-use ledger_rejection::{Code, Rejection};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -168,7 +168,7 @@ fn of_height(height: u64) -> String {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_light::{Certificate, Signature, Signed, Statement};
 
     fn statement(height: u64) -> Statement {

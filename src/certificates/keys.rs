@@ -3,11 +3,11 @@
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::tls::TlsIdentity;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_light::{Signature, Signed, Statement, Vote};
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::certifier::Signing;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -4,10 +4,10 @@
 //! proof. They are named by the height of the first one, `HEIGHT.passed` with 20 digits. A torn record at the end of a file, which
 //! a crash may leave, ends what is read of it. Each start begins a new file.
 
-use ledger_durable::failed;
+use ledger_base::durable::failed;
+use ledger_base::rejection::Rejection;
 use ledger_light::Proof;
 use ledger_light::proof::PROOF_BYTES_MAX;
-use ledger_rejection::Rejection;
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -148,7 +148,7 @@ fn records(bytes: &[u8]) -> impl Iterator<Item = Proof> {
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_light::{Certificate, Statement};
 
     fn proof(height: u64) -> Proof {

@@ -88,7 +88,7 @@ impl Recent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_light::Statement;
 
     fn certificate(height: u64) -> Certificate {

@@ -1,6 +1,6 @@
 //! The heights that voters have confirmed, in a file: a voter whose disk was set back is noticed also after a restart.
 
-use ledger_durable::{PUBLIC_MODE, read, replace};
+use ledger_base::durable::{PUBLIC_MODE, read, replace};
 use ledger_raft::Receipt;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

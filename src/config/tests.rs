@@ -1,7 +1,7 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use super::*;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 fn parse(text: &str) -> Result<Config, Vec<Fault>> {
     Config::parse(text, Path::new("ledgerd.toml"))
@@ -230,7 +230,7 @@ fn a_file_that_is_missing_too_large_or_not_text_is_a_fault_of_the_file() {
     let path = place.path().join("ledgerd.toml");
     let code = || Config::load(&path).unwrap_err()[0].rejection.code;
     assert_eq!(code(), Code::BadFile);
-    std::fs::write(&path, "#".repeat(ledger_settings::FILE_BYTES_MAX + 1)).unwrap();
+    std::fs::write(&path, "#".repeat(ledger_base::settings::FILE_BYTES_MAX + 1)).unwrap();
     assert_eq!(code(), Code::BadFile);
     std::fs::write(&path, b"data = '\xff'").unwrap();
     assert_eq!(code(), Code::BadConfiguration);

@@ -5,7 +5,7 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 /// Path, type and content of each file.
 const FILES: [(&str, &str, &[u8]); 4] = [

@@ -3,8 +3,8 @@
 
 use crate::config;
 use crate::tls_files::TlsFiles;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use rustls::ServerConfig;
 use rustls::crypto::ring;
 use rustls::version::TLS13;

@@ -1,7 +1,7 @@
 //! The sessions that are open. A session is known by its token alone, which the page keeps in its memory. It ends when the page says
 //! so, after [`QUIET_MAX`] without a call, and at the latest after [`LIFE_MAX`].
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Identity;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

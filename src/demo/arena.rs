@@ -20,7 +20,7 @@ use arena::link::Link;
 use arena::picture::Rate;
 use arena::record::Record;
 use ledger_api::{Client, Subscription};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use output::Results;
 use run::Kind;
 use std::path::PathBuf;

@@ -5,7 +5,7 @@ use super::process::Process;
 use super::summary::BridgeReport;
 use crate::random;
 use ledger_api::context::{Context, Memory};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::path::Path;
 use std::time::Instant;
 

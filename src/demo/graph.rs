@@ -4,7 +4,7 @@
 use super::messages::{Twist, read_twist, twist};
 use arena::course::User;
 use arena::robot::Command;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ros_bridge::dds::{Participant, Reader, Writer};
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;

@@ -4,8 +4,8 @@ use arena::course::User;
 use arena::geometry::{Point, Pose};
 use arena::robot::Command;
 use bytes::Bytes;
+use ledger_base::rejection::Rejection;
 use ledger_gate::sample::{CDR_LE, Sample};
-use ledger_rejection::Rejection;
 use std::time::Duration;
 
 /// Bytes of a Twist: two vectors of three doubles.

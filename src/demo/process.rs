@@ -1,7 +1,7 @@
 //! Child processes of the demo: started with a log file, stopped in order, never left behind.
 
 use crate::telemetry::LOG_FORMAT;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;

@@ -2,7 +2,7 @@
 
 use super::HZ;
 use super::measure::{Percentiles, Phase};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -2,7 +2,7 @@
 
 use ledger::msp::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSED_TEXT_MAX, Refused, TellRefusals};
 use ledger::transaction::NAME_BYTES_MAX;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::collections::BTreeMap;
 
 /// Bytes that a line takes beside who, chaincode and subject, at most: three texts, numbers, a hash, and names of fields.

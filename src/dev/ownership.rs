@@ -5,7 +5,7 @@
 
 use super::{LABEL, ORGANISATIONS, context_name};
 use ledger_api::Context;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{Read, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};

@@ -3,7 +3,7 @@
 use crate::ca::{self, CertificateAuthority};
 use crate::peers::Member;
 use ledger::{Ledger, msp};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};

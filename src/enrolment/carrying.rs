@@ -9,12 +9,12 @@ use crate::ca::seal::{Delivery, Receiver};
 use bytes::Bytes;
 use ledger::msp::{self, NodeRole};
 use ledger_api::v1;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger_identity::key::SigningKey;
 use ledger_identity::msp::Usage;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 
 /// How long after it was made a key can be sealed for, microseconds.

@@ -12,11 +12,11 @@ use crate::ca::{self, CertificateAuthority, PRESENTED_BYTES_MAX, secret};
 use bytes::Bytes;
 use ledger::msp::{self, Ground, IdentityRecord, RecordCertificate, Recorded};
 use ledger_api::v1;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::PublicKey;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Class, Code, Rejection};
 use std::net::IpAddr;
 use std::sync::Arc;
 

@@ -3,7 +3,7 @@
 
 use super::EnrolmentService;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::net::IpAddr;
 
 /// Largest request to join, in bytes: names, an address, and certificates in hexadecimal.

@@ -9,9 +9,9 @@ use crate::ca::backup::{self, Backup};
 use crate::ca::{self, CertificateAuthority};
 use ledger::msp::UncarryCa;
 use ledger_api::v1;
-use ledger_durable::{SECRET_MODE, rename, replace};
+use ledger_base::durable::{SECRET_MODE, rename, replace};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -97,7 +97,7 @@ impl Shared {
                 .wanted(format!("a CA of {organisation}, as the ledger knows it")));
         }
         let directory = self.authorities.directory(organisation);
-        ledger_durable::create_directory(directory.parent().unwrap_or(&directory))?;
+        ledger_base::durable::create_directory(directory.parent().unwrap_or(&directory))?;
         self.authorities.add(CertificateAuthority::install(&directory, organisation, &key, &root)?);
         self.authorities.settle_given_up(organisation);
         Ok(())

@@ -4,8 +4,8 @@
 use super::authorities::lock;
 use super::{EnrolmentService, Shared, json};
 use ledger::msp::{self, ADOPTED_MAX, CarryCa, IssuedCertificate, KnownIdentity, LocalSecret, UncarryCa};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use std::time::Duration;
 
 /// How often the disk is compared with the ledger.

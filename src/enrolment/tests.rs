@@ -8,7 +8,7 @@ use ledger::block::Payload;
 use ledger::msp::{ENROLMENT_REPEAT_MAX, IdentityRecord};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Page, Registry};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::ResultStore;

@@ -3,7 +3,7 @@
 //! Only what is refused counts, and who comes with a good secret is never refused for the guesses of others.
 
 use crate::host::network_of;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::net::IpAddr;
 

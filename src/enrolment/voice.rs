@@ -5,8 +5,8 @@ use futures::future::BoxFuture;
 use ledger::msp::NAME as MSP;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Client, Credentials, Options};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -4,8 +4,8 @@
 //! identities together, because its CA can make as many identities as it likes. A part of the places is kept for robots
 //! and nodes: a robot that hears nothing stops.
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -2,8 +2,8 @@
 
 use crate::denials::Denials;
 use ledger_api::v1::DenialsResponse;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 
 /// Refusals that are answered if the caller names no limit.
 const DENIALS_DEFAULT: u32 = 100;

@@ -7,10 +7,10 @@ use ledger::evidence::{HEADERS_MAX, Link};
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Outcome, TransactionRecord};
 use ledger_api::v1::ProveTransactionResponse;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_light::Proof;
-use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 
 impl Proofs {

@@ -5,7 +5,7 @@ use crate::peers::{Dialer, Member};
 use futures::future::join_all;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::v1::{NodeStatus, NodesResponse, StatusRequest, StatusResponse};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;

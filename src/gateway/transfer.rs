@@ -2,9 +2,9 @@
 
 use super::Links;
 use ledger_api::v1::{TransferLeadershipResponse, Verdict};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_raft::{Role, RoleChange};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 

@@ -3,7 +3,7 @@
 //! Everybody is let in. If that is one too many, the one that has stood there longest leaves. It is one of the same name if
 //! that name has too many, and else one of the name with the most. So somebody who crowds in pushes itself out.
 
-use ledger_invariant::invariant;
+use ledger_base::invariant;
 use std::collections::{BTreeMap, HashMap};
 use std::future::poll_fn;
 use std::hash::Hash;

@@ -2,8 +2,8 @@
 
 use super::door::{Connection, Members};
 use ledger_api::tls::{TrustSource, named_network};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;

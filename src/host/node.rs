@@ -14,7 +14,7 @@ use crate::{renewal, telemetry};
 use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::{AccessControl, Rule};
 use ledger_api::tls::TlsIdentity;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use ros_bridge::sight::Sight;
 use std::net::SocketAddr;

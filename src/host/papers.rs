@@ -4,7 +4,7 @@ use crate::ca::check_secret;
 use crate::config::Config;
 use crate::enrolment::Authorities;
 use ledger_api::tls::TlsIdentity;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 
 /// The node's certificate, its CA behind it, in its data directory.

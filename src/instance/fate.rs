@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use crate::join::advised;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::sync::Arc;
 use tokio::sync::watch;
 

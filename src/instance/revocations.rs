@@ -3,7 +3,7 @@
 use crate::host::Members;
 use ledger::msp::NAME;
 use ledger::{Ledger, Outcome};
-use ledger_invariant::vital_task;
+use ledger_base::invariant::vital_task;
 use ledger_replica::Observer;
 use std::sync::Arc;
 use std::time::Duration;

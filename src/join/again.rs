@@ -18,11 +18,11 @@ use crate::setup::public_address;
 use ledger::network::{FoundingOrganisation, GENESIS_BYTES_MAX, Genesis};
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::{Client, Credentials, Options};
-use ledger_durable::PUBLIC_MODE;
-use ledger_hash::Hash;
+use ledger_base::durable::PUBLIC_MODE;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::disk::RealDisk;
 use ledger_storage::layout::{
     AUDIT_DIRECTORY, BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY,
@@ -82,7 +82,7 @@ pub(crate) async fn rejoin(
             .next("stop the node, and check which users may write the directory")
     })?;
     let (genesis, network) = Genesis::from_bytes(
-        &ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
+        &ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
             .map_err(|refused| refused.next(super::way_back(config, &config.member.node)))?,
     )?;
     let copied = options.blocks.as_deref().map(|from| CopiedBlocks::verify(builder, from, data)).transpose()?;
@@ -130,8 +130,8 @@ pub(crate) async fn rejoin(
         bootstrap: reached.0,
         ca: reached.1,
     };
-    ledger_durable::replace(&data.join(REJOINING_FILE), b"ledgerd rejoin has begun here\n", PUBLIC_MODE)?;
-    ledger_durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
+    ledger_base::durable::replace(&data.join(REJOINING_FILE), b"ledgerd rejoin has begun here\n", PUBLIC_MODE)?;
+    ledger_base::durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
     let aside = set_aside(data)?;
     copied.map(|copied| copied.put(data)).transpose()?;
     unmark(data)?;
@@ -216,12 +216,12 @@ async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(V
 fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
     let free = (1..u32::MAX).map(|number| data.join(format!("damaged-{number}"))).find(|path| !path.exists());
     let aside = free.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
-    ledger_durable::create_directory(&aside)?;
+    ledger_base::durable::create_directory(&aside)?;
     set_proofs_aside(data, &aside)?;
     for name in SET_ASIDE {
         let from = data.join(name);
         if fs::symlink_metadata(&from).is_ok() {
-            ledger_durable::rename(&from, &aside.join(name))?;
+            ledger_base::durable::rename(&from, &aside.join(name))?;
         }
     }
     Ok(aside)
@@ -230,8 +230,8 @@ fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
 /// The rejoin has ended: the node may start.
 fn unmark(data: &Path) -> Result<(), Rejection> {
     let mark = data.join(REJOINING_FILE);
-    fs::remove_file(&mark).map_err(|error| ledger_durable::failed("remove", &mark, &error))?;
-    ledger_durable::sync_directory(data)
+    fs::remove_file(&mark).map_err(|error| ledger_base::durable::failed("remove", &mark, &error))?;
+    ledger_base::durable::sync_directory(data)
 }
 
 /// Refuses a data directory in which a rejoin was interrupted.

@@ -3,8 +3,8 @@
 use crate::config::{Config, MemberOf};
 use crate::identity::Joined;
 use crate::peers::Member;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::io::ErrorKind;
 
 /// Stands for the configuration in commands that are told where it is not known; [`advised`] puts it in.

@@ -12,11 +12,11 @@ use ledger::network::FoundingOrganisation;
 use ledger_api::Enrolment;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::token::JoinToken;
-use ledger_durable::{PUBLIC_MODE, SECRET_MODE};
-use ledger_hash::Hash;
+use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use std::collections::BTreeMap;
 use std::fs;
@@ -75,7 +75,7 @@ pub(super) fn founded(
     }
     let directory = authority(place.path(ca::DIRECTORY), token);
     if fs::symlink_metadata(&directory).is_ok() {
-        fs::remove_dir_all(&directory).map_err(|error| ledger_durable::failed("remove", &directory, &error))?;
+        fs::remove_dir_all(&directory).map_err(|error| ledger_base::durable::failed("remove", &directory, &error))?;
     }
     let mut authority = CertificateAuthority::create(&directory, &token.organisation, KeyKind::Ed25519, now)?;
     authority.set_days(config.ca.certificate_days, config.ca.secret_days);
@@ -128,12 +128,12 @@ fn authority(authorities: PathBuf, token: &JoinToken) -> PathBuf {
 fn key(place: &JoinDirectory) -> Result<SigningKey, Rejection> {
     let path = place.path(KEY_FILE);
     if fs::symlink_metadata(&path).is_ok() {
-        let text = ledger_durable::read(&path, KEY_BYTES_MAX)?;
+        let text = ledger_base::durable::read(&path, KEY_BYTES_MAX)?;
         return SigningKey::from_pkcs8_pem(&String::from_utf8_lossy(&text))
             .map_err(|error| Rejection::new(Code::BadFile, format!("{}: {error}", path.display())));
     }
     let key = new_key()?;
-    ledger_durable::replace(&path, key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
+    ledger_base::durable::replace(&path, key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
     Ok(key)
 }
 
@@ -143,5 +143,5 @@ fn new_key() -> Result<SigningKey, Rejection> {
 }
 
 fn write_certificate(place: &JoinDirectory, identity: &TlsIdentity) -> Result<(), Rejection> {
-    ledger_durable::replace(&place.path(CERTIFICATE_FILE), pem(&identity.own().chain).as_bytes(), PUBLIC_MODE)
+    ledger_base::durable::replace(&place.path(CERTIFICATE_FILE), pem(&identity.own().chain).as_bytes(), PUBLIC_MODE)
 }

@@ -6,11 +6,11 @@ use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::renewal_due;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::token::JoinToken;
-use ledger_durable::PUBLIC_MODE;
-use ledger_hash::Hash;
+use ledger_base::durable::PUBLIC_MODE;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msp, Msps, Usage};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ impl JoinDirectory {
             beside.push(staged);
             PathBuf::from(beside)
         };
-        ledger_durable::create_directory(&current)?;
+        ledger_base::durable::create_directory(&current)?;
         Ok(Self { current, data: data.to_owned() })
     }
 
@@ -70,7 +70,7 @@ impl JoinDirectory {
     }
 
     pub(super) fn keep_genesis(&self, document: &[u8]) -> Result<(), Rejection> {
-        ledger_durable::replace(&self.path(GENESIS_FILE), document, PUBLIC_MODE)
+        ledger_base::durable::replace(&self.path(GENESIS_FILE), document, PUBLIC_MODE)
     }
 
     /// The node's certificate and key, if both are there and belong together.
@@ -83,30 +83,30 @@ impl JoinDirectory {
     pub(super) fn id_before(&self, present: u64) -> Result<u64, Rejection> {
         let path = self.path(BEFORE_FILE);
         if fs::symlink_metadata(&path).is_ok() {
-            let noted = ledger_durable::read(&path, NUMBER_BYTES_MAX)?;
+            let noted = ledger_base::durable::read(&path, NUMBER_BYTES_MAX)?;
             return String::from_utf8_lossy(&noted).trim().parse().map_err(|_| {
                 Rejection::new(Code::BadFile, format!("{} holds no number", path.display()))
                     .next(format!("remove {} and join anew", self.current.display()))
             });
         }
-        ledger_durable::replace(&path, present.to_string().as_bytes(), PUBLIC_MODE)?;
+        ledger_base::durable::replace(&path, present.to_string().as_bytes(), PUBLIC_MODE)?;
         Ok(present)
     }
 
     /// The node has joined: all that is prepared becomes its data directory.
     pub(super) fn finish(&self, joined: &Joined) -> Result<(), Rejection> {
-        ledger_durable::replace(&self.path(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
+        ledger_base::durable::replace(&self.path(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
         if self.current.parent() == Some(&self.data) {
             return move_out(&self.current, &self.data);
         }
         if fs::symlink_metadata(&self.data).is_ok() {
-            return Err(ledger_durable::failed(
+            return Err(ledger_base::durable::failed(
                 "make directory",
                 &self.data,
                 &std::io::ErrorKind::AlreadyExists.into(),
             ));
         }
-        ledger_durable::rename(&self.current, &self.data)?;
+        ledger_base::durable::rename(&self.current, &self.data)?;
         forget_noted(&self.data);
         Ok(())
     }
@@ -122,7 +122,7 @@ impl JoinDirectory {
                 ))
                 .next("choose another directory with --data or the setting data; nothing is ever overwritten")
         };
-        let document = ledger_durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)
+        let document = ledger_base::durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)
             .map_err(|_| other("something else than a node's data".into()))?;
         let (genesis, network) = Genesis::from_bytes(&document)?;
         if network != token.network {
@@ -180,7 +180,7 @@ fn is_free(data: &Path) -> bool {
 /// Moves what was prepared inside of the data directory to its place. `node.json` goes first: with it there, the next
 /// try moves the rest; `genesis.json` last: without it no node starts.
 fn move_out(inside: &Path, data: &Path) -> Result<(), Rejection> {
-    let failed = |error: std::io::Error| ledger_durable::failed("move", inside, &error);
+    let failed = |error: std::io::Error| ledger_base::durable::failed("move", inside, &error);
     let mut names = Vec::new();
     for entry in fs::read_dir(inside).map_err(failed)? {
         names.push(entry.map_err(failed)?.file_name());
@@ -191,9 +191,9 @@ fn move_out(inside: &Path, data: &Path) -> Result<(), Rejection> {
         _ => 1,
     });
     for name in names {
-        ledger_durable::rename(&inside.join(&name), &data.join(&name))?;
+        ledger_base::durable::rename(&inside.join(&name), &data.join(&name))?;
     }
     fs::remove_dir(inside).map_err(failed)?;
     forget_noted(data);
-    ledger_durable::sync_directory(data)
+    ledger_base::durable::sync_directory(data)
 }

@@ -7,7 +7,7 @@ use crate::housekeeping::PENDING_BYTES_MAX;
 use crate::instance::Fate;
 use crate::meters::observe;
 use ledger::{Ledger, Outcome};
-use ledger_invariant::invariant;
+use ledger_base::invariant;
 use ledger_raft::Input;
 use ledger_replica::{Executor, Observer, in_turns};
 use ledger_storage::entry::Entry;

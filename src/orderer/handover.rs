@@ -5,8 +5,8 @@
 //! tries so once in that time. That bounds the transfers of the whole network, whoever demands them.
 
 use super::{Handle, Reign};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, Role, RoleChange, Status, successor};
-use ledger_rejection::{Code, Rejection};
 use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 

@@ -2,8 +2,8 @@
 //! that the others have dropped from their logs, or when it stops.
 
 use super::{Handle, Orderer};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, Status};
-use ledger_rejection::{Code, Rejection};
 use std::sync::{Mutex, PoisonError, RwLock};
 
 /// The place of the orderer.

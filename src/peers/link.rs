@@ -8,7 +8,7 @@ use ledger::msp::never_dialled;
 use ledger_api::tls::{ServerTrust, TlsError, client_config, client_config_expecting, server_name};
 use ledger_api::v1::PeerFrame;
 use ledger_api::v1::peer_client::PeerClient;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_raft::PEER_MESSAGE_BYTES_MAX;
 use std::error::Error;
 use std::io;

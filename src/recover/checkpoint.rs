@@ -9,9 +9,9 @@ use crate::config::Config;
 use crate::host::NodeBuilder;
 use crate::join::nothing_here;
 use crate::stores::Stores;
-use ledger_durable::PUBLIC_MODE;
+use ledger_base::durable::PUBLIC_MODE;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::Checkpoint;
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::fs;
 use std::path::PathBuf;
@@ -50,7 +50,7 @@ pub(crate) fn checkpoint(
             .next(format!("ledgerd run --config {} for some seconds, then try again", config.file.display())));
     };
     let checkpoint = Checkpoint::of(&ledger.network(), ledger.governing(height)?, proof)?;
-    ledger_durable::create(&options.file, &checkpoint.to_bytes(), PUBLIC_MODE)?;
+    ledger_base::durable::create(&options.file, &checkpoint.to_bytes(), PUBLIC_MODE)?;
     Ok(format!(
         "checkpoint   {}, block {height} of network {}\n\
          Whoever begins with it believes this node about who governs. Carry it by a way that you trust:\n  \

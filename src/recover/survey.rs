@@ -6,7 +6,7 @@ use futures::future::join_all;
 use ledger::Ledger;
 use ledger_api::tls::ServerTrust;
 use ledger_api::{Client, Credentials, Options};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::time::Duration;
 
 /// How long a node may take to answer.

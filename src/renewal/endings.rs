@@ -66,7 +66,7 @@ fn endings(own: &[u8], msps: &Msps, lists: &[ListRecord], now: u64) -> Vec<Strin
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_identity::key::KeyKind;
     use ledger_identity::msp::Msp;
     use testkit::Ca;

@@ -3,10 +3,10 @@
 use crate::ca::{self, CertificateAuthority};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::Context;
+use ledger_base::rejection::Rejection;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
-use ledger_rejection::Rejection;
 use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// then.
 ///
 /// # Errors
-/// As [`CertificateAuthority::issue`]; [`ledger_rejection::Code::BadFile`] if the directory is no node's.
+/// As [`CertificateAuthority::issue`]; [`ledger_base::rejection::Code::BadFile`] if the directory is no node's.
 pub fn issue(
     data: &Path,
     organisation: &str,
@@ -27,7 +27,8 @@ pub fn issue(
     node: &str,
     now: u64,
 ) -> Result<Context, Rejection> {
-    let (genesis, network) = Genesis::from_bytes(&ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
+    let (genesis, network) =
+        Genesis::from_bytes(&ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
     let mut msps = Msps::new();
     for founder in &genesis.organisations {
         msps.insert(Msp::new(&founder.name, &founder.roots, &founder.intermediates)?)?;

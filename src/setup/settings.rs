@@ -1,9 +1,9 @@
 //! The configuration file of a node that is set up, and the address that it tells everybody.
 
 use crate::config::{Config, is_address};
-use ledger_durable::PUBLIC_MODE;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::durable::PUBLIC_MODE;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::fs;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -59,7 +59,8 @@ impl Settings {
             text = text.replace(SHIPPED_LISTEN, &format!("listen = {listen:?}"));
         }
         if let Some(data) = data {
-            let whole = std::path::absolute(data).map_err(|error| ledger_durable::failed("find", data, &error))?;
+            let whole =
+                std::path::absolute(data).map_err(|error| ledger_base::durable::failed("find", data, &error))?;
             text = text.replace(SHIPPED_DATA, &format!("data = {:?}", whole.to_string_lossy()));
         }
         let config = Config::parse(&text, path).map_err(|faults| first(faults, path))?;
@@ -96,7 +97,7 @@ impl Settings {
     /// As that; the file is then as it was.
     pub(crate) fn write_again(&self, path: &Path) -> Result<(), Rejection> {
         let Some(text) = &self.text else { return Ok(()) };
-        ledger_durable::replace(path, text.as_bytes(), PUBLIC_MODE)
+        ledger_base::durable::replace(path, text.as_bytes(), PUBLIC_MODE)
     }
 
     /// Writes the file if there is none; true if it did.
@@ -106,9 +107,10 @@ impl Settings {
     pub(crate) fn write(&self, path: &Path) -> Result<bool, Rejection> {
         let Some(text) = &self.text else { return Ok(false) };
         if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-            fs::create_dir_all(parent).map_err(|error| ledger_durable::failed("make directory", parent, &error))?;
+            fs::create_dir_all(parent)
+                .map_err(|error| ledger_base::durable::failed("make directory", parent, &error))?;
         }
-        ledger_durable::create(path, text.as_bytes(), PUBLIC_MODE).map(|()| true)
+        ledger_base::durable::create(path, text.as_bytes(), PUBLIC_MODE).map(|()| true)
     }
 }
 

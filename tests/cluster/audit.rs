@@ -7,7 +7,7 @@ use crate::rounds;
 use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt, stream};
 use ledger_api::{Client, Committed};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::collections::HashMap;
 
 /// Questions to one node at a time.
@@ -49,7 +49,7 @@ pub async fn links(node: &Client, height: u64) -> Vec<Link> {
             (id, record.verdict.as_ref().unwrap().code)
         });
         let transactions = transactions.collect();
-        Ok::<_, ledger_rejection::Rejection>(Link {
+        Ok::<_, ledger_base::rejection::Rejection>(Link {
             term: block.term,
             hash: block.hash,
             digest: block.state_digest,

@@ -10,7 +10,7 @@ use crate::support::small_disk::{SmallDisk, fill};
 use crate::support::wait::PATIENCE;
 use crate::support::{until, wire};
 use ledger_api::{Call, Context};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::process::Command;
 use std::sync::Arc;
 

@@ -8,7 +8,7 @@ use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use ledger::transaction::Transaction;
 use ledger_api::{Call, Client, Committed};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -4,7 +4,7 @@ use crate::support::connect;
 use crate::support::wire;
 use crate::target::Target;
 use ledger_api::Context;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
 use std::time::Duration;

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_abac::{PolicyEntry, RobotAsset};
 use ledger_api::Client;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 /// Functions that only read, with arguments that they take.
 const READS: [(&str, &str, &[&str]); 8] = [

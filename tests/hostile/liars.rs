@@ -4,9 +4,9 @@ use crate::support::network::{NodeWish, free_address, message, now, register_rob
 use crate::support::process::Process;
 use crate::support::{Fleet, connect, until};
 use ledger_api::{Client, Context};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
-use ledger_rejection::{Code, Rejection};
 use serde_json::json;
 use std::net::TcpListener;
 use std::sync::Arc;

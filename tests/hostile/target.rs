@@ -5,7 +5,7 @@ use crate::support::{Fleet, Process, connect};
 use bytes::Bytes;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger_api::{Client, Context};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ring::rand::{SecureRandom, SystemRandom};
 

@@ -9,7 +9,7 @@ use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_abac::Grant;
 use ledger_api::{Client, Subscription};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::time::{Duration, Instant};
 
 const TYPE: &str = "std_srvs/srv/SetBool";

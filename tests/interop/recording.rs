@@ -116,7 +116,7 @@ fn a_recording_tells_others_every_message_with_its_sender_and_its_place_on_the_l
     for facts in certificates {
         let certificate = hex::decode(facts["certificate"].as_str().unwrap()).unwrap();
         assert_eq!(
-            ledger_hash::Hash::of(&[certificate.as_slice()]).to_string(),
+            ledger_base::hash::Hash::of(&[certificate.as_slice()]).to_string(),
             facts["fingerprint"].as_str().unwrap()
         );
     }

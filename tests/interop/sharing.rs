@@ -128,7 +128,7 @@ fn who_drives_changes_by_priority_by_a_turn_and_by_a_stop_and_no_older_message_p
         call(&owner, "stop", &["Rover", "person in the cell"]).await;
         robot.hears(Heard::Salma, Heard::Stop);
         let refused = world.farhad.invoke("abac", "acquire", vec!["Rover/cmd_vel".into()]).await.unwrap_err();
-        assert_eq!(refused.code, ledger_rejection::Code::Stopped);
+        assert_eq!(refused.code, ledger_base::rejection::Code::Stopped);
         tokio::time::sleep(Duration::from_secs(1)).await;
         call(&owner, "resume", &["Rover"]).await;
         call(&world.farhad, "acquire", &["Rover/cmd_vel", "600000"]).await;

@@ -4,7 +4,7 @@
 use crate::support::programs;
 use bytes::Bytes;
 use ledger_api::{Client, Context, Enrolment};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
 use ledgerd::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};

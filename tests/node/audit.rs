@@ -6,9 +6,9 @@ use crate::support::{Dev, Fleet, Process, connect, eventually, until};
 use bytes::Bytes;
 use ledger_api::v1::{AuditRequest, AuditRow};
 use ledger_api::{Client, Context};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use serde_json::Value;
 use std::time::Duration;
 

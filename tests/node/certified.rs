@@ -7,9 +7,9 @@ use bytes::Bytes;
 use ledger::network::Genesis;
 use ledger_api::v1::{Delivery, EventRecord};
 use ledger_api::{Client, Context, EventStream, Subscription};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
 use ledger_light::{Checkpoint, Proof};
-use ledger_rejection::Code;
 use serde_json::json;
 
 fn wish(name: &str, organisation: &str) -> NodeWish {

@@ -6,8 +6,8 @@ use crate::support::wait::PATIENCE;
 use crate::support::wire;
 use crate::support::{Fleet, Process, connect, until};
 use ledger_api::Call;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -152,7 +152,7 @@ async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_roo
     let refused = client.invoke("abac", "acquire", acquire("Turtlebot4")).await.unwrap_err();
     assert_eq!(refused.code, Code::DiskFull, "{refused}");
     let certificate = ledger_identity::certificate::Certificate::parse(&salma.chain[0]).unwrap();
-    let issuer = hex::encode(ledger_hash::Hash::of(&[&certificate.issuer_name]).0);
+    let issuer = hex::encode(ledger_base::hash::Hash::of(&[&certificate.issuer_name]).0);
     let revoked = vec![issuer.into(), hex::encode(&certificate.serial).into()];
     boss.invoke("msp", "revoke", revoked).await.unwrap();
     assert!(!held().await.contains("Husky"), "{}", held().await);

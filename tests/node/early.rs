@@ -4,8 +4,8 @@ use crate::support::network::register_robots;
 use crate::support::wait::PATIENCE;
 use crate::support::{Fleet, connect};
 use ledger_api::{Client, Context, EventStream, Subscription, v1::Delivery};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::time::Instant;
 
 const ROBOT: &str = "Turtlebot4";

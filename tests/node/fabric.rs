@@ -3,7 +3,7 @@
 
 use crate::support::readme::console;
 use crate::support::{Ctl, Fleet, eventually};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::certificate::{ATTRIBUTES_OID, Certificate, encode_attributes};
 use ledger_identity::key::SigningKey;

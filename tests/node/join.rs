@@ -6,10 +6,10 @@ use bytes::Bytes;
 use ledger::msp::InviteOrganisation;
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Context, Enrolment};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

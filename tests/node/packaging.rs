@@ -2,7 +2,7 @@
 
 use crate::own_network::isolated;
 use crate::support::programs::{self, ran, repository};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -7,8 +7,8 @@ use bytes::Bytes;
 use ledger_api::v1::SubscribeRequest;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Client, Context, Options, Subscription, from_status};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use serde_json::{Value, json};
 use std::process::{Child, Stdio};
 use std::sync::Arc;
@@ -141,7 +141,7 @@ async fn subscriptions_to_what_does_not_exist_are_refused_with_what_does() {
 async fn take_all_places(
     who: &Context,
     taken: &mut Vec<tonic::Streaming<ledger_api::v1::Delivery>>,
-) -> ledger_rejection::Rejection {
+) -> ledger_base::rejection::Rejection {
     loop {
         let mut gateway = GatewayClient::new(wire::channel(who, true).await);
         match gateway.subscribe(SubscribeRequest::default()).await {

@@ -5,8 +5,8 @@ use crate::support::network::{MARKER, message, register_robots};
 use crate::support::{Fleet, connect, until, wire};
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Call, Client, Context, Subscription};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::time::Duration;
 
 /// Longer than any wait of the test.

@@ -1,7 +1,7 @@
 //! The package in Python says what this workspace says.
 
 use crate::sources::{files, read, root};
-use ledger_rejection::{Class, Code};
+use ledger_base::rejection::{Class, Code};
 use std::collections::BTreeSet;
 
 #[test]
@@ -13,7 +13,7 @@ fn the_codes_of_the_python_package_are_those_of_this_workspace() {
         .iter()
         .map(|code| format!("{}: (\"{}\", Kind.{}),", code.number(), code.name(), kind(code.class())))
         .collect();
-    assert_eq!(found, wanted.iter().map(String::as_str).collect(), "left: codes.py; right: crates/rejection");
+    assert_eq!(found, wanted.iter().map(String::as_str).collect(), "left: codes.py; right: crates/base/src/rejection");
     for class in [Class::Ok, Class::Failure, Class::Denied, Class::Invalid, Class::Unreachable, Class::Conflict] {
         let line = format!("    {} = {}\n", kind(class), class.exit_code());
         assert!(text.contains(&line), "codes.py has no line {line:?}");

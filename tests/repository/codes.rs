@@ -1,7 +1,7 @@
 //! The table of codes: a released code stays, and none is dead.
 
 use crate::sources::{files, product, read, root};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 /// Number, name and class of every code that was ever released.
 const RELEASED: &str = "tests/fixtures/codes.txt";

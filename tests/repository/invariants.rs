@@ -34,13 +34,13 @@ fn what_must_hold_is_stated_as_an_invariant() {
         }
         let text = product(&path);
         let found = code(&text).find(|line| asserts(line));
-        assert!(found.is_none(), "{relative}: use ledger_invariant::invariant!, which ends the process: {found:?}");
+        assert!(found.is_none(), "{relative}: use ledger_base::invariant!, which ends the process: {found:?}");
     }
 }
 
 #[test]
 fn a_node_ends_with_a_broken_invariant_and_with_a_thread_that_it_cannot_do_without() {
-    assert!(read(&root().join("src/command.rs")).contains("ledger_invariant::end_process();"), "in `run`, first");
+    assert!(read(&root().join("src/command.rs")).contains("ledger_base::invariant::end_process();"), "in `run`, first");
     for (file, threads) in
         [("src/orderer.rs", ["order", "execute"]), ("src/housekeeping.rs", ["store", "housekeeping"])]
     {

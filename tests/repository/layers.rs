@@ -6,120 +6,56 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 32] = [
-    ("ledger-hash", &[]),
-    ("ledger-rejection", &[]),
+const LAYERS: [(&str, &[&str]); 25] = [
+    // The foundation: no cryptography beyond a hash, no network, no chain.
+    ("ledger-base", &[]),
     // The paper's experiment without its network: nothing of a ledger.
     ("arena", &[]),
-    // "Did you mean": of names, not of a ledger.
-    ("nearest", &[]),
-    // How far something is, on a screen.
-    ("ledger-progress", &[]),
     // Files of ROS 2: recordings.
     ("mcap", &[]),
-    // Files that survive a crash whole.
-    ("ledger-durable", &["ledger-rejection"]),
-    ("ledger-settings", &["ledger-durable", "ledger-rejection", "nearest"]),
     // What each process tells a collector of its part in a message: nothing of a ledger but ids.
-    ("ledger-traces", &["ledger-hash", "ledger-settings"]),
-    // The deliberate bugs of the mutation check.
-    ("ledger-mutation", &[]),
-    // What ends a process whose memory contradicts itself.
-    ("ledger-invariant", &[]),
+    ("ledger-traces", &["ledger-base"]),
     // Keys and certificates: no file, no chain.
-    ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
+    ("ledger-identity", &["ledger-base"]),
     // Files of Fabric: certificates and units.
-    ("fabric", &["ledger-hash", "ledger-identity", "ledger-rejection"]),
+    ("fabric", &["ledger-base", "ledger-identity"]),
     // For tests only.
     ("testkit", &["ledger-identity"]),
     // Whatever a robot or an auditor checks alone: no file, no engine, no network.
-    ("ledger-light", &["ledger-hash", "ledger-identity", "ledger-rejection", "testkit"]),
+    ("ledger-light", &["ledger-base", "ledger-identity", "testkit"]),
     // Files: no signature, no chaincode.
-    (
-        "ledger-storage",
-        &["ledger-durable", "ledger-hash", "ledger-invariant", "ledger-mutation", "ledger-rejection", "ledger-storage"],
-    ),
-    (
-        "ledger",
-        &[
-            "ledger",
-            "ledger-hash",
-            "ledger-identity",
-            "ledger-invariant",
-            "ledger-light",
-            "ledger-mutation",
-            "ledger-rejection",
-            "ledger-storage",
-            "testkit",
-        ],
-    ),
-    (
-        "ledger-raft",
-        &[
-            "ledger",
-            "ledger-hash",
-            "ledger-invariant",
-            "ledger-mutation",
-            "ledger-rejection",
-            "ledger-storage",
-            "testkit",
-        ],
-    ),
+    ("ledger-storage", &["ledger-base", "ledger-storage"]),
+    ("ledger", &["ledger", "ledger-base", "ledger-identity", "ledger-light", "ledger-storage", "testkit"]),
+    ("ledger-raft", &["ledger", "ledger-base", "ledger-storage", "testkit"]),
     // Decides, and does nothing: what drives the engine in a node and in the simulation.
     (
         "ledger-replica",
-        &[
-            "ledger",
-            "ledger-hash",
-            "ledger-identity",
-            "ledger-invariant",
-            "ledger-light",
-            "ledger-mutation",
-            "ledger-raft",
-            "ledger-rejection",
-            "ledger-storage",
-            "testkit",
-        ],
+        &["ledger", "ledger-base", "ledger-identity", "ledger-light", "ledger-raft", "ledger-storage", "testkit"],
     ),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
     ("ledger-contract", &[]),
     // Content keys and envelopes: no chain, no network.
-    ("ledger-confidential", &["ledger-contract", "ledger-hash", "ledger-rejection"]),
+    ("ledger-confidential", &["ledger-contract", "ledger-base"]),
     (
         "ledger-abac",
         &[
             "ledger",
             "ledger-confidential",
             "ledger-contract",
-            "ledger-hash",
+            "ledger-base",
             "ledger-identity",
-            "ledger-mutation",
-            "ledger-rejection",
             "ledger-storage",
-            "nearest",
             "testkit",
         ],
     ),
-    (
-        "ledger-api",
-        &["ledger", "ledger-durable", "ledger-hash", "ledger-identity", "ledger-light", "ledger-rejection", "nearest"],
-    ),
+    ("ledger-api", &["ledger", "ledger-base", "ledger-identity", "ledger-light"]),
     // What a robot decides alone: no DDS, no socket, no clock.
     (
         "ledger-gate",
-        &[
-            "ledger",
-            "ledger-confidential",
-            "ledger-contract",
-            "ledger-hash",
-            "ledger-identity",
-            "ledger-light",
-            "ledger-mutation",
-            "ledger-rejection",
-        ],
+        &["ledger", "ledger-confidential", "ledger-contract", "ledger-base", "ledger-identity", "ledger-light"],
     ),
     // Messages by their definitions: nothing of a ledger.
-    ("ros-message", &["nearest"]),
+    ("ros-message", &["ledger-base"]),
     (
         "ros-bridge",
         &[
@@ -128,12 +64,9 @@ const LAYERS: [(&str, &[&str]); 32] = [
             "ledger-confidential",
             "ledger-contract",
             "ledger-gate",
-            "ledger-hash",
+            "ledger-base",
             "ledger-identity",
-            "ledger-invariant",
             "ledger-light",
-            "ledger-rejection",
-            "ledger-settings",
             "ledger-traces",
             "ros-message",
         ],
@@ -147,17 +80,13 @@ const LAYERS: [(&str, &[&str]); 32] = [
             "ledger-api",
             "ledger-confidential",
             "ledger-contract",
-            "ledger-durable",
+            "ledger-base",
             // `replay` publishes as a bridge does.
             "ledger-gate",
-            "ledger-hash",
             "ledger-identity",
             "ledger-light",
-            "ledger-progress",
-            "ledger-rejection",
             "ledger-storage",
             "mcap",
-            "nearest",
             "ros-bridge",
             "ros-message",
         ],
@@ -172,11 +101,10 @@ const LAYERS: [(&str, &[&str]); 32] = [
             "ledger-api",
             "ledger-confidential",
             "ledger-contract",
-            "ledger-hash",
+            "ledger-base",
             "ledger-identity",
             "ledger-light",
             "ledger-raft",
-            "ledger-rejection",
             "ledger-storage",
             "mcap",
         ],
@@ -190,17 +118,12 @@ const LAYERS: [(&str, &[&str]); 32] = [
             "ledger-api",
             "ledger-confidential",
             "ledger-contract",
-            "ledger-durable",
+            "ledger-base",
             "ledger-gate",
-            "ledger-hash",
             "ledger-identity",
-            "ledger-invariant",
             "ledger-light",
-            "ledger-progress",
             "ledger-raft",
-            "ledger-rejection",
             "ledger-replica",
-            "ledger-settings",
             "ledger-traces",
             "ledger-storage",
             "ros-bridge",
@@ -209,10 +132,7 @@ const LAYERS: [(&str, &[&str]); 32] = [
         ],
     ),
     ("fair-share", &["ledger-abac", "ledgerd"]),
-    (
-        "inventory",
-        &["ledger", "ledger-api", "ledger-hash", "ledger-identity", "ledger-rejection", "ledger-storage", "ledgerd"],
-    ),
+    ("inventory", &["ledger", "ledger-api", "ledger-base", "ledger-identity", "ledger-storage", "ledgerd"]),
     // The simulation drives what a node drives, without a node.
     (
         "ledgerd-sim",
@@ -222,13 +142,10 @@ const LAYERS: [(&str, &[&str]); 32] = [
             "ledger-confidential",
             "ledger-contract",
             "ledger-gate",
-            "ledger-hash",
+            "ledger-base",
             "ledger-identity",
-            "ledger-invariant",
             "ledger-light",
-            "ledger-mutation",
             "ledger-raft",
-            "ledger-rejection",
             "ledger-replica",
             "ledger-storage",
             "testkit",

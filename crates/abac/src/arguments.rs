@@ -1,7 +1,7 @@
 //! Reading a call's arguments: every mistake says which argument, what it is and what it should be.
 
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// Longest text argument that is not a document, in bytes.
 const TEXT_BYTES_MAX: usize = 512;

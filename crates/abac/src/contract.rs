@@ -10,9 +10,9 @@ use crate::records::sharing;
 use crate::rules::{Rule, Table};
 use bytes::Bytes;
 use ledger::{Chaincode, Context, Foretold, Quorum, Revocation};
-use ledger_rejection::Rejection;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::Rejection;
 use ledger_storage::result::Event;
-use nearest::did_you_mean;
 use std::sync::Arc;
 
 /// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
@@ -212,7 +212,7 @@ impl AccessControl {
     /// The chaincode, with the thread on which it evaluates policies.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Internal`] if the operating system gives no thread.
+    /// [`ledger_base::rejection::Code::Internal`] if the operating system gives no thread.
     pub fn new() -> Result<Self, Rejection> {
         Ok(Self { decider: Decider::new(Table::built_in())? })
     }
@@ -220,7 +220,7 @@ impl AccessControl {
     /// The chaincode with one more rule, which owners choose by its mode. Every node of a network needs the same rules.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::AlreadyExists`] if the mode has a rule.
+    /// [`ledger_base::rejection::Code::AlreadyExists`] if the mode has a rule.
     pub fn with_rule(mut self, rule: Arc<dyn Rule>) -> Result<Self, Rejection> {
         self.decider.rules.add(rule)?;
         Ok(self)
@@ -230,7 +230,7 @@ impl AccessControl {
     /// itself: how long it takes, and what it reads, can so be measured.
     ///
     /// # Errors
-    /// As `set`: unknown names, [`ledger_rejection::Code::StaleEpoch`], [`ledger_rejection::Code::NotHolder`], what policies say.
+    /// As `set`: unknown names, [`ledger_base::rejection::Code::StaleEpoch`], [`ledger_base::rejection::Code::NotHolder`], what policies say.
     pub fn may_publish(&self, ctx: &Context<'_>, service: &str, epoch: u64) -> Result<(), Rejection> {
         let target = self.decider.records.target(ctx, service)?;
         publish::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)

@@ -1,8 +1,8 @@
 //! For tests: a block in which records are changed.
 
 use ledger::{Context, Environment, Meter, Registry};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_storage::state::{MemoryState, Overlay};
 use std::sync::Arc;
 

@@ -11,7 +11,7 @@
 //! ```
 //! use bytes::Bytes;
 //! use ledger::{Environment, Meter, Registry, Rules};
-//! use ledger_hash::Hash;
+//! use ledger_base::hash::Hash;
 //! use ledger_storage::state::{MemoryState, Overlay};
 //! use std::sync::Arc;
 //!
@@ -24,7 +24,7 @@
 //! let mut overlay = Overlay::new(Arc::new(MemoryState::default()));
 //! let robots = Registry::invoke(environment, &mut overlay, &mut Vec::new(), "abac", "robots", &[])?;
 //! assert_eq!(robots, Bytes::from("[]"));
-//! # Ok::<(), ledger_rejection::Rejection>(())
+//! # Ok::<(), ledger_base::rejection::Rejection>(())
 //! ```
 //!
 //! Layers, each of which knows only those below it:

@@ -23,8 +23,8 @@ use self::grant::Holding;
 use self::parsed::Parsed;
 use self::service::{Offered, Target};
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
-use ledger_rejection::Rejection;
 use std::sync::Arc;
 
 /// Records that were parsed before. They save time and never change an answer.
@@ -52,7 +52,7 @@ impl Records {
     /// The live grant that was acquired with this very certificate.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Corrupt`] if the state cannot be read.
+    /// [`ledger_base::rejection::Code::Corrupt`] if the state cannot be read.
     pub(crate) fn held(
         &self,
         ctx: &Context<'_>,

@@ -15,9 +15,9 @@ pub(crate) mod terms;
 
 use self::terms::Terms;
 use crate::records::service::Target;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Capabilities, Direction, Mode, Sharing};
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 use std::sync::Arc;
 
 pub use contest::{contend, precedence};

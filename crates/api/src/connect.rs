@@ -8,10 +8,10 @@ pub(crate) use diagnosis::{Expected, explain, explain_clock, other_network, way_
 use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal, server_name};
 use bytes::Bytes;
 use hyper_util::rt::TokioIo;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::IdentityError;
 use ledger_identity::certificate::Certificate;
-use ledger_rejection::{Code, Rejection};
 use rustls::{AlertDescription, ClientConfig};
 use std::error::Error as StdError;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -8,11 +8,11 @@ use crate::v1;
 use crate::v1::enrolment_client::EnrolmentClient;
 use bytes::Bytes;
 use ledger::network::Genesis;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
-use ledger_rejection::{Code, Rejection};
 use rcgen::{
     CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ECDSA_P384_SHA384, PKCS_ED25519,
 };

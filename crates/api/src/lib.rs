@@ -12,7 +12,7 @@
 //! It knows no chaincode: what functions there are and what their arguments mean is the caller's business.
 //!
 //! ```no_run
-//! # async fn example() -> Result<(), ledger_rejection::Rejection> {
+//! # async fn example() -> Result<(), ledger_base::rejection::Rejection> {
 //! use ledger_api::{Client, Context};
 //! let context = Context::load(&ledger_api::home()?, None)?;
 //! let client = Client::connect(&context).await?;

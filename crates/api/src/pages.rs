@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger::{Page, Paging};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
 /// All elements of a list: follows its pages. `ask` queries the function with these arguments. A node of an older release

@@ -1,6 +1,6 @@
 //! Where the passphrase of a secret copy comes from: a file, the environment, or the terminal.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::path::Path;
 
@@ -16,7 +16,7 @@ const FILE_BYTES_MAX: usize = 64 * 1024;
 /// [`Code::BadArgument`] if there is none, or what was typed differs; a file or a terminal that cannot be read.
 pub fn passphrase(file: Option<&Path>, new: bool) -> Result<String, Rejection> {
     if let Some(path) = file {
-        let text = ledger_durable::read(path, FILE_BYTES_MAX)?;
+        let text = ledger_base::durable::read(path, FILE_BYTES_MAX)?;
         let text = String::from_utf8_lossy(&text);
         return Ok(text.lines().next().unwrap_or_default().to_owned());
     }

@@ -1,7 +1,7 @@
 //! Refusals as people read them, and as the wire carries them.
 
 use crate::v1;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::error::Error as _;
 use tonic::Status;
@@ -19,7 +19,7 @@ const CODE_COLUMN: usize = 88;
 /// and what to try. Lines that would be empty are left out; the text ends without a newline.
 ///
 /// ```
-/// use ledger_rejection::{Code, Rejection};
+/// use ledger_base::rejection::{Code, Rejection};
 /// let refused = Rejection::new(Code::Held, "Turtlebot4/cmd_vel is held").found("held by Org1/Salma");
 /// let text = ledger_api::report(&refused);
 /// assert!(text.starts_with("error: Turtlebot4/cmd_vel is held"));
@@ -76,7 +76,7 @@ pub fn accepted(verdict: Option<&v1::Verdict>) -> Result<(), Rejection> {
 /// [`ERROR_DOMAIN`]; its metadata are `code` (`LGR-3005`), `found`, `wanted` and `try`, without those that are empty.
 /// Long texts are cut.
 pub fn to_status(rejection: &Rejection) -> Status {
-    use ledger_rejection::Class;
+    use ledger_base::rejection::Class;
     let code = match rejection.code.class() {
         Class::Ok | Class::Failure => tonic::Code::Internal,
         Class::Denied if rejection.code == Code::CertificateRequired => tonic::Code::Unauthenticated,

@@ -2,8 +2,8 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;

@@ -5,7 +5,7 @@ use ledger_api::tls::{
     Refusal, ServerTrust, TlsError, TlsIdentity, TrustSource, Trusted, client_config, client_config_expecting,
     client_identity, refusal, server_config,
 };
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::{Identity, IdentityError, Role};

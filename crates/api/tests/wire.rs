@@ -4,7 +4,7 @@
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
 use ledger_api::v1;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use prost::Message;
 use ring::rand::SystemRandom;

@@ -10,7 +10,7 @@ use crate::failure::Failure;
 use crate::output::{Format, Output};
 use crate::upkeep::Upkeep;
 use clap::{Parser, Subcommand};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// The command line of a permissioned ledger for ROS 2 fleets.
 #[derive(Debug, Parser)]

@@ -1,6 +1,6 @@
 //! Asking before something is done that cannot be undone.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::io::{self, BufRead, IsTerminal, Write};
 
 /// Asks whether it is meant, on a terminal; without one it has to be said in the command. `lost` says what would be lost, a

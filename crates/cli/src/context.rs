@@ -3,9 +3,9 @@
 use crate::cli::Global;
 use ledger_api::Context;
 pub(crate) use ledger_api::home;
+use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::certificate::Certificate;
-use ledger_rejection::Rejection;
 use std::path::{Path, PathBuf};
 
 /// Names the context to act as, where `--context` does not.

@@ -2,7 +2,7 @@
 
 use crate::output::Format;
 use clap::error::{ContextKind, ContextValue};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::process::ExitCode;

@@ -1,7 +1,7 @@
 //! `ledgerctl`: the command line for operators, owners and auditors of a ledger.
 //!
 //! `main` parses and runs; `cli` is the table of commands, one file per group lies under `command`. Every refusal is
-//! a [`ledger_rejection::Rejection`] and is printed by `failure`; every result goes through `output`, as a table or as JSON.
+//! a [`ledger_base::rejection::Rejection`] and is printed by `failure`; every result goes through `output`, as a table or as JSON.
 
 mod answer;
 mod argument;

@@ -20,9 +20,9 @@ pub(crate) use rows::{Event, Record};
 
 use bytes::Bytes;
 use disk::Disk;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_contract::ServiceState;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 use mcap::{Stamp, Writer};
 use ros_message::Library;
 use rows::Row;

@@ -4,9 +4,9 @@ use crate::cli::Global;
 use crate::context;
 use bytes::Bytes;
 use ledger_api::{Client, Committed, Context};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

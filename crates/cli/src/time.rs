@@ -1,7 +1,7 @@
 //! Moments and spans for people. Everywhere else times are microseconds since the UNIX epoch.
 
 use chrono::{DateTime, Local};
-pub(crate) use ledger_progress::span;
+pub(crate) use ledger_base::progress::span;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// This machine's clock, microseconds since the UNIX epoch.

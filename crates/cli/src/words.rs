@@ -2,7 +2,7 @@
 //! `PAYLOAD`, people have typed `--for` and `--hex`.
 
 use crate::time;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// The words of the command line for the arguments of a function.
 pub(crate) struct Words {

@@ -1,9 +1,9 @@
 //! The key in which a publisher encrypts, and the envelope of a message.
 
 use bytes::Bytes;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Envelope, NONCE_BYTES};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 use ring::aead::{Aad, CHACHA20_POLY1305, LessSafeKey, Nonce, UnboundKey};
 use ring::rand::{SecureRandom, SystemRandom};
 use std::fmt;

@@ -3,8 +3,8 @@
 use super::content::{ContentKey, Place};
 use super::reading::{ReadingKey, Wrap};
 use bytes::Bytes;
+use ledger_base::hash::Hash;
 use ledger_contract::{Envelope, Share};
-use ledger_hash::Hash;
 use std::collections::BTreeMap;
 use std::fmt;
 

@@ -10,7 +10,7 @@
 //! ```
 //! use ledger_confidential::{Keyring, ReadingKey, Sealer};
 //! use ledger_contract::{Reader, Readers};
-//! use ledger_hash::Hash;
+//! use ledger_base::hash::Hash;
 //!
 //! let (network, service, publisher) = (Hash::ZERO, "Turtlebot4/cmd_vel", "Org1/Salma");
 //! let own = ReadingKey::generate();
@@ -24,7 +24,7 @@
 //! let mut keyring = Keyring::new(network, "Org2/Turtlebot4".into(), own);
 //! keyring.learn(service, publisher, 7, &share);
 //! assert_eq!(keyring.open(service, publisher, 3, 1000, &sealed).unwrap(), &b"\0\x01\0\0forward"[..]);
-//! # Ok::<(), ledger_rejection::Rejection>(())
+//! # Ok::<(), ledger_base::rejection::Rejection>(())
 //! ```
 
 mod content;

@@ -9,9 +9,9 @@ use hpke::{
     Deserializable, HpkeError, Kem, OpModeR, OpModeS, Serializable, single_shot_open, single_shot_seal,
     single_shot_seal_with_rng,
 };
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{READING_KEY_BYTES, WRAPPED_BYTES};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 use std::fmt;
 
 type Pair = X25519HkdfSha256;

@@ -5,15 +5,15 @@ use super::content::{CONTENT_KEY_BYTES, ContentKey};
 use super::sealer::{Fresh, Sealer};
 use bytes::Bytes;
 use hpke::rand_core::CryptoRng;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{NONCE_BYTES, Readers, Share};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 
 impl Sealer {
     /// As [`Sealer::share`], with random bytes from there.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Internal`]: never for a key of this length.
+    /// [`ledger_base::rejection::Code::Internal`]: never for a key of this length.
     pub fn share_with(
         random: &mut impl CryptoRng,
         network: &Hash,
@@ -31,7 +31,7 @@ impl Sealer {
     /// As [`Sealer::seal`], with random bytes from there.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Internal`] for a message that is too long to be encrypted.
+    /// [`ledger_base::rejection::Code::Internal`] for a message that is too long to be encrypted.
     pub fn seal_with(
         &self,
         random: &mut impl CryptoRng,

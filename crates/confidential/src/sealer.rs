@@ -3,9 +3,9 @@
 use super::content::{ContentKey, Place};
 use super::reading::Wrap;
 use bytes::Bytes;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{NONCE_BYTES, Readers, Share, Wrapped};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 
 /// Encrypts the messages of one publisher on one service, under a content key that was shared.
 #[derive(Clone, Debug)]
@@ -27,7 +27,7 @@ impl Sealer {
     /// A new content key, and the argument of `share` that gives it to everybody who may read.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Internal`] if the operating system gives no random bytes.
+    /// [`ledger_base::rejection::Code::Internal`] if the operating system gives no random bytes.
     pub fn share(network: &Hash, publisher: &str, readers: &Readers) -> Result<(Share, Fresh), Rejection> {
         let content = ContentKey::generate()?;
         Ok(Self::share_by(content, network, publisher, readers, |wrap, public, content| wrap.wrap(public, content)))
@@ -60,7 +60,7 @@ impl Sealer {
     /// The envelope of a message with this epoch and sequence number.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Internal`] if the operating system gives no random bytes.
+    /// [`ledger_base::rejection::Code::Internal`] if the operating system gives no random bytes.
     pub fn seal(&self, epoch: u64, sequence: u64, message: &[u8]) -> Result<Bytes, Rejection> {
         self.fresh.content.seal(&self.place(epoch, sequence), self.key, message)
     }

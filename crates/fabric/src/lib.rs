@@ -12,12 +12,12 @@
 
 mod node_units;
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger_identity::msp::Msp;
 use ledger_identity::revocation_list::{LIST_BYTES_MAX, RevocationList};
 use ledger_identity::units::Units;
-use ledger_rejection::{Code, Rejection};
 use rustls_pki_types::pem::PemObject;
 use rustls_pki_types::{CertificateDer, CertificateRevocationListDer};
 use std::collections::BTreeMap;

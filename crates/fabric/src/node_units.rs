@@ -3,10 +3,10 @@
 //! It is read event by event, and only where its words are expected. So depth and size are bounded, and a word that would
 //! narrow who belongs to the organisation is refused rather than overlooked.
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::units::{Unit, Units};
-use ledger_rejection::{Code, Rejection};
 use saphyr_parser::{Event, Parser};
 use std::collections::BTreeMap;
 

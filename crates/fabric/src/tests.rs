@@ -96,7 +96,7 @@ fn a_directory_gives_authorities_units_and_the_newest_list_of_each_authority() {
     let read = place.read().unwrap();
     assert_eq!((read.roots.len(), read.intermediates.len(), read.lists.len()), (1, 1, 1));
     assert_eq!(RevocationList::parse(&read.lists[0]).unwrap().number, Some(vec![2]), "the newer one");
-    let issuer = |der: &[u8]| Some(ledger_hash::Hash::of(&[der]));
+    let issuer = |der: &[u8]| Some(ledger_base::hash::Hash::of(&[der]));
     let units: Vec<_> = read.units.iter().map(|unit| (unit.unit.as_str(), unit.role, unit.issuer)).collect();
     assert_eq!(
         units,

@@ -8,8 +8,8 @@ use std::{
 
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
+use ledger_base::hash::Hash;
 use ledger_contract::{Capabilities, Direction, Grant, Limits, Mode};
-use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
 use rcgen::{

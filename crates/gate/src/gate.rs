@@ -39,11 +39,11 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger_base::hash::Hash;
+use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
 use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
-use ledger_hash::Hash;
 use ledger_identity::Identity;
-use ledger_mutation::{Mutation, active};
 
 use self::{
     call::Call,

@@ -13,8 +13,8 @@ mod tests;
 
 pub use self::act::{Act, Block, Told};
 use self::{act::changes, held::Held, questions::Questions};
+use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
-use ledger_mutation::{Mutation, active};
 
 use crate::{
     gate::{Gate, Now, Settings},

@@ -2,7 +2,7 @@
 
 use bytes::{BufMut, Bytes, BytesMut};
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// Bytes of the encapsulation header in front of every message.
 pub const HEADER_BYTES: usize = 4;

@@ -1,8 +1,8 @@
 //! The ledger's answers and events, as far as a robot reads them: the parts of their JSON that it uses.
 
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Capabilities, Direction, Publishing, ServiceState};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, de::DeserializeOwned};
 
 /// Longest payload of an event that is read, in bytes.

@@ -2,10 +2,10 @@
 
 use std::{collections::BTreeSet, sync::Arc};
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Declaration, Grant, RobotAsset, RunningTask, ServiceState};
 use ledger_identity::{Identity, msp::Msps};
 use ledger_light::Governance;
-use ledger_rejection::{Code, Rejection};
 
 use crate::service::Service;
 

@@ -9,7 +9,7 @@ pub use error::IdentityError;
 pub(crate) use error::printable;
 
 use crate::key::PublicKey;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;

@@ -11,7 +11,7 @@ use crate::identity::{Identity, IdentityError, check_name, printable};
 use crate::key::{KeyError, KeyKind, PublicKey};
 use crate::revocation_list::RevocationList;
 use crate::units::Units;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use rustls_pki_types::{CertificateDer, TrustAnchor};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;

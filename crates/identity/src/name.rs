@@ -4,7 +4,7 @@
 //! and no character that shows nothing or turns the direction of the text. Two names that may be taken for each other have one of
 //! their [`looks`] in common.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 use unicode_normalization::is_nfc;
 use unicode_security::{GeneralSecurityProfile, MixedScript, skeleton};

@@ -6,7 +6,7 @@
 
 use crate::certificate::{at_most, malformed};
 use crate::identity::{IdentityError, Role};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 

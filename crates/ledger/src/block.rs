@@ -4,9 +4,9 @@
 //! the [`Payload`]; the [`Header`] is computed by every node alike when it applies the entry.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::merkle;
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::INDEXED_TRANSACTIONS_MAX;
 use prost::Message;

@@ -15,8 +15,8 @@ pub use context::{Context, Environment};
 pub use registry::Registry;
 
 use bytes::Bytes;
+use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
-use ledger_rejection::Rejection;
 use ledger_storage::result::Event;
 
 /// A program that every node executes in block order.
@@ -29,7 +29,7 @@ pub trait Chaincode: Send + Sync {
     ///
     /// # Errors
     /// A [`Rejection`] undoes every write of the call and becomes the verdict. A panic does the same with
-    /// [`ChaincodePanic`](ledger_rejection::Code::ChaincodePanic).
+    /// [`ChaincodePanic`](ledger_base::rejection::Code::ChaincodePanic).
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
 
     /// The answer and the events of a successful call, where the call alone determines them. A node then keeps neither:

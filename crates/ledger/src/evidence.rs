@@ -13,14 +13,14 @@ pub use check::{Proved, Verdict};
 use crate::block::Header;
 use crate::transaction::TRANSACTION_BYTES_MAX;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::CERTIFICATE_BYTES_MAX;
 use ledger_light::codec::{Reader, put};
 use ledger_light::governance::CHANGE_BYTES_MAX;
 use ledger_light::merkle::{PATH_BYTES_MAX, Path};
 use ledger_light::proof::PROOF_BYTES_MAX;
 use ledger_light::{Change, Proof};
-use ledger_rejection::{Code, Rejection};
 
 const DOMAIN: &[u8] = b"ledgerd evidence v1\0";
 const LINK_DOMAIN: &[u8] = b"ledgerd evidence link v1\0";

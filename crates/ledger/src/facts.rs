@@ -2,12 +2,12 @@
 
 use crate::chaincode::Registry;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_light::Change;
 use ledger_light::control::{self, Write};
 use ledger_light::fact::Fact;
 use ledger_light::merkle;
-use ledger_rejection::Rejection;
 use ledger_storage::result::{EmittedEvent, Roots, TransactionResult};
 use ledger_storage::state::{StateRead, WriteSet};
 use std::collections::BTreeMap;

@@ -5,7 +5,7 @@ use crate::block::Payload;
 use crate::chaincode::{Foretold, Registry};
 use crate::transaction::Transaction;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::entry::Entry;
 use ledger_storage::result::{BlockResult, EmittedEvent, Event, TransactionResult};
 use ledger_storage::results::{Blocks, Place, ResultStore, SHORT_ID_BYTES, StoredResult};

@@ -20,7 +20,7 @@
 //! ```
 //! use bytes::Bytes;
 //! use ledger::{Chaincode, Context};
-//! use ledger_rejection::{Code, Rejection};
+//! use ledger_base::rejection::{Code, Rejection};
 //!
 //! /// Counts.
 //! struct Counter;

@@ -127,7 +127,7 @@ use crate::members::Membership;
 use crate::network::Genesis;
 use crate::page::Paging;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 use ledger_storage::state::WriteSet;
 use store::{full, json};

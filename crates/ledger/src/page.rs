@@ -6,7 +6,7 @@
 
 use crate::chaincode::Context;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most elements of a page.

@@ -7,10 +7,10 @@
 use crate::block::{PAYLOAD_BYTES_MAX, leaf};
 use crate::rules::Rules;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::key::{PublicKey, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::retention::KEPT_MIN_US;
 use prost::Message;
 use std::sync::{Arc, OnceLock};

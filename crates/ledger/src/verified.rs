@@ -1,6 +1,6 @@
 //! Which signatures this node has verified, so that it verifies each once.
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::collections::HashSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

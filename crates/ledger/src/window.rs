@@ -1,6 +1,6 @@
 //! Which ids were executed a short time ago: what makes a transaction count once.
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::results::{Place, SHORT_ID_BYTES};
 use std::collections::{BTreeMap, HashMap};
 

@@ -1,7 +1,7 @@
 //! The writes of recent blocks, to find the key with which two nodes that differ began to differ.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::state::WriteSet;
 use std::collections::VecDeque;
 

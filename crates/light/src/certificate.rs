@@ -4,9 +4,9 @@ use crate::codec::Reader;
 use crate::statement::{ENCLOSED_BYTES_MAX, STATEMENT_BYTES, Signature, Statement};
 use crate::voters::Voters;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 const DOMAIN: &[u8] = b"ledgerd certificate v1\0";

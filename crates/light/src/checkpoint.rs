@@ -4,8 +4,8 @@ use crate::codec::{Reader, put};
 use crate::governance::{CHANGE_BYTES_MAX, Change, Governance};
 use crate::proof::{PROOF_BYTES_MAX, Proof};
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 
 const DOMAIN: &[u8] = b"ledgerd checkpoint v1\0";
 /// Longest encoding.

@@ -1,8 +1,8 @@
 //! Bytes in one form only: numbers are big-endian, and a part of variable length carries its length.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 
 /// Appends a part with its length, `u32` BE.
 pub fn put(to: &mut Vec<u8>, part: &[u8]) {

@@ -4,8 +4,8 @@
 //! A reader that follows the writes from its pinned beginning computes the same chain. A certified value of the chain then
 //! shows that no write was left out, and none made up. It needs the value of no write: the hash of a value is enough.
 
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 
 const DOMAIN: &[u8] = b"ledgerd control v1\0";
 

@@ -5,8 +5,8 @@
 
 use crate::codec::{Reader, put};
 use crate::merkle;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 
 /// In front of the content of each leaf.
 const DOMAIN: &[u8] = b"ledgerd fact v1\0";
@@ -107,7 +107,7 @@ impl<'a> Fact<'a> {
     /// Reads its bytes.
     ///
     /// # Errors
-    /// [`Code::TooLarge`](ledger_rejection::Code::TooLarge), [`Code::Malformed`](ledger_rejection::Code::Malformed).
+    /// [`Code::TooLarge`](ledger_base::rejection::Code::TooLarge), [`Code::Malformed`](ledger_base::rejection::Code::Malformed).
     pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, Rejection> {
         let mut reader = Reader::new("a fact of a block", FACT_BYTES_MAX, DOMAIN, bytes)?;
         let fact = match reader.byte()? {

@@ -21,7 +21,7 @@
 //! | [`lie`] | two statements of one node about one height, or two votes of one node in one term |
 //!
 //! ```
-//! use ledger_hash::Hash;
+//! use ledger_base::hash::Hash;
 //! use ledger_light::{fact::Fact, merkle};
 //!
 //! let facts = [

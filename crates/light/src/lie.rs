@@ -4,9 +4,9 @@ use crate::codec::{Reader, put};
 use crate::statement::{ENCLOSED_BYTES_MAX, SIGNED_BYTES_MAX, Signature, Signed};
 use crate::vote::Vote;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 
 const DOMAIN: &[u8] = b"ledgerd lie v1\0";
 /// Longest encoding.

@@ -1,8 +1,8 @@
 //! The Merkle tree of RFC 6962 §2.1, over leaves that are hashes already.
 
 use crate::codec::Reader;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 
 /// Most hashes in a path: a tree of 2^32 leaves has no longer one.
 pub const SIBLINGS_MAX: usize = 32;
@@ -89,7 +89,7 @@ impl Path {
     /// Reads its bytes.
     ///
     /// # Errors
-    /// [`Code::TooLarge`](ledger_rejection::Code::TooLarge), [`Code::Malformed`](ledger_rejection::Code::Malformed).
+    /// [`Code::TooLarge`](ledger_base::rejection::Code::TooLarge), [`Code::Malformed`](ledger_base::rejection::Code::Malformed).
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
         let mut reader = Reader::new("a Merkle path", PATH_BYTES_MAX, b"", bytes)?;
         let (index, count, length) = (reader.u32()?, reader.u32()?, usize::from(reader.byte()?));

@@ -5,8 +5,8 @@ use crate::codec::{Reader, put};
 use crate::fact::{FACT_BYTES_MAX, Fact};
 use crate::merkle::{PATH_BYTES_MAX, Path};
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 
 const DOMAIN: &[u8] = b"ledgerd proof v1\0";
 /// Most facts of one proof.

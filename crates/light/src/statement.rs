@@ -2,10 +2,10 @@
 
 use crate::codec::{Reader, put};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::CERTIFICATE_BYTES_MAX;
 use ledger_identity::key::SigningKey;
-use ledger_rejection::{Code, Rejection};
 
 /// In front of the bytes that are signed.
 const DOMAIN: &[u8] = b"ledgerd statement v1\0";

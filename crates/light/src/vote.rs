@@ -2,9 +2,9 @@
 
 use crate::statement::Signature;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_identity::key::SigningKey;
-use ledger_rejection::Rejection;
 
 /// In front of the bytes that are signed, so that they are of no other kind.
 const DOMAIN: &[u8] = b"ledgerd vote v1\0";
@@ -32,7 +32,7 @@ impl Vote {
     /// Signs it as the voter, with this certificate.
     ///
     /// # Errors
-    /// [`Code::Internal`](ledger_rejection::Code::Internal) if the system's randomness fails.
+    /// [`Code::Internal`](ledger_base::rejection::Code::Internal) if the system's randomness fails.
     pub fn sign(&self, certificate: Bytes, key: &SigningKey) -> Result<Signature, Rejection> {
         Signature::make(self.voter, certificate, key, &self.to_bytes())
     }

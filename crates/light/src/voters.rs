@@ -2,8 +2,8 @@
 
 use crate::statement::{Signature, Statement};
 use crate::vote::Vote;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A node as the ledger knows it.

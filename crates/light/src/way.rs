@@ -3,7 +3,7 @@
 use crate::checkpoint::Checkpoint;
 use crate::governance::{Change, Governance};
 use crate::proof::Proof;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// Most bytes of changes that are kept before a proof shows that they are true.
 const UNPROVED_BYTES_MAX: usize = 64 * 1024 * 1024;

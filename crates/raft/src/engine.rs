@@ -32,7 +32,7 @@ use acknowledged::Acknowledged;
 use ahead::Ahead;
 use ledger::block::Payload;
 use ledger::members::Membership;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger_storage::entry::EntryKind;
 use mandate::Mandates;

@@ -3,7 +3,7 @@
 use crate::message::PeerMessage;
 use bytes::Bytes;
 use ledger::members::{Membership, MembershipChange};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_storage::entry::Entry;
 
 /// How urgent a transaction is.

@@ -168,7 +168,7 @@ pub struct Transactions {
     /// Of the data lane.
     #[prost(bytes = "bytes", repeated, tag = "2")]
     pub data: Vec<Bytes>,
-    /// Returned only: the number of the [`ledger_rejection::Code`] that says why.
+    /// Returned only: the number of the [`ledger_base::rejection::Code`] that says why.
     #[prost(uint32, tag = "3")]
     pub code: u32,
 }

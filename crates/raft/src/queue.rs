@@ -6,7 +6,7 @@ use crate::interface::Lane;
 use bytes::Bytes;
 use fair::Queue;
 use ledger::block::PAYLOAD_BYTES_MAX;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// Most control transactions that wait. They are few and small; a longer queue means that nothing is ordered.
 pub const CONTROL_QUEUE_TRANSACTIONS_MAX: usize = 4096;

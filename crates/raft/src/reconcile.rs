@@ -7,7 +7,7 @@
 use crate::engine::{PeerStatus, Status};
 use crate::interface::Input;
 use ledger::members::{Change, MembershipChange};
-use ledger_mutation::Mutation;
+use ledger_base::mutation::Mutation;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
@@ -78,7 +78,7 @@ fn change_voters(desired: &Desired, status: &Status, voters: &BTreeSet<u64>) -> 
         .iter()
         .copied()
         .filter(|node| !waiting && *node != status.id && !desired.voters.contains(node))
-        .filter(|node| desired.learners.contains(node) || !ledger_mutation::active(Mutation::KeepARemovedVoter))
+        .filter(|node| desired.learners.contains(node) || !ledger_base::mutation::active(Mutation::KeepARemovedVoter))
         .collect();
     let after: BTreeSet<u64> = voters.iter().chain(&joining).copied().filter(|node| !leaving.contains(node)).collect();
     if &after == voters || !can_order(status, &after) {

@@ -31,10 +31,10 @@ use crate::trust::{Attested, Trial};
 use batch::End;
 use jury::{Jury, Verdict};
 use ledger::Ledger;
-use ledger_hash::Hash;
-use ledger_invariant::invariant;
-use ledger_mutation::Mutation;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::invariant;
+use ledger_base::mutation::Mutation;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::{Base, BlockStore};
 use ledger_storage::entry::Entry;
 use ledger_storage::snapshot::{Manifest, Snapshot};
@@ -249,7 +249,7 @@ impl<P: Clone> CatchUp<P> {
         let believed = offer.who.vouched
             || offer.who.organisation == self.organisation
             || self.behind.is_some_and(|behind| behind.from == offer.who.id);
-        if believed || ledger_mutation::active(Mutation::TakeUnconfirmedBlocks) {
+        if believed || ledger_base::mutation::active(Mutation::TakeUnconfirmedBlocks) {
             return Some(Jury::none());
         }
         // A fault of the store is found again by whatever is stored next.

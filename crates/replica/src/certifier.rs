@@ -8,13 +8,13 @@
 mod heard;
 
 use heard::{Heard, Height};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::invariant;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_invariant::invariant;
 use ledger_light::{Certificate, Lie, Signature, Signed, Statement, Vote, Voters};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::Rejection;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 

@@ -16,9 +16,9 @@
 use crate::REJOIN;
 use crate::catch_up::{Behind, Holding, Who};
 use ledger::Ledger;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{PeerMessage, RaftKind, Receipt};
-use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 

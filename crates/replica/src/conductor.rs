@@ -11,8 +11,8 @@
 use crate::catch_up::{Behind, Caught, Holding, is_far_behind, is_known};
 use crate::replica::FULL_DISK_PAUSE;
 use ledger::Ledger;
-use ledger_invariant::invariant;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::invariant;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::StoreError;
 use std::sync::Arc;
 

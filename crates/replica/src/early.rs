@@ -6,7 +6,7 @@
 use crate::replica::Now;
 use ledger::Ledger;
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::result::Event;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,8 +1,8 @@
 //! Execution: applies committed blocks, and tells everybody whom it concerns.
 
 use ledger::{Ledger, Outcome};
-use ledger_invariant::{costly_invariant, invariant};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
+use ledger_base::{costly_invariant, invariant};
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

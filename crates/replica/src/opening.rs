@@ -2,8 +2,8 @@
 
 use crate::REJOIN;
 use ledger::{Ledger, Registry};
-use ledger_mutation::Mutation;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::mutation::Mutation;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::entry::Entry;
 use ledger_storage::results::ResultStore;
@@ -142,7 +142,7 @@ impl Opening<'_> {
     fn execute_the_rest(&self, ledger: &Ledger, kept: &mut impl Kept) -> Result<(), Rejection> {
         let committed = self.store.hard_state().commit;
         let mut next = ledger.tip().height + 1;
-        if ledger_mutation::active(Mutation::ApplyTwiceAfterASnapshot) && self.store.first_index() > 1 {
+        if ledger_base::mutation::active(Mutation::ApplyTwiceAfterASnapshot) && self.store.first_index() > 1 {
             next = (next - 1).max(self.store.first_index());
         }
         while next <= committed {

@@ -8,9 +8,9 @@
 //! A question or its answer may be lost when the leader changes. Then it is asked again, within a bounded time. Once the
 //! height is known, this node must execute up to it.
 
-use ledger_invariant::{costly_invariant, invariant};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::{costly_invariant, invariant};
 
 /// Longest time in which the leader must confirm a read, all attempts together, microseconds.
 pub const CONFIRM_TIME_MAX: u64 = 1_000_000;
@@ -383,7 +383,7 @@ mod tests {
     #[test]
     #[should_panic(expected = "executed heights only grow; found block 4 after 5")]
     fn a_height_that_goes_back_is_found() {
-        ledger_invariant::look_closely();
+        invariant::look_closely();
         does(|out| Reads::<Client>::new(5).executed(0, 4, out));
     }
 }

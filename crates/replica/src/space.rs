@@ -13,7 +13,7 @@
 //!
 //! A look at the disk says that there is room again, after the log was written, and only when the reserve fits, too.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::StoreError;
 
 /// With less space than this free, no messages are accepted: what was accepted must still fit.

@@ -16,12 +16,12 @@ use ledger::msp::{Attestation, NodeRole};
 use ledger::network::FoundingOrganisation;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, msp};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::mutation::Mutation;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::{Identity, Role};
-use ledger_mutation::Mutation;
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::snapshot::{Installer, Manifest, Snapshot, Snapshots};
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -152,7 +152,7 @@ impl Claim {
 
 /// Organisations that must attest, if there are so many.
 fn enough() -> usize {
-    if ledger_mutation::active(Mutation::BelieveOneOrganisation) { 1 } else { ORGANISATIONS_MIN }
+    if ledger_base::mutation::active(Mutation::BelieveOneOrganisation) { 1 } else { ORGANISATIONS_MIN }
 }
 
 fn joined(names: BTreeSet<String>) -> String {

@@ -6,9 +6,9 @@
 use crate::certifier::Signing;
 use bytes::Bytes;
 use ledger::Ledger;
+use ledger_base::rejection::Rejection;
 use ledger_light::{Signature, Vote};
 use ledger_raft::{Ballot, Ballots};
-use ledger_rejection::Rejection;
 use std::sync::Arc;
 
 /// Signs and checks votes for the engine of one node.

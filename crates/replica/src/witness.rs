@@ -2,7 +2,7 @@
 
 use ledger::msp::{self, Attest, Attestation};
 use ledger::{Ledger, Outcome};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_storage::snapshot::Snapshots;
 use ledger_storage::state::Tip;
 
@@ -73,7 +73,7 @@ impl Said {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
 
     #[test]
     fn a_node_attests_its_newest_block_if_anything_happened_and_its_own_disk_holds_it() {

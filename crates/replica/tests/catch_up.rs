@@ -4,8 +4,8 @@
 mod cluster;
 
 use cluster::{Cluster, Faults};
+use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane, LogBegin, PeerMessage, Role};
-use ledger_rejection::Code;
 
 /// Orders this many blocks through whoever leads.
 fn order(cluster: &mut Cluster, blocks: u64) {

@@ -5,8 +5,8 @@ mod cluster;
 
 use cluster::Cluster;
 use ledger::block::Payload;
+use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane, TIME_AHEAD_MAX};
-use ledger_rejection::Code;
 use ledger_storage::entry::EntryKind;
 
 const SECOND: u64 = 1_000_000;

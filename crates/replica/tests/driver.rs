@@ -9,10 +9,10 @@ use bytes::Bytes;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Ledger, Registry};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_raft::{Desired, Input, Lane, PeerMessage, Secret, Transactions};
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Behind, CatchUp, Caught, Got, Holding, Offer, Todo, Who};
 use ledger_replica::conductor::{Conductor, Happened, Next};
 use ledger_replica::{

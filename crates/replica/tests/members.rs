@@ -4,8 +4,8 @@
 mod cluster;
 
 use cluster::Cluster;
+use ledger_base::rejection::Code;
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
-use ledger_rejection::Code;
 
 fn wish(voters: &[u64], learners: &[u64]) -> Desired {
     Desired { voters: voters.iter().copied().collect(), learners: learners.iter().copied().collect() }

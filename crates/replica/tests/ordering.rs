@@ -5,8 +5,8 @@ mod cluster;
 
 use cluster::{ALARM, Cluster, UNIT, transactions};
 use ledger::block::Payload;
+use ledger_base::rejection::Code;
 use ledger_raft::{Change, Input, Lane, MembershipChange, PeerMessage, Role, Transactions};
-use ledger_rejection::Code;
 use ledger_storage::entry::EntryKind;
 
 /// Most bytes of a leader's data that wait for their execution.

@@ -4,11 +4,11 @@
 
 use bytes::Bytes;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 use ledger_replica::trust::{Attested, Claim, Known};
 use std::collections::BTreeMap;
 use testkit::{Ca, User};

@@ -5,13 +5,13 @@
 use bytes::Bytes;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::{Ledger, Registry};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::Msps;
 use ledger_light::{Signature, Signed, Statement, Vote};
 use ledger_raft::{Ballot, Ballots};
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::Voting;
 use ledger_replica::certifier::Signing;
 use ledger_storage::disk::SimDisk;

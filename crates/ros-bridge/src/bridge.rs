@@ -10,7 +10,7 @@ use futures::{
     future::{BoxFuture, OptionFuture},
 };
 use ledger_api::{Client, Context, home, read_checkpoint};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use tokio::{
     sync::watch,

@@ -52,9 +52,9 @@ use std::{
 };
 
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::settings::{Fault, Reader, Section, Spot};
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
-use ledger_rejection::{Code, Rejection};
-use ledger_settings::{Fault, Reader, Section, Spot};
 use ledger_traces::Tracer;
 
 use crate::{
@@ -163,7 +163,7 @@ impl Config {
     /// # Errors
     /// Every fault: [`Code::BadFile`], [`Code::BadConfiguration`], [`Code::BadName`].
     pub fn load(path: &Path, program: impl FnOnce(&mut Section<'_, '_>)) -> Result<Self, Vec<Fault>> {
-        Self::parse(&ledger_settings::load(path)?, path, program)
+        Self::parse(&ledger_base::settings::load(path)?, path, program)
     }
 
     /// Reads the text of a file; the path is for messages, and relative paths in the text start at its directory.

@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use ledger_invariant::costly_invariant;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::costly_invariant;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_traces::Tracer;
 use serde::Serialize;
 

@@ -22,9 +22,9 @@ mod watch;
 
 use std::{collections::BTreeMap, ops::RangeInclusive};
 
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::settings::Section;
 use ledger_contract::RobotAsset;
-use ledger_rejection::{Code, Rejection};
-use ledger_settings::Section;
 
 use self::pattern::{Numbered, Pattern};
 pub(crate) use self::watch::Watch;

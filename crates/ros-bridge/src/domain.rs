@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 use crate::dds::DOMAIN_MAX;
 

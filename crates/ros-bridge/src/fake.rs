@@ -16,11 +16,11 @@ use ledger_api::{
     Answer, Certified, Subscription,
     v1::{Delivery, EventRecord},
 };
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Declaration, Grant, RobotAsset};
 use ledger_gate::fixture::{Network, grant, micros};
-use ledger_hash::Hash;
 use ledger_light::{Certificate, Change, Checkpoint, Governance, Proof, Statement, fact::Fact, merkle, proof::Shown};
-use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::UnboundedReceiverStream;

@@ -1,6 +1,6 @@
 //! Whether a sample can be a message of its route's type, where the type's definition is built in.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ros_message::{Library, Message};
 
 use crate::names::TypeName;

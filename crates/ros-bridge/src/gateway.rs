@@ -9,10 +9,10 @@ use futures::{
     stream::{self, BoxStream, StreamExt},
 };
 use ledger_api::{Answer, Call, Certified, Client, Subscription, v1::Delivery};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_gate::{ABAC, gate::COMMAND_TTL};
-use ledger_hash::Hash;
 use ledger_light::Governance;
-use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
 use crate::place::Reading;

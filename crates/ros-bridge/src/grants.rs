@@ -11,7 +11,7 @@ mod keeping;
 use std::{collections::BTreeMap, sync::Arc};
 
 use futures::future::{BoxFuture, FutureExt};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use tokio::task::JoinSet;
 
 use self::{answer::Answer, desk::Desk};

@@ -1,7 +1,7 @@
 //! The doors of a robot: what a bridge delivers commands to, and nobody else in the local graph should.
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, RobotAsset, ServiceState};
-use ledger_rejection::{Code, Rejection};
 
 use crate::{
     config::{Config, RouteConfig},

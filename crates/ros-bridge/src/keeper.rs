@@ -9,8 +9,8 @@ use std::{
 
 use futures::future::BoxFuture;
 use ledger_api::Context;
+use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_light::Governance;
-use ledger_rejection::{Class, Code, Rejection};
 use tokio::{
     sync::{Mutex, watch},
     task::JoinHandle,

@@ -21,7 +21,7 @@
 //! A mark is no proof: a local process can copy it. Then it is not taken in, which harms nobody else. Beside a route that
 //! delivers commands it passes for an earlier run of the bridge, but only as long as that could be there.
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
 
 const DOMAIN: &[u8] = b"ledgerd bridge";

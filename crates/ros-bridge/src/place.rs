@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
 use ledger_api::{Client, EventStream, Subscription, v1::Delivery};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Acquired, readers};
 use ledger_gate::ABAC;
-use ledger_rejection::{Code, Rejection};
 use tokio::time::{sleep, sleep_until};
 
 /// How long a subscription rests that was refused for good: rights may come back.

@@ -3,7 +3,7 @@
 //! Reader and writer match only if the writer offers at least what the reader requests: a reliable
 //! reader does not hear a best-effort writer. Sensors often publish best effort.
 
-use ledger_settings::Section;
+use ledger_base::settings::Section;
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
 
 use crate::error::{Error, Explained, Result};

@@ -9,8 +9,8 @@ use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs},
 };
 
-use ledger_rejection::{Code, Rejection};
-use ledger_settings::Section;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::settings::Section;
 
 /// The variable by which ROS 2 nodes choose the range of their discovery.
 pub const ROS_AUTOMATIC_DISCOVERY_RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";

@@ -4,7 +4,7 @@ use crate::bridge::context_of;
 use crate::config::Config;
 use ledger_api::context::{RenewalRule, Renewed, warning_due};
 use ledger_api::{Client, renewal_due};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::time::Duration;
 
 /// Time between two looks at the certificate, also after a renewal that failed.

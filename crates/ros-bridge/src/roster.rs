@@ -10,7 +10,7 @@ use std::{
     time::Instant,
 };
 
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_traces::Tracer;
 use rustdds::QosPolicies;
 use tokio::sync::watch;

@@ -1,8 +1,8 @@
 //! The ledger's answers as the bridge reads them, and what a route makes of its service.
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{ServiceState, is_called};
 use ledger_gate::{ABAC, sample::Sample, service::Service};
-use ledger_rejection::{Code, Rejection};
 use serde::Deserialize;
 
 use crate::{

@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 
 use crate::{
     bridge::Bridge,

@@ -15,6 +15,7 @@ use std::{
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use ledger_api::{Certified, pages};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Grant, RobotAsset};
 use ledger_gate::{
     ABAC, MSP,
@@ -23,7 +24,6 @@ use ledger_gate::{
 };
 use ledger_identity::msp::Msps;
 use ledger_light::Governance;
-use ledger_rejection::{Code, Rejection};
 use tokio::{sync::Mutex, time::timeout};
 
 use crate::gateway::{Gateway, ask, read};

@@ -3,8 +3,8 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
-use ledger_rejection::{Code, Rejection};
 use ros_message::{ByteOrder, Fault, Library, Message, Time, Written};
 use serde_json::{Value, json};
 

@@ -9,7 +9,7 @@ mod python;
 
 use std::time::Duration;
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use python::Python;
 use ros_bridge::{
     dds::{Caller, Client, Exchange, Number, Participant, Server},

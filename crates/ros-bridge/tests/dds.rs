@@ -19,8 +19,8 @@ use std::{
 use tokio::sync::watch;
 
 use commands::{DEADLINE, next, numbered, topic, twist};
+use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample, XCDR2};
-use ledger_hash::Hash;
 use ros_bridge::{
     dds::{Change, Participant, Reader, Role, Writer},
     door::Door,

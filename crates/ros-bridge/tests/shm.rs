@@ -18,8 +18,8 @@ use iceoryx2::{
     prelude::{CallbackProgression, ServiceName},
     service::ipc_threadsafe,
 };
+use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_LE, Sample};
-use ledger_hash::Hash;
 use ros_bridge::{
     door::Door,
     mark::Mark,

@@ -75,7 +75,7 @@ impl Encoder {
             return Err(Fault::new(format!("{} has no field {unknown}", structure.name))
                 .found(crate::fault::quoted(unknown))
                 .wanted(names().collect::<Vec<_>>().join(", "))
-                .next(nearest::did_you_mean(unknown, names(), "")));
+                .next(ledger_base::nearest::did_you_mean(unknown, names(), "")));
         }
         if structure.fields.is_empty() {
             self.writer.number(1, 0)?;

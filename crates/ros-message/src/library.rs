@@ -128,7 +128,7 @@ impl Library {
         Fault::new(format!("the definition of {full} is not known"))
             .found(format!("no definition of {full}"))
             .wanted("one of the common types, or its .msg file")
-            .next(nearest::did_you_mean(full, known, ""))
+            .next(ledger_base::nearest::did_you_mean(full, known, ""))
     }
 }
 

@@ -14,9 +14,9 @@ mod segments;
 use crate::disk::RealDisk;
 use crate::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY};
 use crate::results::ResultStore;
-use ledger_durable::PUBLIC_MODE;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::durable::PUBLIC_MODE;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use segments::{Copied, Upto, Watching, copy_segments};
 use serde::Serialize;
 use std::fs::{self, File};
@@ -135,7 +135,7 @@ fn put_genesis(genesis: &[u8], to: &Path, network: Hash, network_of: NetworkOf<'
         }
         Err(error) if error.kind() == ErrorKind::NotFound => {
             fs::create_dir_all(to).map_err(|error| unusable("write", &path, &error))?;
-            ledger_durable::replace(&path, genesis, PUBLIC_MODE)
+            ledger_base::durable::replace(&path, genesis, PUBLIC_MODE)
         }
         Err(error) => Err(unusable("read", &path, &error)),
     }
@@ -161,7 +161,7 @@ fn put_snapshot(data: &Path, to: &Path, first: u64) -> Result<Option<u64>, Rejec
     let name = snapshot_name(height);
     let opened = fs::create_dir_all(&target).and_then(|()| File::open(source.join(&name)));
     let mut content = opened.map_err(|error| unusable("copy", &source.join(&name), &error))?;
-    ledger_durable::stage_from(&target.join(&name), &mut content, PUBLIC_MODE)?.publish()?;
+    ledger_base::durable::stage_from(&target.join(&name), &mut content, PUBLIC_MODE)?.publish()?;
     Ok(Some(height))
 }
 

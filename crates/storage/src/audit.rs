@@ -21,7 +21,7 @@ pub use row::{FOLDED_US, Row};
 
 use crate::state::{Store, WriteSet};
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use row::{Place, by_name};
 use std::borrow::Cow;
 use std::collections::HashMap;

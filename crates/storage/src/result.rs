@@ -2,8 +2,8 @@
 //! same.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use prost::Message;
 
 /// The outcome of one transaction.

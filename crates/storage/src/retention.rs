@@ -4,7 +4,7 @@
 //! The rest can be executed from that snapshot, by this node after a restart, by one that joins, and by an auditor.
 
 use crate::block_store::Finished;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;

@@ -24,10 +24,10 @@ pub use store::Store;
 
 use self::cache::Cache;
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_invariant::invariant;
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::invariant;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 

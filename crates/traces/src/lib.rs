@@ -18,7 +18,7 @@ mod settings;
 
 pub use settings::Settings;
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};

@@ -2,7 +2,7 @@
 //! OpenTelemetry itself.
 
 use crate::{Step, part};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use prost::Message;
 use std::time::SystemTime;
 

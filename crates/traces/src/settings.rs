@@ -1,6 +1,6 @@
 //! The section `[traces]`, of a node or of a bridge that is a process of its own.
 
-use ledger_settings::Section;
+use ledger_base::settings::Section;
 use std::time::Duration;
 use tonic::transport::Endpoint;
 

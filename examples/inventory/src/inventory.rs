@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger::{Chaincode, Context};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Name under which the chaincode is called.

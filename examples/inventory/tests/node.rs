@@ -4,7 +4,7 @@
 
 use bytes::Bytes;
 use ledger_api::{Client, Context};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;

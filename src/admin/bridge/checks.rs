@@ -1,7 +1,7 @@
 //! The parts of a bridge's readiness.
 
 use crate::admin::check::Check;
-use ledger_rejection::{Class, Rejection};
+use ledger_base::rejection::{Class, Rejection};
 use ros_bridge::sight::{RouteView, Standing, View};
 use ros_bridge::{Level, Status};
 
@@ -51,7 +51,7 @@ fn grant(standing: &Standing) -> Check {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ledger_rejection::Code;
+    use ledger_base::rejection::Code;
 
     fn told(view: &View) -> String {
         all(view).iter().map(ToString::to_string).collect()

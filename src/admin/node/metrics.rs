@@ -3,7 +3,7 @@
 use crate::admin::figures::{Labels, Several, bytes, counts, number, seconds, seconds_in_all};
 use crate::meters::Meters;
 use ledger_api::v1::StatusResponse;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};

@@ -5,7 +5,7 @@ use crate::demo::graph::{DISCOVERY_TIME_MAX, cmd_vel, failed, nobody_there};
 use crate::demo::messages::{read_pose, twist};
 use arena::controller::{Controller, HZ};
 use arena::course::{Course, User, Waypoint};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ros_bridge::dds::{Matched, Participant, Reader, Writer};
 use ros_bridge::qos::Qos;
 use ros_bridge::queue::Limits;

@@ -5,7 +5,7 @@ use crate::command::eprint_line;
 use arena::claims::{Claim, Runs};
 use arena::figures::Figures;
 use arena::picture::{Facts, Rate, draw, page};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -9,7 +9,7 @@ use crate::demo::network::Network;
 use crate::demo::{FROM_LEDGER, SERVICE, SETTLE, TO_LEDGER, acquire, first_heard};
 use arena::course::User;
 use arena::picture::Rate;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::time::Duration;
 
 /// The frequencies (Hz).

@@ -9,7 +9,7 @@ use arena::course::{User, WAYPOINTS, Waypoint, interrupted, one_after_the_other}
 use arena::link::Link;
 use arena::record::{Driving, Emergency, Heard, Reached, Record, Seen};
 use ledger_api::Client;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use tokio::time::{interval, sleep_until};

@@ -9,7 +9,7 @@ use crate::demo::network::Network;
 use crate::demo::{FROM_LEDGER, TO_LEDGER};
 use arena::course::{User, Waypoint};
 use arena::link::Link;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::time::Instant;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 

@@ -7,7 +7,7 @@ use arena::course::Course;
 use arena::geometry::{Point, Pose};
 use arena::noise::Noise;
 use arena::robot::Turtlebot;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ros_bridge::dds::{Matched, Participant};
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;

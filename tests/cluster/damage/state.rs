@@ -7,7 +7,7 @@ use crate::support::Dice;
 use crate::support::directory::copy;
 use bytes::Bytes;
 use ledger::Ledger;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::RealDisk;
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, STATE_DIRECTORY};

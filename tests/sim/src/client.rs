@@ -28,10 +28,10 @@ use crate::people::{CERTIFICATES, Person};
 use crate::world::{Event, World};
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Class, Code};
 use ledger_contract::Envelope;
 use ledger_gate::gate::COMMAND_TTL;
-use ledger_hash::Hash;
-use ledger_rejection::{Class, Code};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 

@@ -1,9 +1,9 @@
 //! The confidential service: the robot that offers it, the pairs with which people read, and the messages that must stay secret.
 
 use bytes::Bytes;
+use ledger_base::hash::Hash;
 use ledger_confidential::ReadingKey;
 use ledger_confidential::rand_core::{Infallible, TryCryptoRng, TryRng};
-use ledger_hash::Hash;
 use std::collections::BTreeMap;
 use testkit::Random;
 

@@ -9,7 +9,7 @@ use crate::world::Untruth;
 use confidential::CONFIDENTIAL;
 use governance::GOVERNANCE;
 use ledger::Outcome;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use ledger_storage::result::Event;
 use serde::Deserialize;
 use std::collections::BTreeMap;

@@ -1,8 +1,8 @@
 //! The clients' calls and answers, in real (virtual) time: the oracle judges them in the end.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 
 /// Everything that all clients did.
 #[derive(Debug, Default)]

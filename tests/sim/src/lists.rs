@@ -6,7 +6,7 @@ use crate::people::{People, ca_key};
 use bytes::Bytes;
 use ledger::msp::RecordList;
 use ledger::transaction::Body;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::revocation_list::RevocationList;
 use std::collections::{BTreeMap, BTreeSet};

@@ -4,7 +4,7 @@
 use crate::clock::{EPOCH, SECOND};
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::certificate::{ATTRIBUTES_OID, encode_attributes};
 use ledger_identity::key::{KeyKind, SigningKey};

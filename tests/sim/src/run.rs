@@ -9,7 +9,7 @@ use crate::oracle;
 use crate::people::People;
 use crate::plan::HEAL_MAX;
 use crate::world::World;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ pub struct Report {
 
 /// Runs one seed. A panic of the product is a broken promise like any other.
 pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report {
-    ledger_invariant::look_closely();
+    ledger_base::invariant::look_closely();
     let mut world = World::new(seed, people, keep_trace);
     let outcome = catch_unwind(AssertUnwindSafe(|| play(&mut world)));
     let violation = match outcome {

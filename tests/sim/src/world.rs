@@ -43,7 +43,7 @@ use ledger::members::Membership;
 use ledger::msp::NodeRecord;
 use ledger::network::{FoundingNode, Genesis};
 use ledger::{Chaincode, Outcome, Rules};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_raft::{Desired, SignedVote};
 use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;

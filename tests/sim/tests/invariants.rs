@@ -8,7 +8,7 @@ use ledger::block::Header;
 use ledger::members::Membership;
 use ledger::msp::{NodeRecord, NodeRole};
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind, HardState};

@@ -5,7 +5,7 @@
 
 #![expect(clippy::expect_used, clippy::panic, clippy::print_stderr, reason = "tests")]
 
-use ledger_mutation::{Mutation, turn_on};
+use ledger_base::mutation::{Mutation, turn_on};
 use ledgerd_sim::people::People;
 use ledgerd_sim::run::run;
 use std::env;

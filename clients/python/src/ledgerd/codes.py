@@ -1,4 +1,4 @@
-"""The stable codes of refusals. The table is crates/rejection/src/code.rs; a test compares them."""
+"""The stable codes of refusals. The table is crates/base/src/rejection/code.rs; a test compares them."""
 
 from enum import Enum
 from typing import Final

@@ -16,9 +16,9 @@ use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{AcquireOptions, Acquired, Grant, Limits, Reason};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 
 /// The position of a contender that has no grant.
 pub(crate) enum Room {

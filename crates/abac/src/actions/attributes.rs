@@ -5,8 +5,8 @@
 use crate::arguments::shown;
 use crate::records::sharing;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Attribute, AttributeChanges, Attributes};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 /// Most bytes of names and values of the attributes of a robot.

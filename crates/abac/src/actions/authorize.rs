@@ -9,9 +9,9 @@ use crate::records::service::Target;
 use crate::records::{grant, store};
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

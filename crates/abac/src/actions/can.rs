@@ -13,10 +13,10 @@ use crate::records::service::Target;
 use crate::records::{grant, robot, service, store};
 use bytes::Bytes;
 use ledger::{Context, Page};
+use ledger_base::hash::Hash;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Ask, Can, Could, Grant, PolicyDiff, PolicyText, WouldEnd};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 use serde::Deserialize;
 
 /// Longest question, in bytes: with it come policies.

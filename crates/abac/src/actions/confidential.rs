@@ -15,10 +15,10 @@ use crate::records::service::{self, Target};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Keyed, READERS_MAX, READING_KEY_BYTES, Reader, Readers, Share, WRAPPED_BYTES, Wrapped};
 use ledger_identity::Role;
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 
 /// A content key is replaced after this long at the latest (microseconds): policies may speak of the time.
 const KEY_LIFE_US: u64 = 3_600_000_000;

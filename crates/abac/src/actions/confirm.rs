@@ -15,9 +15,9 @@ use crate::records::{line, store};
 use crate::rules::terms::Terms;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{AcquireOptions, Acquired, Confirmation, Left, LeftReason, Pending};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 
 /// Most contenders that wait to be confirmed for one service.
 pub(crate) const PENDING_MAX: usize = 64;

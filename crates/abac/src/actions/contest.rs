@@ -11,8 +11,8 @@ use crate::records::used;
 use crate::rules::priority::{self, PRIORITY_MAX, Source};
 use crate::rules::{Claim, Decision, Rule, Situation};
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{LineState, Place};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 
 /// The priority of one who took a service whatever its rule says: above all others.

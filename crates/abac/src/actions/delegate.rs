@@ -16,8 +16,8 @@ use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
 use ledger::msp::CertifiedHolder;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Delegated, Grant, PassOptions, Reason};
-use ledger_rejection::{Code, Rejection};
 
 /// Most who pass one grant on, one after the other.
 pub(crate) const GIVERS_MAX: usize = 4;

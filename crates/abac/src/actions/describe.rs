@@ -8,10 +8,10 @@ use crate::records::service::Service;
 use crate::records::{sharing, store};
 use crate::rules::{self, terms};
 use ledger::Context;
+use ledger_base::hash::Hash;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Capabilities, Mode, RobotSpec, ServiceSpec, Sharing, is_called};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 use std::collections::BTreeSet;
 
 /// Longest required attribute with its value, in bytes.

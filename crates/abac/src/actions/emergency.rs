@@ -10,8 +10,8 @@ use crate::records::{grant, stopped, store};
 use crate::timestamp::rfc3339;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, Emergency, EmergencyAnswer, Reason, Stopped};
-use ledger_rejection::{Code, Rejection};
 
 /// Stands for all robots that the caller may stop or resume.
 const ALL: &str = "*";

@@ -14,8 +14,8 @@ use crate::records::service::Target;
 use crate::records::{policy_set, proposed, reader, sharing, side_door, store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
+use ledger_base::rejection::Rejection;
 use ledger_contract::{Grant, Reason, Released, read_from};
-use ledger_rejection::Rejection;
 
 /// Most grants that one call or the start of one block ends with an event each.
 const ENDINGS_MAX: usize = 256;

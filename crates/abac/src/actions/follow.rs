@@ -7,10 +7,10 @@ use crate::policy::decider::{Action, Decider};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::readers;
 use ledger_identity::{Identity, Role};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 
 /// May the submitter see this event? Messages need the right to subscribe. Every member of the network may see
@@ -28,7 +28,7 @@ pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> R
 /// robots and nodes needs a place, too: `k2` of the paper.
 ///
 /// # Errors
-/// Those of [`Decider::decide`]; [`ledger_rejection::Code::NotHolder`] without a place.
+/// Those of [`Decider::decide`]; [`ledger_base::rejection::Code::NotHolder`] without a place.
 pub(crate) fn may_subscribe(
     ctx: &Context<'_>,
     decider: &Decider,

@@ -10,8 +10,8 @@ use crate::records::{robot, store};
 use crate::timestamp::rfc3339;
 use bytes::Bytes;
 use ledger::{Context, Paging};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Grant;
-use ledger_rejection::{Code, Rejection};
 
 /// `grants [SERVICE]`, `grants PAGE_JSON`: the live grants of one service or of all.
 pub(crate) fn list(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {

@@ -11,8 +11,8 @@ use crate::records::{robot, sharing, store};
 use bytes::Bytes;
 use ledger::msp::quota_reached;
 use ledger::{Context, Paging, Quorum};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyEntry};
-use ledger_rejection::{Code, Rejection};
 
 /// Most policies that `policies` lists as a transaction, which it was before rules 3.
 const LISTED_MAX: usize = 4096;

@@ -19,10 +19,10 @@ use crate::records::proposed::{self, Approval, Proposed};
 use crate::records::{policy_set, store};
 use bytes::Bytes;
 use ledger::{ADMINS_PER_ORGANISATION_MAX, Context, Paging};
+use ledger_base::hash::Hash;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyApproval, PolicyProposal, PolicyProposalTexts};
-use ledger_hash::Hash;
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 
 /// Most proposals of one organisation.

@@ -6,9 +6,9 @@ use crate::policy::texts;
 use crate::records::{policy_set, store};
 use bytes::Bytes;
 use ledger::{ApprovedBy, Context, Quorum};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyApprovals, PolicyNeed};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 
 /// The function that sets the rule of the network. It needs approval.
 pub(crate) const SET: &str = "set_policy_approvals";

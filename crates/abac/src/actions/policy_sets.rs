@@ -10,8 +10,8 @@ use crate::policy::texts::{self, POLICIES_MAX};
 use crate::records::{policy_set, store};
 use bytes::Bytes;
 use ledger::{Context, Quorum};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyDraft, PolicySet, PolicySetTexts, PolicyText};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 /// Longest set as an argument, in bytes of JSON: twice its texts.

@@ -15,9 +15,9 @@ use crate::records::service::Target;
 use crate::records::{sharing, store};
 use bytes::Bytes;
 use ledger::{Context, Foretold};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Envelope, MessageEvent, POLICIES_TOLD_MAX, Permitted, Published, Publishing};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 use std::sync::Arc;
 

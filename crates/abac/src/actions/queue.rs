@@ -17,8 +17,8 @@ use crate::records::{last, pending, sharing, store, task};
 use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{AcquireOptions, Left, LeftReason, LineTold, Place, Reason};
-use ledger_rejection::{Code, Rejection};
 
 /// Most lines in which one certificate waits.
 pub(crate) const WAITS_MAX: usize = 64;

@@ -7,9 +7,9 @@ use crate::policy::{Texts, texts};
 use crate::records::service::Target;
 use crate::records::{robot, store};
 use ledger::{Context, Page, Paging};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Direction;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 
 /// Most people who are asked about.
 const PEOPLE_MAX: usize = 512;

@@ -10,9 +10,9 @@ use crate::records::service::{self, Target};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{LeftReason, Reason, Released};
 use ledger_identity::Role;
-use ledger_rejection::{Code, Rejection};
 
 /// `release SERVICE [HOLDER]`: the caller's own grant; without one, an admin of the owner takes the service back,
 /// from everybody or from one holder. A contender in line leaves it.

@@ -11,7 +11,7 @@ use crate::records::service::{self, Target};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 
 /// `renew SERVICE [LEASE_MS]`
 pub(crate) fn renew(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {

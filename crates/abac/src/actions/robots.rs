@@ -10,9 +10,9 @@ use crate::records::{reader, side_door, store};
 use bytes::Bytes;
 use ledger::Context;
 use ledger::msp::{Quotas, quota_reached};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Reason, Released, RobotEvent};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 
 /// Most robots of one `setup`.
 pub(crate) const ROBOTS_PER_SETUP_MAX: usize = 64;

@@ -10,9 +10,9 @@ use crate::records::service::{self, Service};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{RobotChange, RobotSettings, ServiceSpec, SettingChange, Sharing};
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 
 /// Longest JSON of settings, in bytes: a stop message of 64 KiB in hexadecimal digits, and the rest.
 const SETTINGS_BYTES_MAX: usize = 256 * 1024;

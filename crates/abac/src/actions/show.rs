@@ -9,8 +9,8 @@ use crate::records::service::{self, Target};
 use crate::records::{grant, last, line, pending, sharing, side_door, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
+use ledger_base::rejection::Rejection;
 use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
-use ledger_rejection::Rejection;
 
 /// Most publishers that `latest` tells.
 const LATEST_MAX: usize = 64;

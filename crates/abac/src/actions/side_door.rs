@@ -10,9 +10,9 @@ use crate::records::service::{self, Target};
 use crate::records::{side_door, store};
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, SideDoor};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 
 /// At least so long between two reports about one service (block time, microseconds).
 pub(crate) const PAUSE_US: u64 = 60_000_000;

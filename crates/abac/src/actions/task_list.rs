@@ -6,8 +6,8 @@ use crate::records::store;
 use crate::records::task::{self, Kept};
 use bytes::Bytes;
 use ledger::{Context, Paging};
+use ledger_base::rejection::Rejection;
 use ledger_contract::{Grant, NEXT_MAX, RunningTask, Task};
-use ledger_rejection::Rejection;
 
 /// Most tasks of an answer that has no pages.
 const LISTED_MAX: usize = 256;

@@ -8,9 +8,9 @@ use crate::records::store;
 use crate::records::task::{self, Kept};
 use crate::rules::terms::Terms;
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::Rejection;
 use ledger_contract::{LeftReason, Reason, TaskState, TaskTold};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::Rejection;
 
 /// Most tasks of a service that join the line, expire or end with the service in one block.
 const DUE_MAX: usize = 64;

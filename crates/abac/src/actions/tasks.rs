@@ -16,11 +16,11 @@ use crate::records::{line, store};
 use crate::rules::terms::QUEUE_MAX;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{
     COORDINATE_UM_MAX, Direction, POINTS_MAX, Place, Reason, Submitted, Task, TaskSpec, TaskState, YAW_URAD_MAX,
 };
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 
 /// Longest JSON of a task, in bytes: enough to count the points of one that has far too many.
 const TASK_BYTES_MAX: usize = 1024 * 1024;

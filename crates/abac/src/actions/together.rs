@@ -11,8 +11,8 @@ use crate::records::service::{self, Target};
 use crate::records::{grant, store};
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{AcquireOptions, Grant};
-use ledger_rejection::{Code, Rejection};
 
 /// Most services of one call.
 const SERVICES_MAX: usize = 64;

@@ -14,8 +14,8 @@ use crate::records::service::Target;
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{Reason, Released};
-use ledger_rejection::Rejection;
 
 /// Steps of policies that one call takes to decide again.
 const IN_CALL: u64 = 16 * STEPS_MAX;

@@ -7,8 +7,8 @@ use super::window::{self, State, Window};
 use crate::arguments::shown;
 use crate::rules::priority;
 use cedar_policy::{Effect, Policy, PolicySet};
+use ledger_base::nearest::did_you_mean;
 use ledger_contract::Limits;
-use nearest::did_you_mean;
 
 /// The priority of whom the policy permits, `@priority("7")`: for services with `priority=policy`.
 const PRIORITY: &str = "priority";

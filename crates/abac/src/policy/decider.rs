@@ -13,9 +13,9 @@ use crate::records::service::Target;
 use crate::records::sharing;
 use crate::rules::Table;
 use ledger::Context;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{Attributes, Limits, PolicyFault};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 use quick_cache::unsync::Cache;
 use std::hash::Hasher;
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -190,7 +190,7 @@ impl Decider {
     /// May this principal do that, says the owner of the robot?
     ///
     /// # Errors
-    /// Why not: [`ledger_rejection::Code::MissingAttribute`], [`ledger_rejection::Code::DeniedByPolicy`] or [`ledger_rejection::Code::PolicyError`].
+    /// Why not: [`ledger_base::rejection::Code::MissingAttribute`], [`ledger_base::rejection::Code::DeniedByPolicy`] or [`ledger_base::rejection::Code::PolicyError`].
     pub(crate) fn decide(
         &self,
         ctx: &Context<'_>,

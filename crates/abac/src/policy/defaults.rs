@@ -6,7 +6,7 @@
 
 use crate::records::sharing;
 use ledger::Rules;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::sync::LazyLock;
 
 /// The rule of the paper: the default policy of the newest rules.

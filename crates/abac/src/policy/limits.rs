@@ -5,7 +5,7 @@
 //! so each of its bytes takes [`STEPS_OF_PATTERN`] more.
 
 use super::invalid;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 
 /// Longest text of one policy, in bytes.
 pub const POLICY_BYTES_MAX: usize = 8 * 1024;
@@ -95,7 +95,7 @@ fn string_bytes(text: &str) -> usize {
 /// The steps that the policies of a text take, within what they may be since rules 3.
 ///
 /// # Errors
-/// [`ledger_rejection::Code::PolicyInvalid`] with what is too large.
+/// [`ledger_base::rejection::Code::PolicyInvalid`] with what is too large.
 pub(crate) fn steps(text: &str) -> Result<u64, Rejection> {
     let Sizes { patterns, pattern, wildcards, quoted, set } = sizes(text);
     let limits = [

@@ -6,8 +6,8 @@ use super::explain::Explanation;
 use crate::records::principal::Principal;
 use crate::records::robot::Robot;
 use crate::records::service::Target;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Condition, Direction};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 /// The refusal: what somebody can do something about comes first.

@@ -4,8 +4,8 @@ use super::defaults::Defaults;
 use super::{Texts, limits};
 use crate::records::store;
 use ledger::Context;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 
 /// Most policies of one organisation.
 pub(crate) const POLICIES_MAX: usize = 64;

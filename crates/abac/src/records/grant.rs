@@ -12,9 +12,9 @@ use super::service::{Service, Target};
 use super::{service, store};
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::mutation::lease_clock;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Grant, Limits, POLICIES_TOLD_MAX, Reason};
-use ledger_mutation::lease_clock;
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most holders of one service.
@@ -248,8 +248,8 @@ mod tests {
     use crate::fixture::block;
     use crate::records::robot;
     use crate::records::service::Service;
+    use ledger_base::hash::Hash;
     use ledger_contract::{Direction, Mode, Sharing};
-    use ledger_hash::Hash;
     use ledger_identity::Role;
     use std::collections::BTreeMap;
 

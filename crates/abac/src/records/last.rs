@@ -5,8 +5,8 @@
 
 use super::store;
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{Latest, Sequence};
-use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// Where the last message of a service is: key `last/…`.
@@ -90,7 +90,7 @@ fn key(service: &str, sequence: Sequence, publisher: &str) -> Vec<u8> {
 mod tests {
     use super::*;
     use ledger::{Environment, Registry};
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_storage::state::MemoryState;
     use ledger_storage::state::Overlay;
     use std::sync::Arc;

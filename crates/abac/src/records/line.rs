@@ -8,7 +8,7 @@ use super::principal::Principal;
 use super::store;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// A contender in line.

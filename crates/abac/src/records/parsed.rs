@@ -5,7 +5,7 @@
 
 use bytes::Bytes;
 use ledger::Context;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use quick_cache::Weighter;
 use quick_cache::unsync::Cache;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -73,7 +73,7 @@ fn same(a: &Bytes, b: &Bytes) -> bool {
 mod tests {
     use super::*;
     use ledger::{Environment, Meter, Registry, Rules};
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_storage::state::MemoryState;
     use ledger_storage::state::Overlay;
     use std::cell::Cell;

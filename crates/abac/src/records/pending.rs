@@ -7,8 +7,8 @@ use super::principal::Principal;
 use super::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::AcquireOptions;
-use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// A contender that waits to be confirmed.

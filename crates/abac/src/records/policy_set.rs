@@ -5,9 +5,9 @@
 
 use super::{proposed, store};
 use ledger::Context;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyDigest, PolicySet, PolicyText};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 /// How many sets of an organisation are kept.

@@ -1,7 +1,7 @@
 //! The caller, as the records keep it.
 
 use super::robot::Robot;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::{Identity, Role};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

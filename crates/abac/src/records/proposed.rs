@@ -4,8 +4,8 @@ use super::principal::Principal;
 use super::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyDigest;
-use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// A proposed set, as it stands on the ledger.

@@ -13,9 +13,9 @@ use super::robot::Robot;
 use super::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{KeyPlace, READERS_MAX, ReaderTold, Reason};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// A key is good for so long after a reader has come, or gone of its own accord (microseconds): a new one is under way meanwhile.

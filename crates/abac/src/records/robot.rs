@@ -5,11 +5,11 @@ use super::store;
 use crate::arguments::shown;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::hash::Hash;
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Attributes;
-use ledger_hash::Hash;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 
 /// Most robots of a network before rules 3. Since then each organisation has a quota.

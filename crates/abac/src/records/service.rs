@@ -7,10 +7,10 @@ use super::robot::{self, Robot};
 use super::{sharing, store};
 use crate::arguments::shown;
 use ledger::Context;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::nearest::did_you_mean;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Attributes, Direction, Mode, Sharing, read_from, readers};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
-use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

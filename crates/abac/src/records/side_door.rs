@@ -3,13 +3,13 @@
 use super::robot::Robot;
 use super::store;
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::SideDoor;
-use ledger_rejection::Rejection;
 
 /// The last report about a service.
 ///
 /// # Errors
-/// [`ledger_rejection::Code::Corrupt`] if the state cannot be read.
+/// [`ledger_base::rejection::Code::Corrupt`] if the state cannot be read.
 pub(crate) fn of(ctx: &Context<'_>, service: &str) -> Result<Option<SideDoor>, Rejection> {
     store::read(ctx, &store::side_door_key(service))
 }

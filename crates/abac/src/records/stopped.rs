@@ -2,13 +2,13 @@
 
 use super::store;
 use ledger::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::Stopped;
-use ledger_rejection::Rejection;
 
 /// The stop that holds for a robot.
 ///
 /// # Errors
-/// [`ledger_rejection::Code::Corrupt`] if the state cannot be read.
+/// [`ledger_base::rejection::Code::Corrupt`] if the state cannot be read.
 pub(crate) fn of(ctx: &Context<'_>, robot: &str) -> Result<Option<Stopped>, Rejection> {
     store::read(ctx, &store::stopped_key(robot))
 }

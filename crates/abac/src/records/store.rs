@@ -45,7 +45,7 @@
 
 use bytes::Bytes;
 use ledger::Context;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;

@@ -8,8 +8,8 @@ use super::principal::Principal;
 use super::{line, store};
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Point, Task};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// How many tasks of a service that have ended are kept.

@@ -2,7 +2,7 @@
 
 use super::store;
 use ledger::Context;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -2,8 +2,8 @@
 
 use super::terms::Terms;
 use super::{Claim, Decision, Situation};
+use ledger_base::mutation::{Mutation, active};
 use ledger_contract::{OnConflict, Sharing};
-use ledger_mutation::{Mutation, active};
 use std::cmp::Reverse;
 
 /// Decides about a contender for one of so many places.

@@ -1,7 +1,7 @@
 //! Where priorities come from: `attribute:NAME`, `policy`, `fixed:N`.
 
 use crate::arguments::shown;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// The largest priority; the smallest is the same below zero.
 pub(crate) const PRIORITY_MAX: i64 = 1_000_000;

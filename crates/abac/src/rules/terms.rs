@@ -4,8 +4,8 @@ use super::Rule;
 use super::priority::Source;
 use crate::arguments::shown;
 use crate::records::grant::HOLDERS_MAX;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{OnConflict, Sharing};
-use ledger_rejection::{Code, Rejection};
 
 /// Most that wait in one line.
 pub(crate) const QUEUE_MAX: u64 = 1024;

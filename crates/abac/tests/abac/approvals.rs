@@ -3,8 +3,8 @@
 use crate::fleet::{Fleet, SECOND, bytes, identity};
 use bytes::Bytes;
 use ledger_abac::{PolicyDraft, PolicyProposal, PolicySet, PolicyText};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -189,10 +189,10 @@ impl Model {
             (own.filter(|proposal| proposal.organisation == organisation).count() >= 8).then_some(Code::LimitExceeded)
         };
         // Without ids of transactions, proposals of one content would have one name.
-        self.fleet.transaction = ledger_hash::Hash::of(&[&now.to_be_bytes()]);
+        self.fleet.transaction = ledger_base::hash::Hash::of(&[&now.to_be_bytes()]);
         let draft = self.draft(content);
         let done = self.call(who, &["propose", &draft]);
-        self.fleet.transaction = ledger_hash::Hash::ZERO;
+        self.fleet.transaction = ledger_base::hash::Hash::ZERO;
         assert_eq!(done.as_ref().err().copied(), wanted, "{content:?}");
         if let Ok(answer) = done {
             let told: PolicyProposal = serde_json::from_slice(&answer).unwrap();

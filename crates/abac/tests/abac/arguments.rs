@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, TURTLEBOT, bytes, owner};
 use bytes::Bytes;
-use ledger_rejection::{Class, Code};
+use ledger_base::rejection::{Class, Code};
 
 pub(crate) const FUNCTIONS: [&str; 18] = [
     "GetSubmittingClientIdentity",

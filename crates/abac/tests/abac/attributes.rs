@@ -3,7 +3,7 @@
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, farhad, owner, robot, salma};
 use ledger::Rules;
 use ledger_abac::{Attribute, RobotAsset, RobotChange};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 const CRANE: &str = r#"{"attributes":{"kind":"crane","payload_kg":20,"zones":["b","a","b"]}}"#;
 /// Cranes that lift at most 50 kg, in zone a.

@@ -4,8 +4,8 @@
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, admin1, farhad, identity, owner, salma};
 use crate::tasks::{TWO, queued, ranked, submit, task, two};
 use ledger_abac::{Left, LeftReason, LineState, TaskState};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 /// A call that is refused with this code, and with words that contain these parts: found, wanted, what to try.
 #[track_caller]

@@ -6,8 +6,8 @@ use bytes::Bytes;
 use ledger::msp::QUOTAS;
 use ledger::{CALL_BUDGET, Chaincode, PAGE_MAX, Page, Rules, Usage};
 use ledger_abac::{DEFAULT_POLICY, Grant, PolicyChange, PolicyEntry, RobotAsset};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 /// A call of every function that succeeds in the network of the paper.
 fn calls() -> Vec<(&'static str, Identity, Vec<Bytes>)> {

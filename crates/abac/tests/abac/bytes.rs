@@ -3,7 +3,7 @@
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, bytes, farhad, identity, owner, robot, salma};
 use ledger::Rules;
 use ledger_abac::default_policy;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
 
 /// Every way in which the records change: robots, services, grants and their ends, messages, policies.

@@ -4,7 +4,7 @@ use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, bytes, farhad
 use bytes::Bytes;
 use ledger::{Page, Rules};
 use ledger_abac::{Ask, Can, Could, DEFAULT_POLICY, PolicyChange, PolicyDiff, PolicyFault, PolicyText};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 fn ask(who: &str, action: &str, service: &str) -> Ask {
     Ask { who: Some(who.to_owned()), action: action.to_owned(), service: service.to_owned(), ..Ask::default() }

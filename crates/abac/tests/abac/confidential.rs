@@ -5,11 +5,11 @@ mod story;
 use crate::fleet::{Fleet, SECOND, START, TURTLEBOT, TWIST, admin1, bytes, camera, farhad, identity, owner, salma};
 use bytes::Bytes;
 use ledger_abac::{DEFAULT_POLICY, Keyed, Readers, RobotChange, Share};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_confidential::{Keyring, ReadingKey, Sealer, Unreadable};
 use ledger_contract::{READERS_MAX, ReaderTold};
-use ledger_hash::Hash;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 
 const POSES: &str = "OptiTrack/poses";
 const HOUR: u64 = 3600 * SECOND;

@@ -2,8 +2,8 @@
 
 use crate::fleet::{Fleet, SECOND, TURTLEBOT, farhad, identity, owner, salma};
 use ledger_abac::{Acquired, Confirmation, Grant, Left, LeftReason, LineState, Pending};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 /// A safety officer, as the default policy knows them.
 fn officer(name: &str, serial: u8) -> Identity {

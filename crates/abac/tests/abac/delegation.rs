@@ -2,8 +2,8 @@
 
 use crate::fleet::{Fleet, SECOND, TURTLEBOT, farhad, identity, owner, salma};
 use ledger_abac::{Delegated, Grant, LineState, Reason, Released};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 fn third() -> Identity {
     identity("Org1", "Third", Role::Member, &["Turtlebot4"], 61)

@@ -2,8 +2,8 @@
 
 use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, TURTLEBOT, admin1, camera, farhad, identity, owner, robot, salma};
 use ledger_abac::{Emergency, EmergencyAnswer, Grant, Reason, Released, RobotAsset};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 fn safety(organisation: &str, serial: u8) -> Identity {
     identity(organisation, "Safety", Role::Member, &["safety"], serial)

@@ -1,7 +1,7 @@
 //! Following: a subscription is allowed or refused when somebody subscribes, before there is an event.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, robot, salma};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 const BRIDGE: [&str; 5] = ["message", "granted", "renewed", "released", "robot"];
 

@@ -2,8 +2,8 @@
 
 use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, farhad, identity, owner, robot, salma};
 use ledger_abac::{Grant, Reason, Released, ServiceState};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 
 #[test]
 fn a_held_service_says_who_holds_it_until_when() {

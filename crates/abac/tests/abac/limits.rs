@@ -3,7 +3,7 @@
 use crate::fleet::{Fleet, SECOND, START, TURTLEBOT, farhad, owner, salma};
 use ledger::Rules;
 use ledger_abac::{Grant, Limits, Reason, Released};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 const HOUR: u64 = 3600 * SECOND;
 

@@ -10,7 +10,7 @@ mod tasks;
 
 use crate::fleet::SECOND;
 use confirm::Asking;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use tasks::Task;
 pub(crate) use tasks::{State, Wanted};
 

@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, farhad, owner, robot, salma};
 use ledger_abac::{Grant, Mode, Reason, Released, RobotAsset};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 fn open() -> Fleet {
     let mut fleet = Fleet::empty();

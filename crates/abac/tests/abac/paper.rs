@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, salma};
 use ledger_abac::{Authorization, Caller, Grant, Mode, Reason, Released, RobotAsset};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use ledger_storage::result::Event;
 use serde_json::{Value, json};
 

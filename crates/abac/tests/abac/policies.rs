@@ -3,8 +3,8 @@
 use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, START, TURTLEBOT, admin1, farhad, identity, owner, robot, salma};
 use bytes::Bytes;
 use ledger_abac::{DEFAULT_POLICY, Grant, POLICY_BYTES_MAX, PolicyChange, PolicyEntry};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 
 const ALL: &str = "permit (principal, action, resource);";
 

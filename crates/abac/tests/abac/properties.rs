@@ -3,8 +3,8 @@
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, admin1, bytes, farhad, identity, owner, robot, salma};
 use bytes::Bytes;
 use ledger_abac::{DEFAULT_POLICY, Grant};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 

@@ -3,7 +3,7 @@
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, bytes, farhad, owner, salma};
 use bytes::Bytes;
 use ledger_abac::{Grant, Latest, MESSAGES_PER_CALL_MAX, MessageEvent, Published};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 #[test]
 fn an_old_epoch_is_refused_after_a_newer_grant() {

@@ -2,9 +2,9 @@
 
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, camera, farhad, identity, owner, salma};
 use ledger_abac::{Acquired, Authorization, Grant, Left, LeftReason, Limits, LineState, Reason, Released, RobotAsset};
+use ledger_base::rejection::Code;
 use ledger_contract::RobotChange;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 use ledger_storage::result::Event;
 
 /// The places of Turtlebot4's subscribers.

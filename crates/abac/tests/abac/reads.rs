@@ -4,7 +4,7 @@ use crate::fleet::{Fleet, TURTLEBOT, TWIST, bytes, owner, robot, salma};
 use bytes::Bytes;
 use ledger::{Context, Registry};
 use ledger_abac::Grant;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_storage::state::{MemoryState, Overlay, StateRead};
 use std::sync::{Arc, Mutex};
 

@@ -5,9 +5,9 @@ use ledger::Rules;
 use ledger_abac::{
     Declaration, Direction, Fencing, Grant, Mode, Publishing, Reason, Released, RobotAsset, RobotEvent, ServiceState,
 };
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use ledger_storage::state::StateRead;
 
 #[test]

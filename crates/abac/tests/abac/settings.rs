@@ -2,8 +2,8 @@
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, bytes, farhad, identity, owner, robot, salma};
 use ledger_abac::{DEFAULT_POLICY, Grant, Mode, Reason, RobotAsset, RobotChange, RobotEvent, SettingChange};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 
 const TWO: &str = r#"{"name":"Spot","attribute_required":"Husky","services":[
     {"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"},{"topic":"/arm","type":"std_msgs/msg/Float64"}]}"#;

@@ -7,8 +7,8 @@ use ledger_abac::{
     LineTold, Mode, Place, Publishing, Reason, Released, RobotAsset, RobotChange, Rule, Sequence, Sharing, Situation,
     contend,
 };
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 use std::sync::Arc;
 
 fn set(fleet: &mut Fleet, sharing: &str) -> RobotChange {

@@ -3,8 +3,8 @@
 use crate::fleet::{Fleet, SECOND, TURTLEBOT, admin1, camera, farhad, identity, owner, robot, salma};
 use ledger::Rules;
 use ledger_abac::{RobotAsset, SideDoor};
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 const REPORT: &str = "report_side_door";
 

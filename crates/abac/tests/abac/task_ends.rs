@@ -3,8 +3,8 @@
 use crate::fleet::{SECOND, TURTLEBOT, farhad, identity, owner, salma};
 use crate::tasks::{TWO, done, is, is_quiet, line, queued, ranked, submit, task, two, with};
 use ledger_abac::TaskState;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 
 #[test]
 fn a_preempted_task_ends_or_waits_again_and_keeps_its_points() {

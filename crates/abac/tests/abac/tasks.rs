@@ -5,8 +5,8 @@ use ledger::Rules;
 use ledger_abac::{
     Acquired, Declaration, Grant, LineState, Reason, Released, Submitted, Task, TaskSpec, TaskState, TaskTold,
 };
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 pub(crate) const TWO: &str =
     r#"{"points":[{"x_um":1000000,"y_um":0},{"x_um":1000000,"y_um":-2000000,"yaw_urad":1570796}]}"#;
@@ -322,7 +322,7 @@ fn of_the_tasks_that_ended_the_newest_sixteen_are_kept() {
 #[test]
 fn a_declaration_tells_the_next_points_of_the_running_task() {
     let mut fleet = queued();
-    fleet.transaction = ledger_hash::Hash([1; 32]);
+    fleet.transaction = ledger_base::hash::Hash([1; 32]);
     submit(&mut fleet, &salma(), &two(r#""frame":"odom""#));
     submit(&mut fleet, &farhad(), TWO);
     fleet.ok(&salma(), "progress", &["1", "1"]);

@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, farhad, owner, salma};
 use ledger_abac::{Acquired, Grant, LineTold};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 fn both(fleet: &Fleet) -> Vec<Grant> {
     let grants = fleet.simulate(&owner(), "grants", &[]).unwrap();

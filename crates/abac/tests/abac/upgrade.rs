@@ -4,7 +4,7 @@ use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, farhad, owner, robot, salma}
 use ledger::msp::QUOTAS;
 use ledger::{PAGE_MAX, Rules};
 use ledger_abac::{Grant, PolicyEntry};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use ledger_storage::state::StateRead;
 use std::collections::BTreeSet;
 

@@ -7,8 +7,8 @@ use ledger_abac::{
     Acquired, Ask, Can, DEFAULT_POLICY, Grant, Permitted, PolicyApprovals, PolicyChange, PolicyDraft, PolicyProposal,
     PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText,
 };
+use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::Code;
 
 const ALL: &str = "permit (principal, action, resource);";
 const DAY: u64 = 24 * 3600 * SECOND;

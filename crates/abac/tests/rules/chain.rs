@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use ledger::{Ledger, Registry};
 use ledger_abac::AccessControl;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::result::EmittedEvent;
 use ledger_storage::results::ResultStore;

@@ -3,8 +3,8 @@
 use crate::story::{BOSS, COMMANDS, FARHAD, MESSAGE, NODE1, OWNER, SALMA};
 use crate::teller::{SECOND, Teller};
 use ledger::msp::CarryCa;
-use ledger_hash::Hash;
-use ledger_rejection::Code::{self, Ok};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code::{self, Ok};
 use serde_json::json;
 
 /// A task of two points.

@@ -2,7 +2,7 @@
 
 use ledger::Rules;
 use ledger_abac::{default_policy, schema};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 const POLICY_OF_2: &str = "72a547fb3e5c8e2dbeae2e79333f414015bf103dcac3da5da3ec0b357971ad88";
 const SCHEMA_OF_2: &str = "c10da142de09974cdfc6e4d7c3d82650e57d1ea749c74aaac851c3adb3925185";

@@ -14,8 +14,8 @@ mod teller;
 
 use chain::{Block, Chain, path};
 use ledger::Rules;
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_storage::result::TransactionResult;
 
 /// A block of a stored chain, as executing it again gives it.

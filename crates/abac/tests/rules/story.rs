@@ -7,9 +7,9 @@ use bytes::Bytes;
 use ledger::Rules;
 use ledger::members::{Change, MembershipChange};
 use ledger_abac::default_policy;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code::{self, Ok};
 use ledger_identity::certificate::Certificate;
-use ledger_rejection::Code::{self, Ok};
 use ledger_storage::entry::EntryKind;
 use serde_json::json;
 

@@ -11,10 +11,10 @@ use crate::v1;
 use bytes::Bytes;
 use ledger::evidence::{Evidence, Link, Proved, Step};
 use ledger::network::Genesis;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
 use ledger_light::{Change, Checkpoint, Governance, Proof, Way};
-use ledger_rejection::{Code, Rejection};
 use std::path::Path;
 use std::time::Duration;
 use tokio::time::timeout;
@@ -178,7 +178,7 @@ impl Client {
 /// # Errors
 /// [`Code::BadFile`]; as [`Checkpoint::from_bytes`].
 pub fn read_checkpoint(network: &Hash, path: &Path) -> Result<Checkpoint, Rejection> {
-    let found = ledger_durable::read(path, CHECKPOINT_BYTES_MAX)?;
+    let found = ledger_base::durable::read(path, CHECKPOINT_BYTES_MAX)?;
     Checkpoint::from_bytes(network, &found).map_err(|refused| {
         let message = format!("{} is not usable: {}", path.display(), refused.message);
         Rejection { message, ..refused }.next("name another file, or none: then the way begins at the genesis")

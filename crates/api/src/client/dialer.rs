@@ -11,8 +11,8 @@ use crate::connect::{Connection, Credentials, Expected, explain, other_network, 
 use crate::tls::TlsIdentity;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitRequest, SubmitResponse};
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Class, Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Class, Code, Rejection};
 use rustls::ClientConfig;
 use std::collections::BTreeMap;
 use std::sync::Arc;

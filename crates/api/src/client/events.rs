@@ -7,7 +7,7 @@ use super::dialer::is_final;
 use super::in_flight::RETRY_AFTER;
 use super::session::Up;
 use crate::v1;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout, timeout_at};

@@ -1,7 +1,7 @@
 //! Transactions that this client has signed and no node has seen: only of these a node may say that a refusal is final
 //! without looking for a copy elsewhere.
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::collections::HashSet;
 use std::sync::{Mutex, PoisonError};
 

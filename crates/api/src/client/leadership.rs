@@ -5,7 +5,7 @@ use super::in_flight::RETRY_AFTER;
 use super::session::Up;
 use crate::report::accepted;
 use crate::v1;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::time::Instant;
 use tokio::time::sleep;
 

@@ -15,7 +15,7 @@ use crate::v1::gateway_client::GatewayClient;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
 use ledger::Rules;
 use ledger::transaction::Transaction;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};

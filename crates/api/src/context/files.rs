@@ -4,8 +4,8 @@
 //! Where the file system knows no such step, the old one waits as `.NAME.old` in between: whatever a crash leaves
 //! behind, [`finish_replacement`] sees one complete context. One program at a time does this: see [`super::lock`].
 
-use ledger_durable::SECRET_MODE;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::durable::SECRET_MODE;
+use ledger_base::rejection::{Code, Rejection};
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -124,8 +124,8 @@ pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, Str
     DirBuilder::new().mode(DIRECTORY_MODE).create(&new).map_err(at(&new))?;
     let written = files
         .iter()
-        .try_for_each(|(file, content)| ledger_durable::create(&new.join(file), content.as_bytes(), SECRET_MODE));
-    if let Err(refused) = written.and_then(|()| ledger_durable::sync_directory(&new)) {
+        .try_for_each(|(file, content)| ledger_base::durable::create(&new.join(file), content.as_bytes(), SECRET_MODE));
+    if let Err(refused) = written.and_then(|()| ledger_base::durable::sync_directory(&new)) {
         // A full disk gets back what the half of a context took.
         let _kept = remove_directory(&new);
         return Err(advised(refused));
@@ -133,12 +133,12 @@ pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, Str
     if current.exists() {
         // Other programs see the one or the other, never none.
         if renameat_with(CWD, &new, CWD, &current, RenameFlags::EXCHANGE).is_ok() {
-            ledger_durable::sync_directory(contexts).map_err(advised)?;
+            ledger_base::durable::sync_directory(contexts).map_err(advised)?;
             return remove_directory(&new);
         }
-        ledger_durable::rename(&current, &old).map_err(advised)?;
+        ledger_base::durable::rename(&current, &old).map_err(advised)?;
     }
-    ledger_durable::rename(&new, &current).map_err(advised)?;
+    ledger_base::durable::rename(&new, &current).map_err(advised)?;
     remove_directory(&old)
 }
 
@@ -150,12 +150,12 @@ pub(super) fn replace_file(directory: &Path, name: &str, content: &str) -> Resul
 
 /// As [`replace_file`], in a directory that must exist: one that was removed meanwhile does not come back.
 pub(super) fn replace_file_in(directory: &Path, name: &str, content: &str) -> Result<(), Rejection> {
-    ledger_durable::replace(&directory.join(name), content.as_bytes(), SECRET_MODE).map_err(advised)
+    ledger_base::durable::replace(&directory.join(name), content.as_bytes(), SECRET_MODE).map_err(advised)
 }
 
 /// Makes a directory, and those above it.
 pub(super) fn create_directories(path: &Path) -> Result<(), Rejection> {
-    ledger_durable::create_directory(path).map_err(advised)
+    ledger_base::durable::create_directory(path).map_err(advised)
 }
 
 pub(super) fn remove_directory(path: &Path) -> Result<(), Rejection> {
@@ -174,5 +174,5 @@ fn advised(refused: Rejection) -> Rejection {
 
 /// A failed operation on the files of contexts.
 pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
-    advised(ledger_durable::failed("write", path, error))
+    advised(ledger_base::durable::failed("write", path, error))
 }

@@ -4,7 +4,7 @@ use super::CONTEXT_NAME_BYTES_MAX;
 use super::Context;
 use super::files::{self, bad_file};
 use super::lock::Lock;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -148,7 +148,7 @@ fn unknown(home: &Path, name: &str) -> Rejection {
         true => "ledgerctl enroll NAME --node HOST:PORT --ca-fingerprint SHA256 --secret S",
         false => "ledgerctl context list",
     };
-    let next = nearest::did_you_mean(name, names.iter().map(String::as_str), otherwise);
+    let next = ledger_base::nearest::did_you_mean(name, names.iter().map(String::as_str), otherwise);
     Rejection::new(Code::NoContext, format!("there is no context {name:?}"))
         .found(listed(home, &names))
         .wanted("the name of a stored context")

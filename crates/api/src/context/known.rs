@@ -13,8 +13,8 @@ use super::lock::Lock;
 use super::organisations::{self, Stored};
 use crate::connect;
 use crate::v1;
+use ledger_base::rejection::Rejection;
 use ledger_identity::msp::Msps;
-use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -156,7 +156,7 @@ impl Context {
     /// context is touched.
     ///
     /// # Errors
-    /// [`Code::BadFile`](ledger_rejection::Code::BadFile) if the disk is full, the context read-only or removed
+    /// [`Code::BadFile`](ledger_base::rejection::Code::BadFile) if the disk is full, the context read-only or removed
     /// meanwhile. A command goes on all the same.
     pub fn note(&self) -> Result<(), Rejection> {
         let (Some(directory), Some(text)) = (&self.memory.directory, self.memory.to_json()?) else { return Ok(()) };

@@ -1,6 +1,6 @@
 //! One program at a time changes contexts, and nobody reads one that is half changed.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::unix::fs::OpenOptionsExt;

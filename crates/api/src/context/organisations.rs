@@ -3,11 +3,11 @@
 use super::files;
 use crate::v1;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::units::{Unit, Units};
-use ledger_rejection::{Code, Rejection};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 use serde::{Deserialize, Serialize};

@@ -9,9 +9,9 @@
 
 use super::{files, home};
 use crate::context::files::bad_file;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

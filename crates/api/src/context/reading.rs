@@ -5,7 +5,7 @@ use super::Context;
 use super::files::{self, bad_file};
 use super::home;
 use super::lock::Lock;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use std::path::Path;
 

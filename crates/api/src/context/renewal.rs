@@ -5,7 +5,7 @@ use super::files::unwritable;
 use super::home::renewing;
 use crate::client::Client;
 use crate::renew::{Renewal, renewal_due};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::Read;
@@ -109,7 +109,7 @@ impl Context {
     /// context. If another program is at it, what that one gets is the answer.
     ///
     /// # Errors
-    /// As [`Renewal::finish`], what the CA says, and [`Code::BadFile`](ledger_rejection::Code::BadFile) before anything
+    /// As [`Renewal::finish`], what the CA says, and [`Code::BadFile`](ledger_base::rejection::Code::BadFile) before anything
     /// is asked for if the context cannot be changed.
     pub async fn renew(&self, client: &Client) -> Result<Self, Rejection> {
         let home = match self.home() {

@@ -1,7 +1,7 @@
 //! Our own side of a connection: certificate chain and private key.
 
 use super::provider;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::IdentityError;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger_identity::key::{KEY_BYTES_MAX, KeyError, PublicKey, SigningKey};

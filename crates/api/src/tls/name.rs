@@ -8,7 +8,7 @@
 //! | knows its network | the hash of the genesis, in hexadecimal, as two labels of 32 digits, then `.ledgerd.internal` |
 //! | first contact | `node.ledgerd.internal` |
 
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use rustls::pki_types::{InvalidDnsNameError, ServerName};
 
 /// The end of every name.

@@ -1,7 +1,7 @@
 //! Why the other side of a connection is refused, and how the reason comes back out of a failed handshake.
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{IdentityError, Role};
-use ledger_rejection::{Code, Rejection};
 use rustls::{CertificateError, OtherError};
 use std::error::Error as StdError;
 use std::io;

@@ -3,7 +3,7 @@
 use super::identity::{TlsError, TlsIdentity};
 use super::refusal::Refusal;
 use super::{ALPN, VERSIONS, provider};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, IdentityError, Role};
 use rustls::client::Resumption;

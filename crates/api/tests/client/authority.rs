@@ -4,7 +4,7 @@ use crate::fake::Fake;
 use bytes::Bytes;
 use ledger_api::Context;
 use ledger_api::tls::TlsIdentity;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
 use rcgen::{

@@ -7,11 +7,11 @@ use ledger::Rules;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger_api::tls::TlsIdentity;
 use ledger_api::{Call, Client, v1};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_light::fact::Fact;
 use ledger_light::proof::{Proof, Shown};
 use ledger_light::{Certificate, Change, Statement, merkle};
-use ledger_rejection::Code;
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -2,9 +2,9 @@
 
 use crate::authority::Authority;
 use ledger_api::Context;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

@@ -3,9 +3,9 @@
 use crate::authority::{Authority, NETWORK};
 use crate::fake::Fake;
 use ledger_api::{Client, Enrolment};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 use std::sync::Arc;
 
 #[tokio::test]

@@ -3,8 +3,8 @@
 use crate::authority::Authority;
 use crate::fake::{Fake, until};
 use ledger_api::{Client, Context, Options};
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

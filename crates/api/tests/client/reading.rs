@@ -3,8 +3,8 @@
 use crate::authority::Authority;
 use crate::fake::Fake;
 use ledger_api::Client;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 
 #[tokio::test]

@@ -4,7 +4,7 @@ use crate::authority::Authority;
 use crate::fake::Fake;
 use ledger_api::context::{RenewalRule, Renewed};
 use ledger_api::{Client, Context};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use tempfile::TempDir;

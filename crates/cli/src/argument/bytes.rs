@@ -3,7 +3,7 @@
 use crate::failure::unreadable;
 use bytes::Bytes;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::io::Read;
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Messages as people write them, and the definitions of their types.
 
 use super::bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ros_message::{Fault, Library, Message};
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! Policies in files, each named by its file: `night.cedar` is the policy `night`.
 
 use super::bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::PolicyText;
-use ledger_rejection::{Code, Rejection};
 use std::path::{Path, PathBuf};
 
 /// Reads the text of one file.

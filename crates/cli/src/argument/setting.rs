@@ -146,7 +146,7 @@ pub(crate) fn find(name: &str, meant: impl Fn(&Key) -> bool) -> Result<&'static 
         return Ok(key);
     }
     let names = KEYS.iter().filter(|key| meant(key)).map(|key| key.name);
-    let near = nearest::nearest(name, names);
+    let near = ledger_base::nearest::nearest(name, names);
     let hint = near.map(|near| format!(" (did you mean {near}?)")).unwrap_or_default();
     Err(format!("unknown setting {name:?}{hint}; wanted one of {}", listed(meant)))
 }

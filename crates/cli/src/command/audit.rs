@@ -11,7 +11,7 @@ use crate::session::Session;
 use crate::time;
 use bytes::Bytes;
 use ledger_api::v1::{AuditRequest, AuditResponse};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use row::{Row, Rows};
 use std::time::Duration;
 

@@ -8,8 +8,8 @@ use crate::output::{Facts, Output};
 use crate::session::Session;
 use crate::time::moment;
 use ::bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -56,7 +56,7 @@ struct Done {
     answer: EmergencyAnswer,
     time: u64,
     height: u64,
-    transaction: ledger_hash::Hash,
+    transaction: ledger_base::hash::Hash,
     #[serde(skip)]
     state: &'static str,
 }

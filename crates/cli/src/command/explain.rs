@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -53,7 +53,7 @@ fn find(text: &str) -> Result<Code, Rejection> {
     }
     let named = |name: &str| Code::ALL.iter().find(|code| code.name() == name).copied();
     named(&wanted).ok_or_else(|| {
-        let near = nearest::nearest(&wanted, Code::ALL.iter().map(|code| code.name()));
+        let near = ledger_base::nearest::nearest(&wanted, Code::ALL.iter().map(|code| code.name()));
         unknown(text, near.and_then(named))
     })
 }

@@ -124,7 +124,7 @@ struct Granted {
     /// Block time of the transaction, microseconds.
     time: u64,
     height: u64,
-    transaction: ledger_hash::Hash,
+    transaction: ledger_base::hash::Hash,
     #[serde(skip)]
     renewed: bool,
     /// Is it somebody else's?
@@ -283,7 +283,7 @@ struct Ended {
     released: Vec<Released>,
     time: u64,
     height: u64,
-    transaction: ledger_hash::Hash,
+    transaction: ledger_base::hash::Hash,
 }
 
 impl Facts for Ended {
@@ -334,7 +334,7 @@ mod tests {
             policy_version: 0,
             policies: Vec::new(),
         };
-        let transaction = ledger_hash::Hash::ZERO;
+        let transaction = ledger_base::hash::Hash::ZERO;
         Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction, renewed, passed_on: false }
     }
 

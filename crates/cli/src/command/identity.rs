@@ -16,9 +16,9 @@ use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
 use ledger::msp::{AFFILIATION, IdentityRecord, IssuedCertificate};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -148,7 +148,7 @@ async fn find(session: &Session, name: &str) -> Result<Person, Rejection> {
     Err(Rejection::new(Code::NotFound, format!("no identity {name:?} is registered"))
         .found(name)
         .wanted("the name of a registered identity")
-        .next(nearest::did_you_mean(name, names, "ledgerctl identity list")))
+        .next(ledger_base::nearest::did_you_mean(name, names, "ledgerctl identity list")))
 }
 
 /// A new registration, with all that its owner needs.

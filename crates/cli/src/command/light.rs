@@ -6,10 +6,10 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
 use ledger_api::{Call, Certified, read_checkpoint};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Declaration, Grant};
-use ledger_hash::Hash;
 use ledger_light::{Checkpoint, Governance};
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -70,7 +70,7 @@ impl Light {
         };
         let certified = session.client.invoke_certified(known.as_ref(), call).await?;
         if let Some(path) = &self.checkpoint {
-            ledger_durable::replace(path, &certified.checkpoint.to_bytes(), ledger_durable::PUBLIC_MODE)?;
+            ledger_base::durable::replace(path, &certified.checkpoint.to_bytes(), ledger_base::durable::PUBLIC_MODE)?;
         }
         output.show(&Shown::new(&certified, known.map_or(0, |known| known.height()), session.client.now())?)
     }

@@ -17,9 +17,9 @@ pub(crate) use senders::Senders;
 use crate::session::ABAC;
 use bytes::Bytes;
 use ledger::transaction::Body;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::MessageEvent;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 
 /// Arguments of `set` before the messages: service, epoch, sequence number.
 const ARGS_BEFORE_PAYLOADS: usize = 3;

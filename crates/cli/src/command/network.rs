@@ -20,7 +20,7 @@ use bytes::Bytes;
 use ledger::msp::{NodeRecord, NodeRole, Nodes};
 use ledger_api::Context;
 use ledger_api::context::msps_of;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::sync::Arc;

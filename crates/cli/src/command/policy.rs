@@ -16,8 +16,8 @@ use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
 use crate::words::Words;
 use ::bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyEntry};
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::Path;
@@ -179,7 +179,7 @@ impl Show {
 fn not_found(id: &str, home: &str, all: &[PolicyEntry]) -> Rejection {
     let known = all.iter().filter(|entry| entry.organisation == home || entry.organisation.is_empty());
     let known: Vec<&str> = known.map(|entry| entry.id.as_str()).collect();
-    let near = nearest::did_you_mean(id, known.iter().copied(), "ledgerctl policy list");
+    let near = ledger_base::nearest::did_you_mean(id, known.iter().copied(), "ledgerctl policy list");
     Rejection::new(Code::NotFound, "there is no policy of this name")
         .found(id)
         .wanted(format!("one of {}, or ORG/NAME of another organisation", known.join(", ")))

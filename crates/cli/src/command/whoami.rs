@@ -5,9 +5,9 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{ABAC, Session};
 use crate::{context, time};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Class, Rejection};
 use ledger_identity::Role;
-use ledger_rejection::{Class, Rejection};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -129,7 +129,7 @@ impl Whoami {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ledger_rejection::Code;
+    use ledger_base::rejection::Code;
 
     #[test]
     fn silence_is_told_apart_from_refusal() {

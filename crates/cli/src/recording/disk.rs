@@ -1,6 +1,6 @@
 //! The file of a recording. A part that cannot be written whole is taken back, so that the file ends with a whole chunk.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

@@ -1,6 +1,6 @@
 //! Recordings and bags of others, read from the beginning. A file without an end is read as far as it goes.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use mcap::{Fault, Item, Reader};
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -1,8 +1,8 @@
 //! The ledger's words about messages, and its events, as messages of types of our own. A recording has their definitions.
 
 use super::{CDR, DEFINITION, Disk, OWN_PACKAGE};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use mcap::{Stamp, Writer};
 use ros_message::{ByteOrder, Library, Message, Time, Written};
 use std::collections::BTreeMap;

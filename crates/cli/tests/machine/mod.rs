@@ -1,7 +1,7 @@
 //! A machine for tests of `ledgerctl` without a node.
 
 use ledger_api::Context;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::SigningKey;
 use ledger_identity::msp::{Msp, Msps};
 use rcgen::{

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, sync::Arc};
 
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::Identity;
 use quick_cache::unsync::Cache;
 

@@ -107,7 +107,7 @@ fn a_forged_signature_does_not_pass() {
 fn a_transaction_for_another_network_does_not_pass() {
     let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
-    let elsewhere = User { network: ledger_hash::Hash([9; 32]), ..network.salma.clone() };
+    let elsewhere = User { network: ledger_base::hash::Hash([9; 32]), ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &elsewhere, &elsewhere.set(3, 1, &TWIST)), Err(Refused::WrongNetwork));
 }
 
@@ -386,7 +386,7 @@ fn the_revoked_do_not_pass_and_the_robot_they_moved_stops() {
     assert!(gate.revoked(&network.salma.revocation(&network), now()));
     assert!(!gate.is_moving());
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 2, &TWIST)), Err(Refused::Revoked));
-    assert!(!gate.revoked(&Revoked { issuer: ledger_hash::Hash::ZERO, serial: "zz".into() }, now()));
+    assert!(!gate.revoked(&Revoked { issuer: ledger_base::hash::Hash::ZERO, serial: "zz".into() }, now()));
 }
 
 #[test]

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use bytes::Bytes;
+use ledger_base::mutation::{Mutation, active};
 use ledger_contract::{Reason, Word};
-use ledger_mutation::{Mutation, active};
 
 use super::held::Message;
 use crate::{

@@ -1,7 +1,7 @@
 //! Why a certificate, or an authority, is refused.
 
 use crate::key::KeyError;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use thiserror::Error;
 use x509_parser::time::ASN1Time;
 

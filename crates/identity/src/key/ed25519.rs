@@ -10,7 +10,7 @@ use chacha20::ChaCha20Rng;
 use chacha20::rand_core::SeedableRng;
 use ed25519_zebra::batch::Verifier;
 use ed25519_zebra::{Signature, VerificationKey, VerificationKeyBytes};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 /// Bytes of a public key.
 pub(super) const KEY_BYTES: usize = 32;

@@ -5,7 +5,7 @@ use crate::certificate::Certificate;
 use crate::identity::{IdentityError, printable};
 use crate::key::{KeyKind, PublicKey};
 use crate::revocation_list::RevocationList;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use rustls_pki_types::{CertificateDer, SignatureVerificationAlgorithm, UnixTime};
 use std::time::Duration;
 use webpki::ring::{ECDSA_P256_SHA256, ECDSA_P384_SHA384, ED25519};

@@ -1,10 +1,10 @@
 //! The fields that are read from a certificate.
 
 use crate::authority::{Ca, NONE, NOW, attributes, network, params, with_attributes};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::{ATTRIBUTES_MAX, CERTIFICATE_BYTES_MAX, encode_attributes};
 use ledger_identity::msp::Msp;
 use ledger_identity::{IdentityError, Role};
-use ledger_rejection::{Code, Rejection};
 use rcgen::{DnType, SanType};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;

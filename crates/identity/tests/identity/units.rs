@@ -1,7 +1,7 @@
 //! Organisations with words of their own for roles, as a Fabric organisation has them.
 
 use crate::authority::{Ca, NONE, NOW, attributes, ca_params, network, params, with_attributes};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::units::{UNITS_MAX, Unit, Units};
 use ledger_identity::{IdentityError, Role};

@@ -19,7 +19,7 @@ fn a_certificate_of_an_organisation_is_that_organisations_identity() {
     let certificate = one.user("Salma");
     let salma = network.verify(&certificate, NONE, NOW).unwrap();
     assert_eq!(salma.id(), "Org1/Salma");
-    assert_eq!(salma.fingerprint, ledger_hash::Hash::of(&[&certificate]).0);
+    assert_eq!(salma.fingerprint, ledger_base::hash::Hash::of(&[&certificate]).0);
     assert_eq!(network.verify(&two.user("Salma"), NONE, NOW).unwrap().id(), "Org2/Salma");
 }
 

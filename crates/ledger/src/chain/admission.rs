@@ -11,10 +11,10 @@ use crate::execution::check_network;
 use crate::rules::Rules;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 use std::sync::{Arc, PoisonError};
 
 use super::TransactionRecord;

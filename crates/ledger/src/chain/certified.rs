@@ -3,10 +3,10 @@
 use super::{BlockHashes, Ledger};
 use crate::facts::{self, ControlWrites, Facts};
 use crate::msp;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::fact::Fact;
 use ledger_light::proof::Shown;
 use ledger_light::{Change, Voters};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::{BlockResult, Roots};
 use ledger_storage::results::ResultStore;
 

@@ -1,8 +1,8 @@
 //! The right to read: checked at each subscription, and again for every event.
 
 use super::{Context, Ledger, Meter, check_organisation, check_revoked};
+use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
-use ledger_rejection::Rejection;
 use ledger_storage::result::Event;
 
 impl Ledger {

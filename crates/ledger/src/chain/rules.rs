@@ -3,8 +3,8 @@
 use super::Ledger;
 use crate::msp::{self, NodeRecord};
 use crate::rules::{Activation, Rules, Schedule};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::{PoisonError, RwLockReadGuard};
 
 impl Ledger {

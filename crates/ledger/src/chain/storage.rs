@@ -3,7 +3,7 @@
 use super::Ledger;
 use crate::foretold::Completing;
 use crate::transaction::NOT_AFTER_AHEAD_MAX;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_storage::snapshot::Snapshots;
 use ledger_storage::state::Tip;
 use std::sync::PoisonError;
@@ -24,7 +24,7 @@ impl Ledger {
     /// snapshots that are due on the way. Runs beside everything else.
     ///
     /// # Errors
-    /// [`Code::DiskFull`](ledger_rejection::Code::DiskFull), [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed):
+    /// [`Code::DiskFull`](ledger_base::rejection::Code::DiskFull), [`Code::DiskFailed`](ledger_base::rejection::Code::DiskFailed):
     /// nothing is lost, the blocks have it.
     pub fn flush(&self, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
         self.flush_up_to(u64::MAX, snapshots)
@@ -91,7 +91,7 @@ impl Ledger {
     /// Answers with the height of the oldest result that is left.
     ///
     /// # Errors
-    /// [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed).
+    /// [`Code::DiskFailed`](ledger_base::rejection::Code::DiskFailed).
     pub fn prune_results(&self, keep_from: u64) -> Result<u64, Rejection> {
         self.results.prune(keep_from, self.tip().time.saturating_sub(NOT_AFTER_AHEAD_MAX))
     }

@@ -6,8 +6,8 @@
 //! the organisation whose policies they are.
 
 use crate::rules::Rules;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashSet};
 use std::panic::resume_unwind;

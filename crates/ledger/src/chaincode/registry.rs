@@ -5,7 +5,7 @@ use super::context::{Context, Environment, run, run_hook};
 use super::{Chaincode, Foretold};
 use crate::rules::Rules;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 use ledger_storage::state::Overlay;
 use std::collections::BTreeMap;
@@ -172,7 +172,7 @@ impl Registry {
     /// Runs a hook of one chaincode; a hook that panics leaves nothing behind.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::ChaincodePanic`], [`ledger_rejection::Code::LimitExceeded`].
+    /// [`ledger_base::rejection::Code::ChaincodePanic`], [`ledger_base::rejection::Code::LimitExceeded`].
     pub fn hook(
         environment: Environment<'_>,
         chaincode: &dyn Chaincode,

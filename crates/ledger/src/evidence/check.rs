@@ -4,11 +4,11 @@ use super::{Evidence, Link, Step};
 use crate::block::{Header, leaf};
 use crate::network::Genesis;
 use crate::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_light::fact::Fact;
 use ledger_light::{Change, Governance, Proof};
-use ledger_rejection::{Code, Rejection};
 
 /// The facts that evidence proves.
 #[derive(Clone, Debug, PartialEq)]

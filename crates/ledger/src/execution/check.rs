@@ -1,8 +1,8 @@
 //! The invariants of an executed block, stated before anybody hears of it.
 
 use super::Execution;
-use ledger_hash::Hash;
-use ledger_invariant::{costly_invariant, invariant};
+use ledger_base::hash::Hash;
+use ledger_base::{costly_invariant, invariant};
 use ledger_storage::state::Tip;
 use std::collections::HashSet;
 
@@ -99,7 +99,7 @@ mod tests {
 
     #[test]
     fn an_execution_that_contradicts_itself_is_found_before_anybody_hears_of_it() {
-        ledger_invariant::look_closely();
+        invariant::look_closely();
         let breaks: [Break; 8] = [
             (|broken| broken.header.height = 8, "a block follows the one before it"),
             (|broken| broken.header.previous = Hash::ZERO, "a block follows the one before it"),

@@ -4,7 +4,7 @@
 use crate::identities::Identities;
 use crate::msp::{self, ORGANISATION_KEYS};
 use crate::rules::Rules;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ledger_storage::state::{Overlay, WriteSet};
 
 /// The identities by the organisations as the transactions of a block so far have left them.
@@ -24,7 +24,7 @@ impl<'a> Trust<'a> {
     /// Before the next transaction.
     ///
     /// # Errors
-    /// [`ledger_rejection::Code::Corrupt`] if an organisation cannot be read.
+    /// [`ledger_base::rejection::Code::Corrupt`] if an organisation cannot be read.
     pub(super) fn now(&mut self, rules: Rules, overlay: &Overlay) -> Result<&Identities, Rejection> {
         if !rules.ends_rights_of_lost_authorities() {
             return Ok(self.before);

@@ -7,8 +7,8 @@ use super::rules::ActivateRules;
 use super::store::json;
 use super::{ACTIVATE_RULES, INVITE_ORGANISATION, NAME, REMOVE_ORGANISATION, SET_NODE_ROLE};
 use crate::chaincode::Call;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// A call that needs approval, as a proposal names it. It never gets another variant: every new one is a

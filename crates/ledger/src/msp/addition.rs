@@ -12,8 +12,8 @@ use super::{ADD_ORGANISATION, NAME};
 use crate::chaincode::{Call, Context};
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::units::Units;
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most revocation lists that come along: one for each authority that there may be.

@@ -5,7 +5,7 @@
 //! machine or one building use them. A name is looked up when it is dialled, and what it leads to is checked then.
 
 use crate::rules::Rules;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 /// Longest address, in bytes.

@@ -12,7 +12,7 @@ use super::{ALLOW_NODES, NAME, NODES_PER_ORGANISATION_MAX};
 use crate::chaincode::{Call, Context};
 use crate::members::NODES_MAX;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most nodes of an organisation, unless the network has decided otherwise.

@@ -9,8 +9,8 @@ use super::store::{self, ATTESTATIONS, attestation_key, json};
 use crate::chaincode::Context;
 use crate::members::NODES_MAX;
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 

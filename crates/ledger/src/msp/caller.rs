@@ -3,8 +3,8 @@
 use super::store::organisation_key;
 use crate::chaincode::Context;
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
 /// The submitter, if their organisation still belongs to the network. A block that removes an organisation may hold

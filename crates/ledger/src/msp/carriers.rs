@@ -11,11 +11,11 @@ use super::store::{self, CARRIERS, carrier_key, json};
 use crate::chaincode::Context;
 use crate::members::NODES_MAX;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::{PublicKey, SigningKey};
 use ledger_identity::{Identity, NAME_BYTES_MAX, Role};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use serde::{Deserialize, Serialize};
 

@@ -13,10 +13,10 @@ use super::store::{self, INVITATIONS, invitation_key, json};
 use crate::chaincode::Context;
 use crate::network::{FoundingOrganisation, hex_list};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{PublicKey, SigningKey};
 use ledger_identity::{NAME_BYTES_MAX, check_readable, looks};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Longest life of an invitation, in microseconds of block time: thirty days.

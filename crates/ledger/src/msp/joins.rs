@@ -5,7 +5,7 @@
 
 use super::store::{self, joins_key};
 use crate::chaincode::Context;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most new nodes of one organisation in [`JOINS_TIME`].

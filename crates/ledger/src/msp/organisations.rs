@@ -12,12 +12,12 @@ use super::{invitations, quorums, quotas};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::Msps;
 use ledger_identity::units::Units;
 use ledger_identity::{Identity, NAME_BYTES_MAX};
-use ledger_rejection::{Code, Rejection};
 use lost::lost;
 use serde::{Deserialize, Serialize};
 

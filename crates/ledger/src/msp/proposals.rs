@@ -19,9 +19,9 @@ use super::{NAME, organisations};
 use crate::chaincode::{ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, Chaincode, Context, Quorum, quorum_of};
 use crate::page::Paging;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 

@@ -11,7 +11,7 @@ use super::store::{self, QUORUMS, json, quorum_key};
 use super::{NAME, SET_QUORUM};
 use crate::chaincode::{Call, Context, Quorum, quorum_of};
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most rules that are read at once; there is at most one for each function.

@@ -11,7 +11,7 @@ use super::store::{self, json, quota_key};
 use super::{NAME, SET_QUOTA};
 use crate::chaincode::{Call, Context};
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// The most that an organisation may have of each kind.

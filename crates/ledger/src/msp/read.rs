@@ -13,8 +13,8 @@ use crate::members::Membership;
 use crate::network::FoundingOrganisation;
 use crate::rules::Activation;
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::{Change, Voter, Voters};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::{Overlay, StateRead};
 
 /// The records of the nodes in order of ids, removed ones among them: what the network wants (see

@@ -7,7 +7,7 @@ use super::nodes::{self, NodeRole};
 use super::store::{self, json, recovery_key};
 use crate::chaincode::Context;
 use crate::members::{Change, MembershipChange};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::entry::{Entry, EntryKind};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

@@ -8,8 +8,8 @@ use super::nodes::{self, NodeRecord};
 use super::store;
 use crate::chaincode::{Context, Foretold};
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 use serde::{Deserialize, Serialize};
 

@@ -22,11 +22,11 @@ use crate::chaincode::{Context, Revocation};
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
 use follows::Kept;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger_identity::msp::{INTERMEDIATES_MAX, ROOTS_MAX};
 use ledger_identity::revocation_list::{LIST_BYTES_MAX, RevocationList};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 

@@ -6,10 +6,10 @@ use super::store::{self, REVOKED, json};
 use crate::chaincode::{Context, Revocation};
 use crate::page::Paging;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most entries that the list answers with as a transaction, which it was before rules 3.

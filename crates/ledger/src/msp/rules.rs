@@ -12,7 +12,7 @@ use super::store::{self, ACTIVATIONS, json};
 use crate::chaincode::Context;
 use crate::rules::Activation;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Longest name of a release, in bytes.

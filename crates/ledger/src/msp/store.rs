@@ -33,9 +33,9 @@
 use super::NAME;
 use crate::chaincode::Context;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, looks};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -2,8 +2,8 @@
 
 use crate::chain::Outcome;
 use crate::msp::{self, Attest, Attestation};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 use ledger_storage::state::Tip;
 use serde::Serialize;

@@ -3,8 +3,8 @@
 use crate::chain::Ledger;
 use crate::chaincode::Registry;
 use crate::network::Genesis;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::archive::{oldest_snapshot, snapshot_name};
 use ledger_storage::layout::SNAPSHOTS_DIRECTORY;
 use ledger_storage::results::ResultStore;

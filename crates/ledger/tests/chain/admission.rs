@@ -3,9 +3,9 @@
 use crate::world::{Caller, NOW, SECOND, User, World, block, codes};
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger::{Admission, Ground, Ledger, Refusal, Step};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_rejection::{Code, Rejection};
 
 fn call(world: &World, user: &User, function: &str, args: &[&str]) -> Transaction {
     user.sign(&user.body(world.network, function, args))

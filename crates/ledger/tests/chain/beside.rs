@@ -3,9 +3,9 @@
 use crate::world::{Caller, NOW, SECOND, User, World, entry};
 use bytes::Bytes;
 use ledger::Ledger;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::{Disk, SimDisk};
 use ledger_storage::entry::{Entry, EntryKind, HardState};

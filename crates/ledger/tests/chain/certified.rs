@@ -3,7 +3,7 @@
 use crate::world::{Caller, NOW, SECOND, World, block, entry};
 use ledger::members::{Change, MembershipChange};
 use ledger::{Ledger, Outcome};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::KeyKind;
 use ledger_light::control::{self, Write};
 use ledger_light::fact::{self, Fact};

@@ -3,7 +3,7 @@
 use super::world::{Caller, NOW, SECOND, World, block};
 use ledger::Ledger;
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::KeyKind;
 
 fn subjects(ledger: &Ledger, call: &Transaction, now: u64) -> Option<Vec<String>> {

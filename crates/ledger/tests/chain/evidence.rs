@@ -1,9 +1,9 @@
 //! Evidence from files that real nodes made: it proves what it says, and nothing after the smallest change.
 
 use ledger::evidence::{Evidence, Step};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_light::Change;
-use ledger_rejection::Code;
 use serde_json::Value;
 
 fn vectors() -> (Vec<u8>, Vec<Value>) {

@@ -3,9 +3,9 @@
 use crate::world::{Caller, NOW, SECOND, User, World, block, codes, entry};
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 use ledger_storage::disk::{Disk, Fault, SimDisk};
 use ledger_storage::entry::Entry;
 use ledger_storage::results::RESULTS_FILE_BYTES_MAX;

@@ -3,8 +3,8 @@
 use crate::world::{Caller, NOW, SECOND, SNAPSHOT_EVERY, User, World, codes, entry};
 use ledger::Ledger;
 use ledger::transaction::{Body, Transaction};
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 use ledger_storage::disk::{Disk, SimDisk};
 use ledger_storage::entry::Entry;
 use ledger_storage::results::ResultStore;
@@ -282,7 +282,7 @@ fn a_snapshot_is_fetched_chunk_by_chunk_over_crashes_and_lies() {
     let name = "00000000000000000030.snap";
     assert_eq!(disk.list().unwrap(), [name]);
     assert_eq!(bytes(&from, name), bytes(&disk, name));
-    let other = Manifest { network: ledger_hash::Hash::ZERO, ..manifest };
+    let other = Manifest { network: ledger_base::hash::Hash::ZERO, ..manifest };
     assert_eq!(chain.snapshots(&disk).install(other).map(drop).unwrap_err().code, Code::WrongNetwork);
 }
 
@@ -353,7 +353,7 @@ fn a_state_that_was_not_filled_to_the_end_is_refused() {
 struct Shared(Arc<MemoryState>);
 
 impl Store for Shared {
-    fn get(&self, key: &[u8]) -> Result<Option<bytes::Bytes>, ledger_rejection::Rejection> {
+    fn get(&self, key: &[u8]) -> Result<Option<bytes::Bytes>, ledger_base::rejection::Rejection> {
         Store::get(&*self.0, key)
     }
 
@@ -362,7 +362,7 @@ impl Store for Shared {
         prefix: &[u8],
         after: Option<&[u8]>,
         limit: usize,
-    ) -> Result<Vec<(bytes::Bytes, bytes::Bytes)>, ledger_rejection::Rejection> {
+    ) -> Result<Vec<(bytes::Bytes, bytes::Bytes)>, ledger_base::rejection::Rejection> {
         Store::range(&*self.0, prefix, after, limit)
     }
 
@@ -370,7 +370,7 @@ impl Store for Shared {
         &self,
         batch: &ledger_storage::state::WriteSet,
         tip: (&[u8], &[u8]),
-    ) -> Result<(), ledger_rejection::Rejection> {
+    ) -> Result<(), ledger_base::rejection::Rejection> {
         self.0.write(batch, tip)
     }
 }

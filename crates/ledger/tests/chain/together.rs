@@ -3,8 +3,8 @@
 use crate::world::{Caller, NOW, User, World, block, codes, entry};
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 
 /// A world, and people whose certificates its ledgers get to know.
 struct Crowd {

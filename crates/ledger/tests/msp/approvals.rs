@@ -1,7 +1,7 @@
 use crate::world::{DAY, Network, code, is_executed, waiting};
 use ledger::msp::{Decision, NodeRole};
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 
 fn promote(id: u64) -> String {
     format!(r#"{{"id":{id},"role":"voter"}}"#)

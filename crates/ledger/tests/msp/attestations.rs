@@ -1,9 +1,9 @@
 use crate::world::{Network, code, is_executed};
 use ledger::Rules;
 use ledger::msp::{self, AttestationRecord};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 
 fn attest(height: u64, digest: u8, content: Option<u8>) -> String {
     let (hash, digest) = (Hash::ZERO, Hash([digest; 32]));

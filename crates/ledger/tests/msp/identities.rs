@@ -5,10 +5,10 @@ use ledger::msp::{
     RevokedIdentity,
 };
 use ledger::{PAGE_MAX, Page};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::{Code, Rejection};
 use serde_json::json as value;
 
 /// The secret that everybody has here.

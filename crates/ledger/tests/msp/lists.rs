@@ -4,9 +4,9 @@ use crate::world::{Ca, DAY, Network, SECOND, User, code, is_executed, json, wait
 use bytes::Bytes;
 use ledger::msp::{KnownList, ListRecord, Organisation, RecordedList, RevocationRecord, Stale};
 use ledger::{Page, Rules};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use testkit::{List, Random, extension};

@@ -5,8 +5,8 @@ use crate::world::{DAY, Network, START, User};
 use bytes::Bytes;
 use ledger::msp::{Decision, JoinOrganisation};
 use ledger::network::FoundingOrganisation;
+use ledger_base::rejection::Rejection;
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_rejection::Rejection;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 

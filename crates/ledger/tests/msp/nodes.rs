@@ -5,8 +5,8 @@ use ledger::msp::{
     self, Decision, JOINS_MAX, JOINS_TIME, NODES_ALLOWED_DEFAULT, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole,
     Nodes, desired,
 };
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_rejection::{Code, Rejection};
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;

@@ -3,9 +3,9 @@ use bytes::Bytes;
 use ledger::Rules;
 use ledger::msp::{self, JoinOrganisation, NodeRole, Organisation};
 use ledger::network::FoundingOrganisation;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_rejection::{Code, Rejection};
 
 fn key() -> SigningKey {
     SigningKey::from_seed(&[7; 32]).unwrap()

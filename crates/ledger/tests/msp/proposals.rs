@@ -4,8 +4,8 @@ use crate::world::{Ca, DAY, Network, User, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::Rules;
 use ledger::msp::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json as value};
 
 fn call_of(chaincode: &str, function: &str, args: &[&str]) -> String {

@@ -2,9 +2,9 @@
 
 use crate::world::{Network, code, is_executed, waiting};
 use ledger::msp::{QUOTAS, Quotas};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 
 fn register(network: &mut Network, organisation: usize, name: &str) -> Code {
     let expires = network.time + 3_600_000_000;

@@ -1,9 +1,9 @@
 use crate::world::{Network, START, code};
 use ledger::Rules;
 use ledger::msp::{REFUSALS_BYTES_MAX, REFUSALS_MAX, Refused, TellRefusals};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
 use ledger_storage::result::Event;
 
 fn line(who: &str) -> Refused {

@@ -4,9 +4,9 @@ use crate::world::{DAY, Network, User, code, json};
 use bytes::Bytes;
 use ledger::Rules;
 use ledger::msp::{IdentityRecord, SetRegistrar};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json as value};
 
 fn secret() -> Hash {

@@ -1,10 +1,10 @@
 //! Each rule of a certificate, and of the proof of a lie, has a case that only this rule refuses.
 
 use crate::world::{NETWORK, NOW, World, statement};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
 use ledger_light::{Certificate, DoubleVote, Lie, Statement, Vote};
-use ledger_rejection::Code;
 
 fn code(world: &World, certificate: &Certificate) -> Code {
     world.verify(certificate).map_or_else(|refused| refused.code, |()| Code::Ok)

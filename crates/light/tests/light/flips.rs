@@ -2,9 +2,9 @@
 
 use crate::vectors::{bytes, hash, members, number, text, vectors};
 use crate::ways::{begun, stepped};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_light::{Certificate, Change, Checkpoint, Governance, Lie, Proof, Signature, Vote};
-use ledger_rejection::Rejection;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;

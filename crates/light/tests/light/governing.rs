@@ -2,11 +2,11 @@
 
 use crate::world::{NETWORK, NOW, World, name, statement};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_light::fact::Fact;
 use ledger_light::proof::{Proof, Shown};
 use ledger_light::{Change, Checkpoint, Governance, Statement};
-use ledger_rejection::Code;
 use serde_json::{Value, json};
 
 /// Writes of the chaincode `msp`, in order of keys.
@@ -54,7 +54,7 @@ fn proof_of(world: &World, height: u64, changes: &[&Change], signers: &[u64]) ->
     Proof { certificate: world.certificate(said, signers), facts }
 }
 
-fn code(followed: Result<Governance, ledger_rejection::Rejection>) -> Code {
+fn code(followed: Result<Governance, ledger_base::rejection::Rejection>) -> Code {
     followed.map_or_else(|refused| refused.code, |_| Code::Ok)
 }
 

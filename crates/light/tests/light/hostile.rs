@@ -1,14 +1,14 @@
 //! Hostile bytes: refused or read as exactly what they say, never with a panic.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::certificate::{self, SIGNATURES_MAX};
 use ledger_light::fact::{FACT_BYTES_MAX, Fact};
 use ledger_light::merkle::{PATH_BYTES_MAX, Path};
 use ledger_light::proof::Shown;
 use ledger_light::statement::SIGNED_BYTES_MAX;
 use ledger_light::{Certificate, Change, DoubleVote, Lie, Proof, Signature, Signed, Statement, lie};
-use ledger_rejection::{Code, Rejection};
 use proptest::prelude::*;
 
 fn hash() -> impl Strategy<Value = Hash> {

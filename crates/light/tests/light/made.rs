@@ -7,12 +7,12 @@ mod x509;
 use crate::scenes::{Block, Scene, Ways, step};
 use crate::world::World;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_light::fact::Fact;
 use ledger_light::merkle::{self, Path};
 use ledger_light::proof::{Proof, Shown};
 use ledger_light::{Signature, Statement, Vote};
-use ledger_rejection::Code;
 use serde_json::Value;
 use testkit::User;
 

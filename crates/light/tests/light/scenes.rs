@@ -3,12 +3,12 @@
 use crate::ways::gone;
 use crate::world::{NOW, World, name};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_light::fact::Fact;
 use ledger_light::merkle;
 use ledger_light::proof::{Proof, Shown};
 use ledger_light::{Certificate, Change, Signature, Statement};
-use ledger_rejection::Code;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 

@@ -2,10 +2,10 @@
 
 use crate::vectors::{bytes, hash, members, number, text, vectors};
 use crate::world::{NETWORK, NOW, World};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
 use ledger_light::{Lie, Signature, Statement, Vote};
-use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json};
 
 fn outcome(found: Result<String, Rejection>, vector: &Value) {

@@ -5,13 +5,13 @@
 use crate::scenes::{Ways, change, members as members_record, node};
 use crate::sworn::{lies, votes};
 use crate::world::{NETWORK, NOW, World, name, statement};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_light::control::{self, Write};
 use ledger_light::fact::Fact;
 use ledger_light::merkle::{self, Path};
 use ledger_light::{Certificate, Change, Statement, Voter, Voters};
-use ledger_rejection::Rejection;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::OnceLock;

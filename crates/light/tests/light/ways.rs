@@ -2,8 +2,8 @@
 //! code with which it refuses the last one of them.
 
 use crate::vectors::{bytes, fact_json, hash, number, text};
+use ledger_base::rejection::Rejection;
 use ledger_light::{Change, Checkpoint, Governance, Proof};
-use ledger_rejection::Rejection;
 use serde_json::{Value, json};
 
 /// Where a way begins. A checkpoint is of use to its reader only if enough voters in it have signed its proof.

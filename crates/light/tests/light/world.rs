@@ -1,12 +1,12 @@
 //! Two organisations and their nodes.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_light::{Certificate, Signature, Signed, Statement, Vote, Voter, Voters};
-use ledger_rejection::Rejection;
 use testkit::{Ca, User};
 
 /// 2030-01-01, microseconds.

@@ -7,8 +7,8 @@
 use super::Engine;
 use crate::interface::Output;
 use crate::message::{LogBegin, PeerMessage, RaftKind, RaftMessage};
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use raft::StateRole;
 use raft::eraftpb::{Message, MessageType};
 

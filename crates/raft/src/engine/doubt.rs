@@ -7,7 +7,7 @@
 use super::Engine;
 use super::time::TIME_AHEAD_MAX;
 use crate::interface::Output;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// Why the clock of a machine may be wrong. Both in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -21,7 +21,7 @@ use crate::interface::{Output, VotedTwice};
 use crate::message::{Mandate, MandateWanted, PeerMessage, RaftKind, RaftMessage, SignedVote};
 use bytes::Bytes;
 use ledger::members::Membership;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use raft::StateRole;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

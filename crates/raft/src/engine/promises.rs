@@ -1,7 +1,7 @@
 //! The promises of an engine that one step must not break; the crate that it is built on is not believed.
 
 use super::Engine;
-use ledger_invariant::{costly_invariant, invariant};
+use ledger_base::{costly_invariant, invariant};
 
 /// The state that only moves forward, as of the last step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

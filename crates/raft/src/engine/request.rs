@@ -4,7 +4,7 @@ use super::Engine;
 use crate::interface::{Input, Output};
 use crate::message::convert::proposal;
 use ledger::members::MembershipChange;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::entry::EntryKind;
 
 /// Length of the name of a read.

@@ -30,7 +30,7 @@
 use super::Engine;
 use crate::interface::Output;
 use crate::message::{RaftKind, RaftMessage};
-use ledger_mutation::{Mutation, active};
+use ledger_base::mutation::{Mutation, active};
 use ledger_storage::entry::Entry;
 use raft::eraftpb::{Message, MessageType};
 use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};

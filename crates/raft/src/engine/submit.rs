@@ -6,7 +6,7 @@ use crate::message::{PeerMessage, Transactions};
 use crate::queue::Waiting;
 use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 impl Engine {
     /// A client of this node wants a transaction ordered.

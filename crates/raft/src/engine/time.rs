@@ -12,7 +12,7 @@ use super::Engine;
 use crate::message::{RaftKind, RaftMessage, WireEntry};
 use ledger::block::Payload;
 use ledger::members::Membership;
-use ledger_mutation::{Mutation, active};
+use ledger_base::mutation::{Mutation, active};
 use ledger_storage::entry::EntryKind;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};

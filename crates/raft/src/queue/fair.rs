@@ -9,8 +9,8 @@ use super::{QueueStatus, Waiting};
 use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
 use ledger::transaction::claimed_creator;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 
 /// The cost of executing a transaction beside its bytes, in bytes that cost about as much.

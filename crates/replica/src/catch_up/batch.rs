@@ -2,8 +2,8 @@
 
 use crate::executor::Executor;
 use ledger::block::Header;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::{Entry, HardState};
 use ledger_storage::snapshot::Snapshots;

@@ -2,7 +2,7 @@
 
 use super::Offer;
 use ledger::members::Membership;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 /// Those who are asked about each batch, one after the other.
 pub(super) struct Jury<P> {

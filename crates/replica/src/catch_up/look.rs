@@ -16,10 +16,10 @@
 
 use super::{Holding, RECEIPTS_MAX, Who};
 use crate::REJOIN;
-use ledger_invariant::invariant;
-use ledger_mutation::Mutation;
+use ledger_base::invariant;
+use ledger_base::mutation::Mutation;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{PeerMessage, RaftKind, Receipt, ReceiptKey};
-use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,7 +43,7 @@ impl Ballot {
     pub fn withholds(&self, message: &PeerMessage) -> bool {
         let votes = [RaftKind::Vote, RaftKind::PreVote].map(|kind| kind as i32);
         self.held.load(Ordering::Acquire)
-            && !ledger_mutation::active(Mutation::VoteBeforeTheAnswers)
+            && !ledger_base::mutation::active(Mutation::VoteBeforeTheAnswers)
             && matches!(message, PeerMessage::Raft(message) if votes.contains(&message.kind))
     }
 }

@@ -4,8 +4,8 @@ use crate::REJOIN;
 use crate::trust::given;
 use ledger::Ledger;
 use ledger::msp::{self, NodeRole};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Receipt, ReceiptKey, Status};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
 

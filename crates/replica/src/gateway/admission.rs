@@ -10,9 +10,9 @@ use crate::retries::Retries;
 use crate::waiters::{Waiter, Waiters};
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ground, Ledger, Refusal, Step, TransactionRecord};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_raft::Lane;
-use ledger_rejection::Rejection;
 
 /// The node's circumstances, besides the transaction.
 pub struct Admitting<'a, C> {

@@ -6,8 +6,8 @@ use super::share::{InFlight, Share};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Ground, Ledger, Refusal};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Lane;
-use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 
 /// Longest transaction that overtakes data, in bytes. A policy of the largest size is longer; a call that takes a right away

@@ -6,8 +6,8 @@
 use super::line::Arrived;
 use crate::reads::Known;
 use ledger::Refusal;
-use ledger_invariant::{costly_invariant, invariant};
-use ledger_mutation::{Mutation, active};
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::{costly_invariant, invariant};
 use ledger_raft::Lane;
 use std::collections::VecDeque;
 use std::collections::hash_map::{Entry, HashMap, RandomState};

@@ -6,10 +6,10 @@
 
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger_invariant::invariant;
-use ledger_mutation::{Mutation, active};
+use ledger_base::invariant;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Lane;
-use ledger_rejection::{Code, Rejection};
 use std::collections::{HashSet, VecDeque};
 
 /// A transaction that has come and was not looked at yet.

@@ -3,10 +3,10 @@
 //! A place is held from a transaction's arrival to its verdict. An identity holds at most as many as are free, so that there
 //! are always some for others. The lanes count apart: who fills the data lane can still release.
 
-use ledger_invariant::invariant;
-use ledger_mutation::{Mutation, active};
+use ledger_base::invariant;
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Lane;
-use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};

@@ -4,8 +4,8 @@
 //! turns, however many connections each has. Only so many of an identity hold a turn or stand in the queue of all. Its others
 //! wait behind those.
 
-use ledger_invariant::{costly_invariant, invariant};
-use ledger_mutation::{Mutation, active};
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::{costly_invariant, invariant};
 use ledger_raft::Lane;
 use std::collections::{HashMap, VecDeque};
 
@@ -230,7 +230,7 @@ mod tests {
     #[test]
     #[should_panic(expected = "an identity counts its turns and its places among all")]
     fn a_turn_that_no_identity_counts_is_found() {
-        ledger_invariant::look_closely();
+        invariant::look_closely();
         let mut turns = Turns::<()>::new(8);
         let first = turns.take(Lane::Data, FLOODER).unwrap();
         turns.queue(Lane::Data).held.push(77);

@@ -5,10 +5,10 @@ use crate::waiters::Waiter;
 use bytes::Bytes;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
-use ledger_invariant::invariant;
+use ledger_base::invariant;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::{DoubleVote, Signature};
 use ledger_raft::{Input, Output, PeerMessage, Role, VotedTwice};
-use ledger_rejection::{Code, Rejection};
 
 impl<W: Waiter> Replica<W> {
     /// Hands an input to the engine.

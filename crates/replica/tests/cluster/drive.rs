@@ -2,8 +2,8 @@
 
 use super::names::Names;
 use super::{Cluster, Event, UNIT};
+use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane, PeerMessage, Role, Secret};
-use ledger_rejection::Code;
 use ledger_replica::catch_up::Behind;
 use ledger_replica::{self as replica, Circumstances, Effect, Now, Replica, Settings, Work};
 use ledger_storage::entry::{Entry, EntryKind};

@@ -28,7 +28,7 @@ mod people;
 use bytes::Bytes;
 use ledger::block::Payload;
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_raft::{Desired, Input, Lane, Membership, PeerMessage, Status};
 use ledger_replica::{self as replica, Effect, Timing};
 use ledger_storage::entry::{Entry, EntryKind};

@@ -1,8 +1,8 @@
 //! Votes that are signed by writing them down: which keys sign them does not matter to a cluster of honest nodes.
 
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Ballot, Ballots};
-use ledger_rejection::{Code, Rejection};
 
 pub(crate) struct Names;
 

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::KeyKind;
 use std::sync::LazyLock;
 use testkit::{Ca, User};

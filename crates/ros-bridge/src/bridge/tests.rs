@@ -19,11 +19,11 @@ use std::{
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_api::Context;
+use ledger_base::rejection::Code;
 use ledger_gate::{
     fixture::{Network, User, micros},
     sample::{CDR_LE, Sample},
 };
-use ledger_rejection::Code;
 use serde_json::json;
 
 use super::*;

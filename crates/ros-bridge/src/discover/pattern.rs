@@ -2,7 +2,7 @@
 
 use std::{fmt, ops::RangeInclusive};
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use regex::bytes::{Regex, RegexBuilder};
 
 /// Longest expression, in bytes.

@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
+use ledger_base::settings::Fault;
 use ledger_contract::RobotAsset;
-use ledger_settings::Fault;
 use serde_json::json;
 
 use super::{Settings, offer::candidates};

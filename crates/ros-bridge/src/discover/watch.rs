@@ -11,9 +11,9 @@ use std::{
 
 use futures::{StreamExt, stream};
 use ledger_api::{Subscription, pages};
+use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_contract::RobotAsset;
 use ledger_gate::ABAC;
-use ledger_rejection::{Class, Code, Rejection};
 use tokio::time::{sleep, sleep_until};
 
 use super::{

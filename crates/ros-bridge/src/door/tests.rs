@@ -1,5 +1,5 @@
 use super::*;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 const SALMA: Source = [1; 16];
 const RELAY: Source = [2; 16];

@@ -1,7 +1,7 @@
 //! The answer to a request, for people.
 
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Grant, LineState, Pending, Place};
-use ledger_rejection::{Code, Rejection};
 
 /// `std_srvs/srv/Trigger_Response`.
 #[derive(Debug, PartialEq, Eq)]

@@ -6,9 +6,9 @@ use std::{
 };
 
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Acquired, EmergencyAnswer, Grant, LineState, Released};
 use ledger_gate::ABAC;
-use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 use tokio::time::{sleep, timeout};
 

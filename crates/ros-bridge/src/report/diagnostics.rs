@@ -3,7 +3,7 @@
 
 use std::time::SystemTime;
 
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ros_message::Message;
 use serde_json::{Value, json};
 

@@ -12,9 +12,9 @@ use std::{
 
 use bytes::Bytes;
 use futures::{FutureExt, StreamExt, future::BoxFuture, stream::FuturesUnordered};
+use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_contract::ServiceState;
 use ledger_gate::ABAC;
-use ledger_rejection::{Class, Code, Rejection};
 
 use crate::{
     count::{Complaint, line},

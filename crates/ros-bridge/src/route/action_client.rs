@@ -13,11 +13,11 @@ use std::{
 
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
+use ledger_base::settings::Section;
 use ledger_contract::replies;
 use ledger_gate::{gate::Passed, sample::Sample, service::Service};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
-use ledger_settings::Section;
 use tokio::{
     sync::{mpsc, watch},
     time::{sleep_until, timeout},

@@ -10,13 +10,13 @@ use std::{
 
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
+use ledger_base::settings::Section;
 use ledger_gate::{
     gate::Passed,
     sample::{CDR_LE, Sample},
 };
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
-use ledger_settings::Section;
 use tokio::time::{interval, sleep_until};
 
 use super::{

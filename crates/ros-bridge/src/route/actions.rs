@@ -14,7 +14,7 @@ mod goals;
 
 use std::time::Duration;
 
-use ledger_settings::Section;
+use ledger_base::settings::Section;
 
 pub(super) use self::{
     frame::{

@@ -15,8 +15,8 @@ mod ways;
 
 use std::time::Duration;
 
-use ledger_hash::Hash;
-use ledger_settings::Section;
+use ledger_base::hash::Hash;
+use ledger_base::settings::Section;
 
 pub(super) use self::{
     account::Account,

@@ -27,6 +27,8 @@ use ledger_api::{
     Context, Subscription,
     v1::{Delivery, EventRecord},
 };
+use ledger_base::invariant::broken;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_gate::{
     ABAC,
     gate::{Refused, Settings as GateSettings},
@@ -34,8 +36,6 @@ use ledger_gate::{
     sample::Sample,
     service::Service,
 };
-use ledger_invariant::broken;
-use ledger_rejection::{Code, Rejection};
 use tokio::{sync::watch, time::sleep_until};
 
 use self::{confidential::Reading, demand::Demand, settings::Settings};

@@ -8,13 +8,13 @@ mod following;
 use std::collections::BTreeSet;
 
 use ledger_api::v1::Delivery;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::settings::Section;
 use ledger_contract::Grant;
 use ledger_gate::{
     service::{Released, read as read_event},
     standing::Standing,
 };
-use ledger_rejection::{Code, Rejection};
-use ledger_settings::Section;
 use serde_json::{Value, json};
 
 pub(super) use self::following::Following;

@@ -6,9 +6,9 @@ use std::{fmt, sync::Arc};
 
 use futures::future::BoxFuture;
 use ledger_api::Context;
+use ledger_base::rejection::Rejection;
+use ledger_base::settings::Section;
 use ledger_gate::service::Service;
-use ledger_rejection::Rejection;
-use ledger_settings::Section;
 use tokio::sync::watch;
 
 use super::{

@@ -1,6 +1,6 @@
 //! A local topic on which a route shows something: who comes later hears the last message.
 
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use ros_message::Message;
 use serde_json::Value;
 

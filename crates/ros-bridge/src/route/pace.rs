@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use ledger_settings::Section;
+use ledger_base::settings::Section;
 
 use super::RATE_HZ_MAX;
 

@@ -6,9 +6,9 @@
 
 use std::time::{Duration, Instant};
 
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::settings::Section;
 use ledger_contract::{Point, RunningTask};
-use ledger_rejection::{Code, Rejection};
-use ledger_settings::Section;
 use serde_json::{Value, json};
 
 use super::{latched::Latched, local::Local};

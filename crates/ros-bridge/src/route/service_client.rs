@@ -6,11 +6,11 @@ use std::{
 };
 
 use futures::{FutureExt, future::BoxFuture};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
+use ledger_base::settings::Section;
 use ledger_contract::replies;
 use ledger_gate::gate::Passed;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
-use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
 
 use super::{

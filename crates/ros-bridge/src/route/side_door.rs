@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use ledger_settings::Section;
+use ledger_base::settings::Section;
 
 use super::kind::Beside;
 use crate::count::{Counters, count};

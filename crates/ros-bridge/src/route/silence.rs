@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 use super::kind::Kind;
 use crate::{count::Live, dds::Neighbour, names::quoted};

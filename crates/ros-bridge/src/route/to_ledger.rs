@@ -23,11 +23,11 @@ use futures::{
     stream::FuturesUnordered,
 };
 use ledger_api::Subscription;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
+use ledger_base::settings::Section;
 use ledger_contract::Grant;
 use ledger_gate::ABAC;
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
-use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
 
 use self::{

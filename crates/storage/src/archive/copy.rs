@@ -4,7 +4,7 @@ use super::fault::{full_or_failed, in_archive, in_node};
 use crate::block_store::StoreError;
 use crate::disk::Disk;
 use crate::segment::{Found, Scan, ScannedSegment, check_sealed};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::io::{self, ErrorKind};
 
 /// How much is copied at once.

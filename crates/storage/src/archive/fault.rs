@@ -1,7 +1,7 @@
 //! Faults of the two directories, told apart.
 
 use crate::block_store::StoreError;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::io::{self, ErrorKind};
 
 /// Was the file dropped meanwhile?

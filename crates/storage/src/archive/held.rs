@@ -5,7 +5,7 @@ use super::fault::{in_archive, in_node};
 use crate::block_store::StoreError;
 use crate::disk::{Disk, DiskFile};
 use crate::segment::{Found, Record, Scan, ScannedSegment};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::io::{self, ErrorKind};
 
 /// How much is compared at once.

@@ -8,7 +8,7 @@ use super::held::{Comparison, Held};
 use crate::block_store::{StoreError, check_oldest};
 use crate::disk::Disk;
 use crate::segment::{ScannedSegment, check_sealed, parse_name, scan};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// A node may drop segments while they are copied; how often to look again.
 const ATTEMPTS_MAX: usize = 8;

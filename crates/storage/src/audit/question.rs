@@ -3,7 +3,7 @@
 use super::row::{Kind, Place, name_prefix};
 use super::{FOLDED_US, Index, ROWS, ROWS_AT_ONCE, Row};
 use bytes::Bytes;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 
 /// Rows that one question looks at, at most. The next one goes on behind them.
 const LOOKED_AT_MAX: usize = 20_000;
@@ -74,7 +74,7 @@ impl Index {
     /// The rows that are asked for and that `shown` lets pass. Looks at the rows of one name and time, and never at blocks.
     ///
     /// # Errors
-    /// [`Code::Corrupt`](ledger_rejection::Code::Corrupt), [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed).
+    /// [`Code::Corrupt`](ledger_base::rejection::Code::Corrupt), [`Code::DiskFailed`](ledger_base::rejection::Code::DiskFailed).
     pub fn find(&self, question: &Question, mut shown: impl FnMut(&Row) -> bool) -> Result<Page, Rejection> {
         let prefix = question.keys();
         let begin = Place::at(question.since.saturating_sub(FOLDED_US)).max(Place::of_key(&question.after));

@@ -1,7 +1,7 @@
 //! The rows: what they say, how they are named, and where they stand.
 
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use prost::Message;
 use std::collections::BTreeSet;
 

@@ -1,6 +1,6 @@
 //! The faults of the store.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::io;
 use std::sync::Arc;
 

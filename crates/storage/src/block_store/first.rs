@@ -9,7 +9,7 @@ use super::state::{Staged, State};
 use super::writer::{Failure, lock};
 use super::{Base, BlockStore, StoreError};
 use crate::entry::HardState;
-use ledger_invariant::invariant;
+use ledger_base::invariant;
 
 /// A segment that is finished: no entry is written to it any more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -11,7 +11,7 @@ use super::writer::{Placed, Written};
 use super::{STAGED_BYTES_MAX, StoreError};
 use crate::entry::{Entry, HardState};
 use crate::segment::ENTRY_BYTES_MAX;
-use ledger_invariant::invariant;
+use ledger_base::invariant;
 
 pub(super) struct State {
     pub(super) index: LogIndex,

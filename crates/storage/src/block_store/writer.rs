@@ -13,7 +13,7 @@ use crate::segment::{
     Base, Contents, LogPosition, Record, SEAL_BYTES_MAX, Seal, SegmentHeader, encode_record, encoded_bytes,
     segment_name,
 };
-use ledger_mutation::{Mutation, active};
+use ledger_base::mutation::{Mutation, active};
 
 /// A buffer larger than this is given back after use.
 const BUFFER_KEPT_BYTES: usize = 1 << 20;

@@ -2,7 +2,7 @@
 
 use crate::block_store::BlockStore;
 use crate::entry::Entry;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::ops::Range;
 
 /// Where the blocks are that results are kept beside.

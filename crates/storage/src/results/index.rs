@@ -4,7 +4,7 @@ use super::Place;
 use super::RESULTS_FILE_BYTES_MAX;
 use super::file::RECORD_BYTES_MIN;
 use crate::disk::DiskFile;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::collections::BTreeSet;
 use std::io;
 

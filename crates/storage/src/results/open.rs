@@ -4,8 +4,8 @@ use super::file::ResultFile;
 use super::{Open, ResultStore, failed};
 use crate::disk::Disk;
 use crate::state::Tip;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::collections::VecDeque;
 use std::sync::Arc;
 

@@ -2,8 +2,8 @@
 
 use crate::result::{BlockKind, BlockResult, EmittedEvent, Roots, TransactionResult};
 use bytes::{Buf, Bytes};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use prost::Message;
 
 /// Bytes of an id that are kept where the block has the rest: enough to tell duplicates, so that a node starts without

@@ -3,7 +3,7 @@
 use super::file::{ResultFile, encode_record};
 use super::{Open, Pending, RESULTS_FILE_BYTES_MAX, ResultStore, Writing, failed};
 use crate::disk::{Disk, DiskFile};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::{Arc, MutexGuard, PoisonError};
 
 /// Results are written in pieces of about this size: as much as is noted, or taken out of memory, under one lock.

@@ -5,7 +5,7 @@ use bytes::Bytes;
 use super::header::{HEADER_BYTES, LogPosition, take};
 use super::seal::Seal;
 use crate::entry::{Entry, EntryKind, HardState};
-use ledger_mutation::{Mutation, active};
+use ledger_base::mutation::{Mutation, active};
 
 /// Size of a record's header.
 pub const RECORD_HEADER_BYTES: usize = 25;

@@ -5,8 +5,8 @@ use super::{Complete, damaged, failed, file, items};
 use crate::disk::{Disk, DiskFile};
 use crate::results::ResultStore;
 use crate::state::{State, Tip};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 
 /// Pairs that are read from the store at once.

@@ -7,8 +7,8 @@ use crate::disk::{DiskFile, open_to_read};
 use crate::results::ResultStore;
 use crate::state::{State, Store};
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -3,8 +3,8 @@
 use super::manifest::Manifest;
 use super::{Snapshot, Snapshots, damaged, failed, file};
 use crate::disk::DiskFile;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use std::io::ErrorKind;
 use std::sync::{Arc, MutexGuard, PoisonError};
 

@@ -3,7 +3,7 @@
 use super::Snapshot;
 use crate::result::BlockResult;
 use bytes::{Buf, Bytes, BytesMut};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 const PAIR: u8 = 1;
 const RESULT: u8 = 2;

@@ -2,8 +2,8 @@
 
 use crate::state::Tip;
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 
 /// Most bytes of a chunk; only the last one has fewer.
 pub const CHUNK_BYTES_MAX: usize = 1024 * 1024;

@@ -2,7 +2,7 @@
 
 use crate::state::{StateRead, WriteSet};
 use bytes::Bytes;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::collections::BTreeMap;
 use std::ops::Bound;
 use std::sync::{PoisonError, RwLock};

@@ -1,7 +1,7 @@
 //! Uncommitted writes, layered over the committed state.
 
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound;

@@ -2,7 +2,7 @@
 
 use crate::state::WriteSet;
 use bytes::Bytes;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 
 /// A sorted store with atomic batches.
 pub trait Store: Send + Sync {

@@ -259,5 +259,5 @@ fn an_index_of_another_form_is_refused() {
     let store = SledStore::open(place.path()).unwrap();
     ledger_storage::state::Store::write(&store, &Default::default(), (b"m", &[9; 32])).unwrap();
     let refused = Index::open(Box::new(store)).err().unwrap();
-    assert_eq!(refused.code, ledger_rejection::Code::Corrupt);
+    assert_eq!(refused.code, ledger_base::rejection::Code::Corrupt);
 }

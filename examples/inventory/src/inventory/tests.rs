@@ -2,7 +2,7 @@
 
 use super::*;
 use ledger::{Environment, Meter, Registry, Rules};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_identity::key::PublicKey;
 use ledger_identity::{Identity, Role};
 use ledger_storage::result::Event;

@@ -7,9 +7,9 @@ use crate::confidential::{Chance, PAIRS, ROBOT, SERVICE, Terms, pair, secret};
 use crate::history::Asks;
 use crate::world::{Event, World};
 use bytes::Bytes;
+use ledger_base::rejection::Code;
 use ledger_confidential::{Fresh, Sealer};
 use ledger_contract::{Keyed, Readers};
-use ledger_rejection::Code;
 
 /// The admin who owns the robot.
 const OWNER: &str = "Org2/admin";

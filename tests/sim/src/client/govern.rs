@@ -8,7 +8,7 @@ use crate::policy::Policy;
 use crate::world::{Event, World};
 use ledger::Outcome;
 use ledger::transaction::Transaction;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

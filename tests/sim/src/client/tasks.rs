@@ -5,7 +5,7 @@ use super::{Call, Client};
 use crate::clock::SECOND;
 use crate::world::{Event, World};
 use bytes::Bytes;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use serde_json::json;
 

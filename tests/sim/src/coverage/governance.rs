@@ -2,7 +2,7 @@
 
 use super::Coverage;
 use crate::client::Call;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 /// Those that must be given.
 pub(super) const GOVERNANCE: [&str; 22] = [

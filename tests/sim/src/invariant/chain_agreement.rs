@@ -1,7 +1,7 @@
 //! Chain agreement (design.md §7.2): the same block hash at the same height on every node.
 
 use super::{Check, Executed, Violation};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 const NAME: &str = "chain agreement";
 

@@ -6,8 +6,8 @@
 
 use super::{Check, Executed, Violation};
 use crate::people::{People, Person};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::sync::Arc;
 
 const NAME: &str = "denied by default";

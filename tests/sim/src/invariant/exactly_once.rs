@@ -2,8 +2,8 @@
 //! once; a repetition changes nothing.
 
 use super::{Check, Executed, Violation};
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
 
 const NAME: &str = "exactly once";

@@ -7,7 +7,7 @@ use super::{Check, Executed, Violation, is_of};
 use crate::client::READERS;
 use ledger::Outcome;
 use ledger::transaction::Transaction;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -2,7 +2,7 @@
 //! which waits for no message, may go before messages.
 
 use super::{Check, Violation};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_raft::Lane;
 use std::collections::BTreeMap;
 

@@ -5,7 +5,7 @@
 //! always the same.
 
 use super::{Check, Violation};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;

@@ -9,7 +9,7 @@ use super::{Check, Executed, Violation, is_of};
 use crate::client::READERS;
 use crate::people::People;
 use ledger::transaction::Transaction;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use ledger_storage::result::Event;
 use serde::Deserialize;
 use serde_json::{Map, Value};

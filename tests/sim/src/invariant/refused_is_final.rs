@@ -2,8 +2,8 @@
 //! reason that is the transaction's own. It was not executed then and never is, whichever node has a copy.
 
 use super::{Check, Executed, Violation};
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
 
 const NAME: &str = "refused is final";

@@ -4,7 +4,7 @@
 use super::{Check, Executed, Violation};
 use crate::lists;
 use crate::people::People;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

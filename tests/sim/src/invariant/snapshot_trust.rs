@@ -2,7 +2,7 @@
 //! they have made the same (docs/reliability.md).
 
 use super::{Check, Executed, Violation};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_replica::witness::seen;
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -2,7 +2,7 @@
 
 use super::{Check, Executed, Violation};
 use ledger::Outcome;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use std::collections::BTreeMap;
 
 const NAME: &str = "state agreement";

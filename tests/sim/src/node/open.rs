@@ -2,8 +2,8 @@
 
 use super::{Node, Shelf};
 use ledger::{Ledger, Outcome};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_replica::opening::Kept;
 use ledger_storage::block_store::{BlockStore, Options, StoreError};
 use ledger_storage::disk::SimDisk;

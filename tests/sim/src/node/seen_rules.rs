@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger::{Chaincode, Context};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 

@@ -2,7 +2,7 @@
 //! dies leaves it as the last flush did.
 
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::state::{MemoryState, StateRead, Store, WriteSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

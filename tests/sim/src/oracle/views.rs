@@ -5,8 +5,8 @@
 use crate::history::{Kind, Outcome, Verdict};
 use crate::invariant::Violation;
 use crate::world::World;
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
 
 const NAME: &str = "clients see one history";

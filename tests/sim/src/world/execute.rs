@@ -8,7 +8,7 @@ use crate::people::organisation_of;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Outcome, msp};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_raft::Input;
 use ledger_replica::Executor;
 use ledger_replica::witness::seen;

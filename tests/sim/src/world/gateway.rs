@@ -5,8 +5,8 @@ use crate::history::Asks;
 use crate::invariant::Check;
 use crate::node::{Answer, Asking, Refused, Reply, Request, What};
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Input;
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::{Event as ReplicaEvent, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};
 use std::collections::VecDeque;
 

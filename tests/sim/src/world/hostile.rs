@@ -6,7 +6,7 @@ use crate::clock::{EPOCH, SECOND};
 use crate::invariant::Check;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use ledger_raft::{Input, Lane};
 
 impl World {

@@ -4,9 +4,9 @@ use super::{Event, World};
 use crate::coverage::Fault;
 use bytes::Bytes;
 use ledger::block::Payload;
+use ledger_base::rejection::Code;
 use ledger_light::Vote;
 use ledger_raft::{Mandate, PeerMessage, RaftKind, RaftMessage, SignedVote, Status, Transactions, WireEntry};
-use ledger_rejection::Code;
 
 /// The name of a transfer of leadership in a request for a vote.
 const TRANSFER: &[u8] = b"CampaignTransfer";

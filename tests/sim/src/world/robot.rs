@@ -14,11 +14,11 @@ use crate::invariant::{Check, Passed, Violation};
 use crate::robot::{ANSWER_MAX, CONFIDENTIAL, Delivery, IDENTITY, QUIET_MAX, ROBOTS, Robot, Step};
 use ledger::network::Genesis;
 use ledger::transaction::Transaction;
+use ledger_base::rejection::Rejection;
 use ledger_confidential::Keyring;
 use ledger_gate::gate::Refused;
 use ledger_gate::guard::{Act, Block, Told};
 use ledger_light::Proof;
-use ledger_rejection::Rejection;
 use testkit::Random;
 
 /// For how long a gate believes a block time that its node has made up, microseconds.

@@ -8,9 +8,9 @@ use crate::invariant::{Check, Violation};
 use crate::node::{Client, Keeping, Running, open_blocks};
 use ledger::{Chaincode, Ledger, Registry, Rules, msp};
 use ledger_abac::AccessControl;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Desired, ReceiptKey, Secret};
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Ballot, Look, Own};
 use ledger_replica::conductor::Conductor;
 use ledger_replica::gateway::{Shares, Turns};
@@ -61,7 +61,7 @@ impl World {
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;
         #[cfg(feature = "mutations")]
-        ledger_mutation::set_wall_clock(node.clock.wall(self.now));
+        ledger_base::mutation::set_wall_clock(node.clock.wall(self.now));
         let snapshots = Snapshots::open(Arc::new(node.snapshots.clone()), self.network);
         let snapshots = Arc::new(snapshots.map_err(|fault| does_not_start(id, &fault))?);
         let mut registry = Registry::new();
@@ -253,7 +253,7 @@ impl World {
     pub(super) fn executed(&mut self, id: u64, executor: &Executor, entry: &Entry) -> Check {
         #[cfg(feature = "mutations")]
         if let Some(node) = self.nodes.get(&id) {
-            ledger_mutation::set_wall_clock(node.clock.wall(self.now));
+            ledger_base::mutation::set_wall_clock(node.clock.wall(self.now));
         }
         if self.running(id).is_none() {
             // It has stopped before an earlier one of these blocks.

@@ -5,11 +5,11 @@ use crate::invariant::Check;
 use crate::people::People;
 use bytes::Bytes;
 use ledger::{Ledger, Outcome};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_light::{Certificate, Proof, Signature, Signed, Statement, Vote};
-use ledger_rejection::{Code, Rejection};
 use ledger_replica::certifier::{Certifier, Effect, Era, Event, Signing};
 use std::sync::Arc;
 

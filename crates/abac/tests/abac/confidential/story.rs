@@ -2,8 +2,8 @@
 
 use super::{HOUR, POSES, Person, member, own_policies, send, share};
 use crate::fleet::{Fleet, SECOND, bytes, camera, owner};
+use ledger_base::rejection::Code;
 use ledger_confidential::Sealer;
-use ledger_rejection::Code;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 

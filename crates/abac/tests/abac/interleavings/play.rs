@@ -6,8 +6,8 @@ use crate::fleet::{bytes, identity, owner};
 use crate::model::{Answer, Got, OWNER, PRIORITIES, Wanted};
 use bytes::Bytes;
 use ledger_abac::{Acquired, Submitted, Task};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use serde_json::json;
 use std::sync::LazyLock;
 

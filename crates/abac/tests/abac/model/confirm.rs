@@ -1,7 +1,7 @@
 //! Others agree that somebody competes.
 
 use super::{Answer, Got, Model, OWNER};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 /// One who waits for others to agree.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use super::tasks::Why;
 use super::{Answer, Conflict, Got, Model, Service, Waiter};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 impl Service {
     /// How much a waiter is worth: whole steps, and the exact order in line.

@@ -2,7 +2,7 @@
 
 use super::tasks::Why;
 use super::{Answer, Got, Holder, Model};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 const GIVERS_MAX: usize = 4;
 

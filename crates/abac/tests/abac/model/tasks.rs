@@ -2,7 +2,7 @@
 
 use super::{Answer, Got, Model, OWNER, PLACES, Waiter};
 use ledger_abac::TaskState;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 /// How many tasks of a service that have ended are kept.
 const ENDED_KEPT: usize = 16;

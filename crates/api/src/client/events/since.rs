@@ -3,7 +3,7 @@
 use super::ACCEPT_MAX;
 use crate::client::session::Up;
 use crate::v1;
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use tokio::time::{Instant, timeout};
 use tonic::{Response, Status};
 

@@ -3,7 +3,7 @@
 use super::Shared;
 use ledger_api::v1;
 use ledger_api::v1::enrolment_server::Enrolment;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::sync::atomic::Ordering;
 use tonic::{Request, Response, Status};
 

@@ -9,8 +9,8 @@ use crate::output::{Facts, Output, Table, warn};
 use crate::session::{ABAC, Session};
 use crate::time;
 use chrono::{DateTime, TimeDelta};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::RobotAsset;
-use ledger_rejection::{Code, Rejection};
 use ros_bridge::config::PROGRAM_SECTIONS;
 use ros_bridge::names::Interface;
 use ros_bridge::{Config, Guarded, context_of};
@@ -194,7 +194,7 @@ fn put(path: &Path, text: &str) -> Result<(), Rejection> {
             .next("--to DIR for another place")
     };
     path.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(failed)?;
-    ledger_durable::replace(path, text.as_bytes(), ledger_durable::PUBLIC_MODE)
+    ledger_base::durable::replace(path, text.as_bytes(), ledger_base::durable::PUBLIC_MODE)
 }
 
 /// The commands with the tools of ROS 2.

@@ -2,7 +2,7 @@
 
 use super::policy::path;
 use crate::failure::unreadable;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use std::path::Path;
 
 /// Most enclaves of a keystore, and how deep their paths are.

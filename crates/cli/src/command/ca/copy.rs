@@ -7,8 +7,8 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::Session;
 use ledger_api::{Client, passphrase, v1};
-use ledger_durable::SECRET_MODE;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::durable::SECRET_MODE;
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Write};
@@ -81,15 +81,15 @@ impl Facts for Copied<'_> {
 impl Backup {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         if fs::symlink_metadata(&self.file).is_ok() {
-            return Err(ledger_durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()).into());
+            return Err(ledger_base::durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()).into());
         }
         let organisation = session.identity()?.organisation;
         let passphrase = passphrase(self.passphrase_file.as_deref(), true)?;
         let (client, from) = reachable(session, &organisation).await?;
         let request = v1::CopyCaRequest { organisation: organisation.clone(), passphrase };
         let copy = client.copy_ca(request).await?;
-        ledger_durable::create(&self.file, &copy, SECRET_MODE)?;
-        ledger_durable::sync_directory(self.file.parent().unwrap_or_else(|| Path::new(".")))?;
+        ledger_base::durable::create(&self.file, &copy, SECRET_MODE)?;
+        ledger_base::durable::sync_directory(self.file.parent().unwrap_or_else(|| Path::new(".")))?;
         output.show(&Copied { organisation, file: &self.file, from })
     }
 }
@@ -125,7 +125,7 @@ impl Facts for Restored {
 impl Restore {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let organisation = session.identity()?.organisation;
-        let file = ledger_durable::read(&self.file, FILE_BYTES_MAX)?.into();
+        let file = ledger_base::durable::read(&self.file, FILE_BYTES_MAX)?.into();
         let node = match self.node {
             Some(node) => node,
             None => session.client.status().await?.node_id.to_string(),

@@ -1,6 +1,6 @@
 //! One finding: what was looked at, how it is, and the repair.
 
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use serde::Serialize;
 
 /// How something is.
@@ -77,7 +77,7 @@ impl Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ledger_rejection::Code;
+    use ledger_base::rejection::Code;
 
     #[test]
     fn a_refusal_keeps_its_four_parts_and_always_has_a_next_step() {

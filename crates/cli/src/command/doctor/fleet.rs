@@ -5,8 +5,8 @@ use crate::answer;
 use crate::session::{ABAC, Session};
 use crate::time;
 use bytes::Bytes;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{PolicyEntry, PolicyFault, RobotAsset};
-use ledger_rejection::Rejection;
 
 /// Looks at what is on the ledger about robots.
 pub(super) async fn look(session: &Session, findings: &mut Vec<Finding>) {

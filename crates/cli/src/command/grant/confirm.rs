@@ -9,8 +9,8 @@ use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Committed;
+use ledger_base::rejection::Class;
 use ledger_contract::{Acquired, Confirmation, Pending};
-use ledger_rejection::Class;
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -38,7 +38,7 @@ struct Confirmed {
     answer: Confirmation,
     time: u64,
     height: u64,
-    transaction: ledger_hash::Hash,
+    transaction: ledger_base::hash::Hash,
 }
 
 impl Facts for Confirmed {
@@ -82,7 +82,7 @@ struct Asked<'a> {
     pending: Pending,
     time: u64,
     height: u64,
-    transaction: &'a ledger_hash::Hash,
+    transaction: &'a ledger_base::hash::Hash,
 }
 
 impl Facts for Asked<'_> {

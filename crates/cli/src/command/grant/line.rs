@@ -6,8 +6,8 @@ use crate::output::{Facts, Output, Table};
 use crate::time;
 use crate::words::Words;
 use ledger_api::Committed;
+use ledger_base::rejection::Class;
 use ledger_contract::{LineState, Place};
-use ledger_rejection::Class;
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -72,7 +72,7 @@ struct Joined<'a> {
     queued: Place,
     time: u64,
     height: u64,
-    transaction: &'a ledger_hash::Hash,
+    transaction: &'a ledger_base::hash::Hash,
 }
 
 impl Facts for Joined<'_> {

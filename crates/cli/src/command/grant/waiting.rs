@@ -8,9 +8,9 @@ use crate::output::Output;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_api::{EventStream, Subscription, v1};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Grant, Left, LeftReason, LineState, Pending, Place};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 use std::io::{self, IsTerminal, Write};
 
 /// How often the node says that it is alive while nothing changes, in milliseconds.

@@ -59,7 +59,7 @@ impl Crl {
     }
 }
 
-fn record(file: &std::path::Path, ended: &[PathBuf]) -> Result<RecordList, ledger_rejection::Rejection> {
+fn record(file: &std::path::Path, ended: &[PathBuf]) -> Result<RecordList, ledger_base::rejection::Rejection> {
     let mut certificates = Vec::new();
     for path in ended {
         certificates.extend(fabric::chain(path)?.into_iter().take(1).map(hex::encode));

@@ -95,7 +95,7 @@ impl Facts for Expiring {
 mod tests {
     use super::*;
     use ledger::msp::IssuedCertificate;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use ledger_identity::Role;
     use std::collections::BTreeMap;
 

@@ -3,7 +3,7 @@
 use crate::failure::Failure;
 use crate::output::{Facts, Format, Output, Table};
 use ledger::network::Genesis;
-use ledger_progress::{Progress, Step};
+use ledger_base::progress::{Progress, Step};
 use ledger_storage::archive::{Extent, Reached, Report, archive};
 use serde::Serialize;
 use std::io::{self, Write};

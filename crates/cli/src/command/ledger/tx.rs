@@ -10,8 +10,8 @@ use crate::session::Session;
 use crate::time;
 use ledger::transaction::Transaction;
 use ledger_api::v1;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -17,8 +17,8 @@ use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Subscription;
 use ledger_api::v1::AuditRequest;
+use ledger_base::rejection::Rejection;
 use ledger_contract::ServiceState;
-use ledger_rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 

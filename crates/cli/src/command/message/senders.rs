@@ -3,9 +3,9 @@
 use crate::context;
 use crate::session::Session;
 use ledger::transaction::Transaction;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
 
 /// The names of signers: names that certificates carry, checked against the organisations of our context.

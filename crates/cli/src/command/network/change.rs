@@ -10,7 +10,7 @@ use crate::output::{Facts, Output};
 use crate::session::{MSP, Session};
 use bytes::Bytes;
 use ledger::msp::{CarrierRecord, NodeRecord, NodeRole, SetNodeRole};
-use ledger_rejection::Rejection;
+use ledger_base::rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -6,9 +6,9 @@ use bytes::Bytes;
 use ledger::Call;
 use ledger::Quorum;
 use ledger::msp::{Action, AddOrganisation, Decision, NodeRole};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -130,7 +130,7 @@ pub(super) fn joined<'a>(names: impl IntoIterator<Item = &'a String>) -> String 
 mod tests {
     use super::*;
     use ledger::msp::{Failed, Proposal};
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
 
     fn decision(executed: bool) -> Decision {
         let action = Action::SetNodeRole { id: 2, node: "Org2/node2".into(), role: NodeRole::Voter };

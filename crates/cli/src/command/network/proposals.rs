@@ -11,7 +11,7 @@ use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
 use ledger::msp::{Action, Decision, NodeRecord, NodeRole, Proposal};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -7,7 +7,7 @@ use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use ledger::Quorum;
 use ledger::msp::{FunctionQuorum, SetQuorum};
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -9,8 +9,8 @@ use crate::failure::Failure;
 use crate::output::Output;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
+use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyDraft;
-use ledger_rejection::Rejection;
 use std::path::PathBuf;
 
 /// Put a whole set of policies in force; for admins.

@@ -7,8 +7,8 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyEntry, PolicySet, PolicySetTexts, PolicyText};
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -9,8 +9,8 @@ use crate::output::{Facts, Output, Table, printable, printable_lines};
 use crate::session::{self, ABAC, Session};
 use crate::time;
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyApprovals, PolicyDraft, PolicyNeed, PolicyProposal, PolicyProposalTexts};
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -4,8 +4,8 @@ use crate::answer;
 use crate::session::{ABAC, Session};
 use crate::words::Words;
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{RobotAsset, ServiceState};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 /// The words of the command line where the chaincode has other names.

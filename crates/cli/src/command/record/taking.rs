@@ -8,9 +8,9 @@ use crate::recording::{Channel, Event, Record, Recording};
 use crate::session::{ABAC, Session};
 use ledger::transaction::Transaction;
 use ledger_api::v1;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Grant, MessageEvent};
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 

@@ -4,7 +4,7 @@ use super::selection::Selection;
 use crate::argument::moment::{Instant, Moment};
 use crate::session::{MSP, Session};
 use crate::time;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 
 /// The blocks to record.
 pub(super) struct Window {

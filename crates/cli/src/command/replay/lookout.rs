@@ -1,6 +1,6 @@
 //! Looking out for bridges: where one has a topic, a replay would go around the ledger, or into it under somebody's name.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use ros_bridge::dds::{Change, Neighbour, Participant, Role};
 use std::collections::BTreeSet;
 use tokio::sync::{mpsc, watch};

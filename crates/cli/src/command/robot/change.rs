@@ -10,8 +10,8 @@ use crate::session::{self, ABAC, Session};
 use crate::time;
 use crate::words::{self, Words};
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Reason, RobotAsset, RobotChange, SettingChange, Told};
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -82,7 +82,7 @@ pub(super) struct Changed {
     /// Block time of the transaction, microseconds.
     pub(super) time: u64,
     pub(super) height: u64,
-    pub(super) transaction: ledger_hash::Hash,
+    pub(super) transaction: ledger_base::hash::Hash,
 }
 
 impl Facts for Changed {
@@ -154,7 +154,7 @@ TASK  SERVICE        SUBMITTER   STATE   REACHED  PRIORITY  SUBMITTED  REASON
 
     #[test]
     fn a_changed_task_is_flat_in_json_and_one_line_for_people() {
-        let changed = Changed { task: task(), time: 9, height: 3, transaction: ledger_hash::Hash::ZERO };
+        let changed = Changed { task: task(), time: 9, height: 3, transaction: ledger_base::hash::Hash::ZERO };
         assert_eq!(text(&changed), "task 7 for Husky/cmd_vel is failed (a\\u{1b} door); 1 of 2 points reached\n");
         let value = serde_json::to_value(&changed).unwrap();
         assert_eq!((&value["id"], &value["state"], &value["height"]), (&7.into(), &"failed".into(), &3.into()));

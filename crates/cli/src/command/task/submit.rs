@@ -59,7 +59,7 @@ struct Done {
     /// Block time of the transaction, microseconds.
     time: u64,
     height: u64,
-    transaction: ledger_hash::Hash,
+    transaction: ledger_base::hash::Hash,
 }
 
 impl Facts for Done {
@@ -145,7 +145,7 @@ mod tests {
             "contender":"Org1/Salma","position":3,"priority":0,"since":1,"until":2,"task":7}}"#;
         let submitted = serde_json::from_str(submitted).unwrap();
         let mut out = Vec::new();
-        Done { submitted, time: 1, height: 1, transaction: ledger_hash::Hash::ZERO }.text(&mut out).unwrap();
+        Done { submitted, time: 1, height: 1, transaction: ledger_base::hash::Hash::ZERO }.text(&mut out).unwrap();
         let wanted = "\
 task 7 for Husky/cmd_vel is waiting
   points    2

@@ -1,6 +1,6 @@
 //! The whole terminal: keys without Enter, and frames in the place of lines. The terminal is as it was when this ends.
 
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use rustix::termios::{OptionalActions, Termios, isatty, tcgetattr, tcgetwinsize, tcsetattr};
 use std::io::{self, Write};
 use tokio::io::{AsyncReadExt, Stdin, stdin};

@@ -5,8 +5,8 @@ use crate::command::network::status::Overview;
 use crate::output::printable;
 use crate::time;
 use ledger_api::Context;
+use ledger_base::rejection::Rejection;
 use ledger_contract::{RobotAsset, ServiceState, Stopped};
-use ledger_rejection::Rejection;
 use std::collections::BTreeMap;
 
 /// Turns a line around, and back: the chosen one.
@@ -235,7 +235,7 @@ mod tests {
     #[test]
     fn after_a_look_that_failed_the_last_one_stays_and_says_so() {
         let mut view = view(1);
-        view.saw(Err(Rejection::new(ledger_rejection::Code::Unreachable, "nobody answers")), 2_000_000);
+        view.saw(Err(Rejection::new(ledger_base::rejection::Code::Unreachable, "nobody answers")), 2_000_000);
         let lines = view.lines(&BTreeMap::new(), (120, 24));
         assert!(lines[0].contains("not of now: nobody answers [LGR-4001]") && lines[3].contains("T/c0"), "{lines:?}");
     }

@@ -2,9 +2,9 @@
 
 use super::*;
 use crate::fixture::{grant, service};
+use ledger_base::hash::Hash;
 use ledger_confidential::{Keyring, ReadingKey, Sealer};
 use ledger_contract::{Limits, Reader, Readers, Share};
-use ledger_hash::Hash;
 
 const ID: &str = "T/cmd_vel";
 

@@ -17,11 +17,11 @@ use super::{
 use crate::Rules;
 use crate::chaincode::{Context, Revocation};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger_identity::msp::Msps;
 use ledger_identity::{Identity, Role, check_name};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

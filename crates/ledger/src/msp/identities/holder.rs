@@ -5,9 +5,9 @@ use super::{find, is_revoked, issued_key};
 use crate::chaincode::Context;
 use crate::msp::store::json;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

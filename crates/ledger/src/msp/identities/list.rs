@@ -6,9 +6,9 @@ use super::{IdentityRecord, find, is_revoked};
 use crate::chaincode::Context;
 use crate::page::{Page, Paging};
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_identity::NAME_BYTES_MAX;
-use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// Most names that `identities` answers with as a transaction, which it was before rules 3.

@@ -10,9 +10,9 @@ use super::super::store::{self, json, registrar_key};
 use super::{IdentityRecord, Maker, is_revoked, was_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 

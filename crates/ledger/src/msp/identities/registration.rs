@@ -7,10 +7,10 @@ use super::registrar::{self, Registering};
 use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
 use crate::chaincode::Context;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::encode_attributes;
 use ledger_identity::{Role, check_new_name, check_readable};
-use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -7,7 +7,7 @@ use super::registration::{unknown, void};
 use super::{IssuedCertificate, find, is_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Argument of `revoke_identity`.

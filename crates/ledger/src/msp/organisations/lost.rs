@@ -1,9 +1,9 @@
 //! The authorities that an organisation loses by a change.
 
 use crate::network::FoundingOrganisation;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_identity::certificate::Certificate;
-use ledger_rejection::Rejection;
 use std::collections::BTreeSet;
 
 /// SHA-256 of a distinguished name: as a certificate, a grant or an approval names its issuer.

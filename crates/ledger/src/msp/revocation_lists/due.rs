@@ -4,8 +4,8 @@ use super::super::store::{LISTS, list_state, read_state, stale_key};
 use super::super::{NAME, RECORD_LIST};
 use super::{LISTS_MAX, ListRecord, Stale};
 use crate::transaction::Transaction;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
-use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use std::collections::HashMap;
 

@@ -1,8 +1,8 @@
 //! Does a list follow the one before? Lists only go forward in time and number, and only forget what has ended.
 
+use ledger_base::mutation::{Mutation, active};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::revocation_list::RevocationList;
-use ledger_mutation::{Mutation, active};
-use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeSet;
 
 /// How far a list may come from the future, in microseconds of block time: clocks differ.

@@ -3,9 +3,9 @@
 use crate::scenes::{Scene, Ways, change, members, node, organisation, step};
 use crate::world::NOW;
 use bytes::Bytes;
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
 use ledger_light::Change;
-use ledger_rejection::Code;
 use serde_json::{Value, json};
 use testkit::Ca;
 

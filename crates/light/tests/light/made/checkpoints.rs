@@ -3,10 +3,10 @@
 use crate::scenes::{Scene, Ways, change, members, node, step};
 use crate::world::NOW;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_light::proof::Proof;
 use ledger_light::{Change, Checkpoint, Governance};
-use ledger_rejection::Code;
 use serde_json::json;
 use std::collections::BTreeMap;
 

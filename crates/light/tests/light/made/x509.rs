@@ -3,9 +3,9 @@
 use crate::scenes::{Block, Scene, Ways, step};
 use crate::world::NOW;
 use bytes::Bytes;
+use ledger_base::rejection::Code;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_light::Signature;
-use ledger_rejection::Code;
 use serde_json::Value;
 use testkit::rcgen::{
     BasicConstraints, CertificateParams, CustomExtension, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,

@@ -3,7 +3,7 @@
 use super::*;
 use crate::message::Transactions;
 use bytes::Bytes;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 
 fn submit(engine: &mut Engine) -> Vec<Output> {
     step(engine, Input::Submit { lane: Lane::Control, transaction: Bytes::from_static(b"drive") })

@@ -6,7 +6,7 @@ use crate::{
     mark::Mark,
     qos::{Durability, Reliability},
 };
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 const HOUR_US: u64 = 3_600_000_000;
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{door::Door, mark::Mark};
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 #[tokio::test]
 async fn a_topic_whose_shared_memory_ends_is_read_over_dds_and_its_route_goes_on() {

@@ -1,7 +1,7 @@
 //! A client of a ROS 2 service.
 
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 use rustdds::{GUID, SequenceNumber, rpc::SampleIdentity};
 
 use super::{

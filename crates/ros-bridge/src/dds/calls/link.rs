@@ -11,8 +11,8 @@ use std::{
 
 use bytes::Bytes;
 use futures::StreamExt;
+use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_LE, HEADER_BYTES, Sample};
-use ledger_hash::Hash;
 use rustdds::{
     DataReaderStatus, GUID, RTPSEntity, StatusEvented, Timestamp, TopicKind,
     dds::result::WriteError,

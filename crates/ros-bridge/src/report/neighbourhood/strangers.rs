@@ -93,7 +93,7 @@ fn is_of(endpoints: &[&Neighbour], participant: [u8; 16]) -> bool {
 mod tests {
     use super::*;
     use crate::dds::Role;
-    use ledger_hash::Hash;
+    use ledger_base::hash::Hash;
     use rustdds::QosPolicies;
 
     fn own() -> Mark {

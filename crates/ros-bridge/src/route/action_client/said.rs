@@ -6,7 +6,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
 
 use super::super::{actions::GoalId, calls::CALLS_MAX};
 

@@ -16,9 +16,9 @@
 //! lost it says the ids, behind a 3 as for feedback.
 
 use bytes::{BufMut, Bytes, BytesMut};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_gate::sample::{CDR_LE, Sample};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 
 use super::super::calls::{CALLS_MAX, message_of};
 

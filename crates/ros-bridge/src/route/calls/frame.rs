@@ -11,9 +11,9 @@
 //! make another request with it. It has 32 bytes, so all numbers behind it keep their alignment.
 
 use bytes::{BufMut, Bytes, BytesMut};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_gate::sample::{CDR_LE, Sample};
-use ledger_hash::Hash;
-use ledger_rejection::Rejection;
 
 /// Bytes of a reply beside those of its message.
 pub(in crate::route) const REPLY_BYTES: usize = 32;

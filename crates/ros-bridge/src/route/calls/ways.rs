@@ -6,9 +6,9 @@ use futures::{
     FutureExt,
     future::{BoxFuture, join},
 };
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::replies;
 use ledger_gate::service::Service;
-use ledger_rejection::{Code, Rejection};
 use tokio::sync::mpsc::{self, UnboundedReceiver};
 
 use super::{CALLS_MAX, Hand, Handed, Told};

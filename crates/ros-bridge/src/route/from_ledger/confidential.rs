@@ -11,10 +11,10 @@ use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
 use ledger::transaction::Transaction;
 use ledger_api::v1::Delivery;
+use ledger_base::rejection::Rejection;
 use ledger_confidential::{Keyring, ReadingKey};
 use ledger_contract::{Envelope, Readers};
 use ledger_gate::{ABAC, guard::Block};
-use ledger_rejection::Rejection;
 use serde::Deserialize;
 
 use super::{FromLedger, late::block, told};

@@ -4,9 +4,9 @@ use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
 use futures::{FutureExt, StreamExt, future::BoxFuture};
 use ledger_api::{Subscription, v1::Delivery};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Latest;
 use ledger_gate::{ABAC, guard::Block};
-use ledger_rejection::{Code, Rejection};
 use tokio::time::timeout;
 
 use super::{FromLedger, confidential::with_keys, told};

@@ -3,9 +3,9 @@
 use std::{sync::Arc, time::Duration};
 
 use futures::{FutureExt, future::BoxFuture};
+use ledger_base::rejection::{Code, Rejection};
+use ledger_base::settings::Section;
 use ledger_gate::{gate::Settings as GateSettings, sample::Sample, service::Service};
-use ledger_rejection::{Code, Rejection};
-use ledger_settings::Section;
 use tokio::sync::watch;
 
 use super::{

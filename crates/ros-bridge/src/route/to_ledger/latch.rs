@@ -9,7 +9,7 @@ use std::{
 };
 
 use ledger::transaction::TRANSACTION_BYTES_MAX;
-use ledger_settings::Section;
+use ledger_base::settings::Section;
 
 use super::{ToLedger, outcome::LEFT_OUT};
 use crate::queue::Incoming;

@@ -2,8 +2,8 @@
 
 use std::time::{Instant, SystemTime};
 
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_traces::{Step, wall};
 
 use super::{super::calls::Told, ToLedger};

@@ -2,10 +2,10 @@
 
 use bytes::Bytes;
 use ledger_api::v1::Delivery;
+use ledger_base::rejection::Rejection;
 use ledger_confidential::Sealer;
 use ledger_contract::Grant;
 use ledger_gate::service::{Released, read};
-use ledger_rejection::Rejection;
 
 use crate::queue::Incoming;
 

@@ -8,11 +8,11 @@ use std::{
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
 use ledger_api::v1::Delivery;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_confidential::Sealer;
 use ledger_contract::{Keyed, Readers};
 use ledger_gate::ABAC;
-use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
 
 use super::{ToLedger, publishing::Publishing};
 use crate::{

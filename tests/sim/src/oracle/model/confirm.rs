@@ -3,7 +3,7 @@
 use super::contest::{Stage, Wishes};
 use super::{Model, Service, Verdict};
 use crate::people::Person;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
 
 /// How long confirmations are waited for (milliseconds), unless the owner says otherwise.

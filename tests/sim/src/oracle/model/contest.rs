@@ -5,8 +5,8 @@ use super::ends::Why;
 use super::tasks::State;
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 

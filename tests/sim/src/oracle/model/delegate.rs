@@ -3,8 +3,8 @@
 use super::ends::Why;
 use super::{Grant, Judged, Model, Person, Robot, Service, Verdict};
 use bytes::Bytes;
-use ledger_hash::Hash;
-use ledger_rejection::Code;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use std::sync::Arc;
 

@@ -1,8 +1,8 @@
 //! The certificates that nodes have recorded: only those whom the ledger knows by name are passed a service.
 
 use super::{Model, Person, Verdict};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use serde::Deserialize;
 use std::collections::BTreeSet;
 

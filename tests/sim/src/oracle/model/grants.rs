@@ -8,9 +8,9 @@ use super::tasks::Task;
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
 use bytes::Bytes;
-use ledger_hash::Hash;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

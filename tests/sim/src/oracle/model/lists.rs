@@ -3,7 +3,7 @@
 use super::{Model, Person, Verdict, only_admins};
 use crate::clock::SECOND;
 use crate::lists::{Lists, Signed};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -4,8 +4,8 @@ use super::{Judged, Person, Verdict};
 use crate::people::organisation_of;
 use ledger::members::Membership;
 use ledger::{Activation, Rules};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 

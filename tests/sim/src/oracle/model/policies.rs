@@ -3,8 +3,8 @@
 use super::services::{Robot, Service};
 use super::{Model, Person};
 use crate::policy::{Act, Asked, Policy, Says};
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::collections::BTreeSet;
 
 impl Model {

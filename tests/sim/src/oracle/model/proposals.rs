@@ -2,7 +2,7 @@
 
 use super::sets::Set;
 use super::{Agreed, Judged, Model, Person, Verdict, only_admins};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Most proposals of one organisation.

@@ -5,9 +5,9 @@ use super::sets::Policies;
 use super::{Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
 use bytes::Bytes;
+use ledger_base::rejection::Code;
 use ledger_contract::{Envelope, Share};
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A content key is good for so long after a reader came, or went of its own accord.

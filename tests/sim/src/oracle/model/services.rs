@@ -1,7 +1,7 @@
 //! Robots with their services, and the places of those who read them.
 
 use super::Model;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 

@@ -2,7 +2,7 @@
 
 use super::{Judged, Model, Person, Verdict, only_admins};
 use crate::policy::Policy;
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 

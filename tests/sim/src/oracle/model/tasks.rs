@@ -6,8 +6,8 @@ use super::grants::check_lease;
 use super::services::{Robot, Service};
 use super::{Judged, Model, Verdict};
 use crate::people::Person;
+use ledger_base::rejection::Code;
 use ledger_identity::Role;
-use ledger_rejection::Code;
 use serde::Deserialize;
 
 /// Most tasks that have not ended: of a certificate, and of a service.

@@ -1,7 +1,7 @@
 //! The answers about sets of policies: the number of the set that is in force, and who agrees to one that is proposed.
 
 use crate::oracle::model::{Agreed, Judged, Model};
-use ledger_rejection::Code;
+use ledger_base::rejection::Code;
 use ledger_storage::result::TransactionResult;
 use serde::Deserialize;
 use std::collections::BTreeSet;

@@ -12,10 +12,10 @@ use crate::people::Person;
 use crate::world::World;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_confidential::Keyring;
 use ledger_contract::{Envelope, Share};
-use ledger_hash::Hash;
-use ledger_rejection::Code;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A reader's name, and the public half of a pair.

@@ -8,10 +8,10 @@ use crate::node::{Answer, Reply, Request, What};
 use crate::robot::{IDENTITY, Question, Robot};
 use crate::world::{Awake, Event, World};
 use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_gate::standing::{Members, Standing};
 use ledger_light::fact::Fact;
 use ledger_light::{Proof, Way};
-use ledger_rejection::{Code, Rejection};
 
 /// How long a question may be on its way to its block, microseconds.
 const QUESTION_TTL: u64 = 5 * SECOND;

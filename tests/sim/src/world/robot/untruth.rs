@@ -230,7 +230,7 @@ impl World {
             let body = transaction.body();
             let service =
                 robot.watched.iter().find(|watched| body.args.first().is_some_and(|arg| arg == watched.id))?;
-            let wanted = body.function == "set" && denied != (result.code() == ledger_rejection::Code::Ok);
+            let wanted = body.function == "set" && denied != (result.code() == ledger_base::rejection::Code::Ok);
             let person = self.people.by_fingerprint(&transaction.creator()).filter(|_| wanted)?;
             let certificate = person.certificate.clone();
             Some(Told { certificate, ..told("message", service.id, "{}", bytes.clone()) })

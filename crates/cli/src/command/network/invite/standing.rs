@@ -5,8 +5,8 @@ use crate::output::{Facts, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
 use ledger::msp::{CancelInvitation, Invitation};
+use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
-use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -5,7 +5,7 @@
 //! and all others are faults.
 //!
 //! ```
-//! use ledger_settings::Reader;
+//! use ledger_base::settings::Reader;
 //! use std::path::Path;
 //!
 //! let mut depth = 10_u32;

@@ -2,7 +2,8 @@
 //! again to play one case.
 #![expect(clippy::panic, clippy::unwrap_used, reason = "tests")]
 
-use ledger_invariant::{EXIT_CODE, end_process, invariant, vital, vital_task};
+use ledger_base::invariant;
+use ledger_base::invariant::{EXIT_CODE, end_process, vital, vital_task};
 use std::future::{pending, poll_fn};
 use std::pin::pin;
 use std::process::{Command, Output};
@@ -69,7 +70,7 @@ fn play(case: &str) -> (Option<i32>, String) {
 fn a_broken_invariant_ends_the_process_before_anybody_finds_the_lock_poisoned() {
     let (code, said) = play("under a lock");
     assert_eq!(code, Some(EXIT_CODE), "{said}");
-    let found = "found   term 3 after 4 (crates/invariant/tests/ending.rs:";
+    let found = "found   term 3 after 4 (crates/base/tests/ending.rs:";
     assert!(said.contains(found) && said.contains("wanted  the term never goes back\n"), "{said}");
 }
 

@@ -1,8 +1,8 @@
 //! Directories: made, renamed, synced.
 
-use crate::failed;
-use crate::medium::{Medium, Real};
-use ledger_rejection::Rejection;
+use super::failed;
+use super::medium::{Medium, Real};
+use crate::rejection::Rejection;
 use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;

@@ -1,6 +1,20 @@
-//! Refusals that explain themselves.
+//! Refusals that explain themselves, and their stable codes.
+//!
+//! Every crate refuses with a [`Rejection`]: a [`Code`], and what was found, what was wanted, and what to do next. The
+//! [`Class`] of a code decides the exit code of command-line tools.
+//!
+//! ```
+//! use ledger_base::rejection::{Code, Rejection};
+//!
+//! let refused = Rejection::new(Code::UnknownRobot, "no robot is registered as Husky").wanted("Turtlebot4");
+//! assert_eq!(refused.to_string(), "no robot is registered as Husky [LGR-3003]\n  wanted  Turtlebot4");
+//! assert_eq!(refused.code.class().exit_code(), 3);
+//! ```
 
-use crate::code::Code;
+mod code;
+
+pub use code::{Class, Code};
+
 use std::fmt;
 
 /// Why something was refused: a stable code and the four lines that a person needs.

@@ -1,7 +1,7 @@
 //! SHA-256 values: one type for hashes of blocks, ids of transactions, digests and fingerprints.
 //!
 //! ```
-//! use ledger_hash::Hash;
+//! use ledger_base::hash::Hash;
 //!
 //! let hash = Hash::of(&[b"ab", b"c"]);
 //! assert_eq!(hash, Hash::of(&[b"abc"]));

@@ -12,13 +12,11 @@
 //! calls [`end_process`] once, in `main`; from then on it is the end of the process with [`EXIT_CODE`].
 //!
 //! ```
-//! use ledger_invariant::invariant;
+//! use ledger_base::invariant;
 //!
 //! let (committed, applied) = (7, 5);
 //! invariant!(applied <= committed, "what is applied is committed", "applied {applied}, committed {committed}");
 //! ```
-
-#![forbid(unsafe_code)]
 
 use std::fmt::Arguments;
 use std::io::Write;
@@ -40,7 +38,7 @@ const BROKEN: &str = "an invariant does not hold: ";
 macro_rules! invariant {
     ($holds:expr, $invariant:literal, $($found:tt)+) => {
         if !$holds {
-            $crate::broken($invariant, format_args!($($found)+));
+            $crate::invariant::broken($invariant, format_args!($($found)+));
         }
     };
 }
@@ -49,7 +47,7 @@ macro_rules! invariant {
 #[macro_export]
 macro_rules! costly_invariant {
     ($holds:expr, $invariant:literal, $($found:tt)+) => {
-        if $crate::looks_closely() {
+        if $crate::invariant::looks_closely() {
             $crate::invariant!($holds, $invariant, $($found)+);
         }
     };

@@ -1,7 +1,7 @@
 //! Reading settings one by one, so that all faults of a file are found at once.
 
-use crate::Fault;
-use ledger_rejection::{Code, Rejection};
+use super::Fault;
+use crate::rejection::{Code, Rejection};
 use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 use toml::Spanned;
@@ -21,7 +21,7 @@ const VALUE_CHARS_MAX: usize = 80;
 /// UTF-8.
 pub fn load(path: &Path) -> Result<String, Vec<Fault>> {
     let whole = |rejection| vec![Fault { file: path.to_owned(), line: None, rejection }];
-    let content = ledger_durable::read(path, FILE_BYTES_MAX).map_err(|mut rejection| {
+    let content = crate::durable::read(path, FILE_BYTES_MAX).map_err(|mut rejection| {
         if rejection.code == Code::BadFile {
             // The fault names the file.
             rejection.message = "cannot be read".into();
@@ -362,7 +362,7 @@ impl<'t> Section<'_, 't> {
             let shown: String = name.chars().take(VALUE_CHARS_MAX).collect();
             let mut rejection = Rejection::new(Code::BadConfiguration, format!("{kind} has no setting {shown:?}"))
                 .wanted(format!("one of {}", self.known.join(", ")));
-            rejection = match nearest::nearest(&name, self.known.iter().copied()) {
+            rejection = match crate::nearest::nearest(&name, self.known.iter().copied()) {
                 Some(near) => rejection.next(format!("did you mean {}?", self.path(near))),
                 None => rejection.next("remove it"),
             };

@@ -6,8 +6,8 @@
 //! ```
 //! let place = tempfile::tempdir().unwrap();
 //! let path = place.path().join("node.json");
-//! ledger_durable::replace(&path, b"{}", ledger_durable::SECRET_MODE).unwrap();
-//! assert_eq!(ledger_durable::read(&path, 100).unwrap(), b"{}");
+//! ledger_base::durable::replace(&path, b"{}", ledger_base::durable::SECRET_MODE).unwrap();
+//! assert_eq!(ledger_base::durable::read(&path, 100).unwrap(), b"{}");
 //! ```
 
 mod directory;
@@ -17,7 +17,7 @@ mod medium;
 pub use directory::{create_directory, rename, sync_directory};
 pub use file::{Staged, create, read, replace, stage, stage_from};
 
-use ledger_rejection::{Code, Rejection};
+use crate::rejection::{Code, Rejection};
 use std::io;
 use std::path::Path;
 

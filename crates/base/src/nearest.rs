@@ -4,7 +4,7 @@
 //!
 //! ```
 //! assert_eq!(nearest::nearest("turtelbot4", ["Husky", "Turtlebot4"]), Some("Turtlebot4"));
-//! assert_eq!(nearest::did_you_mean("Huski", ["Husky"], "robot list"), "did you mean \"Husky\"?");
+//! assert_eq!(ledger_base::nearest::did_you_mean("Huski", ["Husky"], "robot list"), "did you mean \"Husky\"?");
 //! ```
 
 /// Longest name that is compared, in bytes: the comparison costs the product of both lengths.

@@ -1,6 +1,6 @@
 //! A fault of a configuration file, with its line.
 
-use ledger_rejection::Rejection;
+use crate::rejection::Rejection;
 use std::fmt;
 use std::path::PathBuf;
 

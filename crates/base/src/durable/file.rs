@@ -1,9 +1,9 @@
 //! Files: created, replaced, read.
 
-use crate::directory::rename_on;
-use crate::failed;
-use crate::medium::{Medium, Real};
-use ledger_rejection::{Code, Rejection};
+use super::directory::rename_on;
+use super::failed;
+use super::medium::{Medium, Real};
+use crate::rejection::{Code, Rejection};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::path::{Path, PathBuf};
@@ -71,7 +71,7 @@ fn stage_on(medium: &impl Medium, path: &Path, content: &mut dyn Read, mode: u32
 
 /// Writes a file that must not exist yet, down to the disk; its directory is left to [`sync_directory`].
 ///
-/// [`sync_directory`]: crate::sync_directory
+/// [`sync_directory`]: ledger_base::sync_directory
 ///
 /// # Errors
 /// The file, and what the system says.
@@ -107,8 +107,8 @@ pub fn read(path: &Path, bytes_max: usize) -> Result<Vec<u8>, Rejection> {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use super::super::medium::forgetful::Forgetful;
     use super::*;
-    use crate::medium::forgetful::Forgetful;
     use std::os::unix::fs::PermissionsExt;
 
     const PATH: &str = "/data/node.json";
@@ -165,7 +165,7 @@ mod tests {
         }
         create(&large, b"two", 0o600).unwrap();
         let again = create(&large, b"two", 0o600).unwrap_err();
-        for refused in [read(&large, 2).unwrap_err(), again, crate::rename(&missing, &large).unwrap_err()] {
+        for refused in [read(&large, 2).unwrap_err(), again, super::super::rename(&missing, &large).unwrap_err()] {
             assert!(refused.message.contains(place.path().to_str().unwrap()), "{refused}");
         }
     }

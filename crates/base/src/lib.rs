@@ -1,0 +1,23 @@
+//! The foundation of every other crate: no network, no chaincode, no cryptography beyond a hash.
+//!
+//! | module | content |
+//! |---|---|
+//! | [`hash`] | SHA-256 values |
+//! | [`rejection`] | rejections and their stable codes |
+//! | [`invariant`] | invariants, and the end of a process that breaks one |
+//! | [`mutation`] | deliberate bugs that the simulation must notice |
+//! | [`durable`] | files that survive a crash whole |
+//! | [`settings`] | TOML files, read setting by setting |
+//! | [`nearest`] | "did you mean" |
+//! | [`progress`] | progress of long commands on a terminal |
+
+#![forbid(unsafe_code)]
+
+pub mod durable;
+pub mod hash;
+pub mod invariant;
+pub mod mutation;
+pub mod nearest;
+pub mod progress;
+pub mod rejection;
+pub mod settings;
