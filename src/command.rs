@@ -1,6 +1,6 @@
 //! The command line of `ledgerd`.
 
-use crate::clients::monitoring::{Admin, PagePapers};
+use crate::clients::monitoring::{Admin, PageCredentials};
 use crate::node::NodeBuilder;
 use crate::node::supervise::until_stopped;
 use crate::process::config::{Config, Fault, OfBridge};
@@ -225,7 +225,7 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
         let _page = match program.admin.listen.as_str() {
             "" => None,
             address => {
-                let papers = PagePapers::OfFiles(program.admin.clone());
+                let papers = PageCredentials::OfFiles(program.admin.clone());
                 Some(Admin::serve(address, Arc::new(sight.clone()), papers).await?)
             }
         };

@@ -7,7 +7,7 @@
 //! | `telemetry`, `meters`, `terminal` | logs; histograms of the steps of a command; lines on the terminal, and signals |
 //! | `failure` | how a part of the node ends the node |
 //! | `clock`, `random` | time that never goes back; random numbers of the operating system |
-//! | `idle_control`, `slice`, `memory` | processors that may not sleep yet; scheduler slices; returning memory to the OS |
+//! | `idle_control`, `scheduler_slices`, `memory` | processors that may not sleep yet; scheduler slices; returning memory to the OS |
 //! | `caller`, `connection_limiter` | who calls; connections per peer |
 //! | `page_connections`, `tls_files` | connections of pages over HTTP; TLS from files of an operator |
 
@@ -21,7 +21,7 @@ pub(crate) mod memory;
 pub(crate) mod meters;
 pub(crate) mod page_connections;
 pub(crate) mod random;
-pub(crate) mod slice;
+pub(crate) mod scheduler_slices;
 pub(crate) mod telemetry;
 pub(crate) mod terminal;
 pub(crate) mod tls_files;

@@ -31,7 +31,7 @@ mod submit;
 mod subscribe;
 mod transfer;
 
-use crate::clients::rejections::Denials;
+use crate::clients::rejections::Rejections;
 use crate::process::caller::Caller;
 use crate::process::clock::Clock;
 pub(crate) use audience::Audience;
@@ -84,7 +84,7 @@ pub(crate) struct GatewayService {
     /// The other nodes.
     pub nodes: Arc<Nodes>,
     /// Calls that were refused.
-    pub denials: Arc<Denials>,
+    pub denials: Arc<Rejections>,
     /// Tells who did what.
     pub audit: Arc<Answers>,
 }

@@ -57,7 +57,7 @@ pub(crate) trait Watched: Send + Sync + 'static {
 }
 
 /// The certificate that the page shows, and the ones that it accepts.
-pub(crate) enum PagePapers {
+pub(crate) enum PageCredentials {
     /// That of a node, and those of the members of its network.
     OfNetwork(TlsIdentity, Arc<dyn TrustSource>),
     /// Those of an operator, if there are any.
@@ -76,7 +76,11 @@ impl Admin {
     ///
     /// # Errors
     /// [`Code::BadConfiguration`] if nothing can listen there, or may; [`Code::BadFile`] if the certificate cannot be used.
-    pub(crate) async fn serve(address: &str, watched: Arc<dyn Watched>, papers: PagePapers) -> Result<Self, Rejection> {
+    pub(crate) async fn serve(
+        address: &str,
+        watched: Arc<dyn Watched>,
+        papers: PageCredentials,
+    ) -> Result<Self, Rejection> {
         let listening = Doors::listen(address, "admin.listen").await?;
         let address = listening.1;
         let tls = secured(address, papers)?;
@@ -109,14 +113,14 @@ impl Drop for Admin {
 }
 
 /// TLS for a page that listens there; none for plain HTTP.
-fn secured(address: SocketAddr, papers: PagePapers) -> Result<Option<ServerConfig>, Rejection> {
+fn secured(address: SocketAddr, papers: PageCredentials) -> Result<Option<ServerConfig>, Rejection> {
     let mut config = match papers {
-        PagePapers::OfFiles(page) if page.is_secured() => of_files(&page)?,
+        PageCredentials::OfFiles(page) if page.is_secured() => of_files(&page)?,
         _ if address.ip().is_loopback() => return Ok(None),
-        PagePapers::OfNetwork(identity, trust) => {
+        PageCredentials::OfNetwork(identity, trust) => {
             server_config(identity, trust).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?
         }
-        PagePapers::OfFiles(_) => return Err(only_on_loopback(address)),
+        PageCredentials::OfFiles(_) => return Err(only_on_loopback(address)),
     };
     config.alpn_protocols = vec![b"http/1.1".to_vec()];
     Ok(Some(config))

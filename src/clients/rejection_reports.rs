@@ -1,6 +1,6 @@
 //! Puts on the ledger what this node refused before ordering: at most once in a second, and seldom while a flood lasts.
 
-use crate::clients::rejections::Denials;
+use crate::clients::rejections::Rejections;
 use crate::ordering::node_transactions::Author;
 use crate::process::clock::Clock;
 use crate::storage::space::Space;
@@ -30,7 +30,7 @@ pub(crate) struct Refusing {
     /// Signs it.
     pub author: Author,
     /// The refusals.
-    pub denials: Arc<Denials>,
+    pub denials: Arc<Rejections>,
     /// The node's clock.
     pub clock: Clock,
     /// The room that the disk still has.
@@ -43,8 +43,8 @@ struct Waiting {
     told: TellRefusals,
 }
 
-/// The fate of a telling.
-enum Fate {
+/// The reported of a telling.
+enum Reported {
     OnTheLedger,
     Open,
     /// It is on no ledger, and never will be.
@@ -69,10 +69,10 @@ impl Refusing {
 
     /// Looks after the last telling, or begins another one.
     fn step(&self, waiting: Option<Waiting>) -> Option<Waiting> {
-        let open = waiting.and_then(|before| match self.fate(&before) {
-            Fate::OnTheLedger => None,
-            Fate::Open => Some(before),
-            Fate::Lost => {
+        let open = waiting.and_then(|before| match self.reported(&before) {
+            Reported::OnTheLedger => None,
+            Reported::Open => Some(before),
+            Reported::Lost => {
                 self.denials.gathered().take_back(before.told);
                 None
             }
@@ -101,19 +101,19 @@ impl Refusing {
         }
     }
 
-    fn fate(&self, waiting: &Waiting) -> Fate {
+    fn reported(&self, waiting: &Waiting) -> Reported {
         let ledger = &self.author.ledger;
         match ledger.transaction(&waiting.signed.id()) {
-            Ok(Some(record)) if record.result.code() == Code::Ok => Fate::OnTheLedger,
+            Ok(Some(record)) if record.result.code() == Code::Ok => Reported::OnTheLedger,
             Ok(Some(record)) => {
                 tracing::debug!(code = %record.result.code(), "the refusals of this node are told to the ledger again");
-                Fate::Lost
+                Reported::Lost
             }
-            Ok(None) if self.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => Fate::Lost,
-            Ok(None) => Fate::Open,
+            Ok(None) if self.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => Reported::Lost,
+            Ok(None) => Reported::Open,
             Err(reason) => {
                 tracing::warn!(code = reason.code.name(), %reason, "cannot find out whether the ledger knows the refusals");
-                Fate::Open
+                Reported::Open
             }
         }
     }

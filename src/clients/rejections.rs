@@ -23,7 +23,7 @@ const OF_THE_NODE: u16 = 4000;
 
 /// Refusals of this node since it started.
 #[derive(Default)]
-pub(crate) struct Denials {
+pub(crate) struct Rejections {
     kept: Mutex<Kept>,
     gathered: Mutex<Gathered>,
     /// Told when something was gathered.
@@ -36,7 +36,7 @@ struct Kept {
     counts: BTreeMap<u32, u64>,
 }
 
-impl Denials {
+impl Rejections {
     /// Takes down a refusal at the node's time, microseconds.
     pub(crate) fn record(&self, now: u64, refusal: &Refusal) {
         let body = refusal.transaction.as_ref().map(Transaction::body);

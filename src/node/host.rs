@@ -9,6 +9,7 @@
 //!   descriptors  how many connections there may be
 //! ```
 
+mod connection;
 mod descriptors;
 mod door;
 mod ledgers;

@@ -9,6 +9,7 @@
 //!
 //! It takes from its [`Host`] the parts that it shares with the process. So a process may hold several instances.
 
+mod outlet;
 mod revocations;
 mod wired;
 
@@ -20,16 +21,16 @@ use crate::peers::chain_monitor::Asking;
 use crate::peers::conductor::Conductor;
 use crate::peers::question::Bootstrap;
 use crate::peers::quorum_certificates::{Certifying, Told};
-use crate::peers::reachability::Links;
+use crate::peers::reachability::Reachability;
 use crate::process::clock::Clock;
 use crate::process::config::Config;
 use crate::process::failure::Ended;
-use crate::process::failure::no_thread;
+use crate::process::failure::thread_error;
 use crate::storage::housekeeping::Housekeeping;
 use crate::storage::retention::Pruner;
 use crate::storage::scrub::Scrub;
 use crate::storage::stores::Stores;
-use crate::trust::credentials::Papers;
+use crate::trust::credentials::NodeCredentials;
 use crate::trust::enrolment::EnrolmentService;
 use crate::trust::membership::check_member;
 use crate::trust::membership::{Joined, own_membership, removed};
@@ -79,7 +80,7 @@ pub(crate) struct Instance {
     /// Its ledger.
     pub(crate) ledger: Arc<Ledger>,
     /// Where its orderer is.
-    links: Links,
+    links: Reachability,
     /// The calls that it has in flight.
     shares: Arc<Shares>,
     /// Why it cannot go on as it is.
@@ -95,7 +96,7 @@ pub(crate) struct Instance {
 
 impl Standing {
     /// Finds out by the node's certificate and what joining left here.
-    fn find(papers: &Papers, stores: &Stores, config: &Config) -> Result<Self, Rejection> {
+    fn find(papers: &NodeCredentials, stores: &Stores, config: &Config) -> Result<Self, Rejection> {
         let ledger = &stores.ledger;
         let directory = Arc::new(Directory::read(ledger));
         renewal::revive(&config.data, &papers.identity, &papers.authorities, &ledger.msps())?;
@@ -113,7 +114,7 @@ impl Prepared {
     /// # Errors
     /// If this is no node of the network, or its certificate or CA is not usable.
     pub(crate) fn new(
-        (host, papers): (&Host, Papers),
+        (host, papers): (&Host, NodeCredentials),
         config: &Config,
         (stores, document): (Stores, Bytes),
         started: Instant,
@@ -124,7 +125,7 @@ impl Prepared {
         let (wired, seen, stated) =
             Wired::new((&papers, config), (&stores, &trust), (&standing, clock, host.members()))?;
         let housekeeping =
-            wired.housekeeping(pruner(&stores, &wired.links, config)).map_err(|error| no_thread(&error))?;
+            wired.housekeeping(pruner(&stores, &wired.links, config)).map_err(|error| thread_error(&error))?;
         let ballot = Ballot::default();
         let enrolment = wired.enrolment((host, &papers), document.clone(), &trust);
         let renewer = Renewer {
@@ -166,10 +167,10 @@ impl Prepared {
         let conductor =
             Conductor::new((wired.me.id, wired.secret()), timing, wired.engines.clone(), catch_up).begin().await?;
         let Wired { me, stores, links, shares, engines, .. } = wired;
-        let (fate, members) = (engines.outside.fate, links.directory.subscribe());
-        let scrub = Scrub::start(stores.store, fate.clone()).map_err(|error| no_thread(&error))?;
-        let ended = fate.subscribe();
-        let belonging = async move { fate.fail(removed(me, members).await) };
+        let (failure, members) = (engines.outside.failure, links.directory.subscribe());
+        let scrub = Scrub::start(stores.store, failure.clone()).map_err(|error| thread_error(&error))?;
+        let ended = failure.subscribe();
+        let belonging = async move { failure.fail(removed(me, members).await) };
         let beside = [
             tokio::spawn(vital_task(renewer.keep())),
             tokio::spawn(vital_task(testimony.run(seen))),
@@ -197,10 +198,10 @@ impl Instance {
     pub(crate) async fn stop(self) {
         // A panic of it would have ended the process.
         let _ended = self.conductor.await;
-        let (seat, housekeeping, scrub) = (self.links.seat, self.housekeeping, self.scrub);
+        let (slot, housekeeping, scrub) = (self.links.slot, self.housekeeping, self.scrub);
         let ended = tokio::task::spawn_blocking(move || {
             scrub.stop();
-            seat.stop();
+            slot.stop();
             housekeeping.stop();
         });
         if ended.await.is_err() {
@@ -210,7 +211,7 @@ impl Instance {
     }
 }
 
-fn pruner(stores: &Stores, links: &Links, config: &Config) -> Pruner {
+fn pruner(stores: &Stores, links: &Reachability, config: &Config) -> Pruner {
     Pruner {
         ledger: Arc::clone(&stores.ledger),
         store: Arc::clone(&stores.store),

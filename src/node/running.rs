@@ -4,14 +4,14 @@ use super::bridge::NodeBridge;
 use super::host::{Host, Services, Serving};
 use super::instance::{Instance, Prepared};
 use crate::clients::console::{Console, Parts};
-use crate::clients::monitoring::{Admin, PagePapers, WatchedNode};
+use crate::clients::monitoring::{Admin, PageCredentials, WatchedNode};
 use crate::process::config::Config;
 use crate::process::failure::Ended;
 use crate::process::failure::advised;
 use crate::process::telemetry;
 use crate::storage::files::refuse_restored;
 use crate::storage::stores::Stores;
-use crate::trust::credentials::Papers;
+use crate::trust::credentials::NodeCredentials;
 use crate::trust::membership::nothing_here;
 use crate::trust::renewal;
 use ledger::{Chaincode, Ledger, Registry, Rules};
@@ -129,7 +129,7 @@ impl Node {
         let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         refuse_restored(config)?;
         let stores = Stores::open(config, &genesis, registry)?;
-        let (network, papers) = (stores.ledger.network(), Papers::read(config)?);
+        let (network, papers) = (stores.ledger.network(), NodeCredentials::read(config)?);
         let identity = papers.identity.clone();
         let host = match host {
             Some(host) => host.clone(),
@@ -230,7 +230,7 @@ async fn admin(
         return Ok(None);
     }
     let node = Arc::clone(&services.gateway.description);
-    let papers = PagePapers::OfNetwork(identity.clone(), Arc::clone(&services.trust));
+    let papers = PageCredentials::OfNetwork(identity.clone(), Arc::clone(&services.trust));
     Admin::serve(&config.admin, Arc::new(WatchedNode { node, bridge }), papers).await.map(Some)
 }
 

@@ -1,6 +1,6 @@
 //! Transactions of the node itself.
 
-use crate::ordering::orderer_slot::Seat;
+use crate::ordering::orderer_slot::OrdererSlot;
 use crate::process::clock::Clock;
 use bytes::Bytes;
 use ledger::msp;
@@ -64,7 +64,7 @@ pub(crate) struct Author {
     /// Says whether a call would be executed.
     pub ledger: Arc<Ledger>,
     /// Has them ordered.
-    pub seat: Arc<Seat>,
+    pub slot: Arc<OrdererSlot>,
 }
 
 impl Author {
@@ -94,7 +94,7 @@ impl Author {
         let admission = self.ledger.admit(signed.encoded().clone(), self.signer.clock.now());
         match admission.map_err(|refusal| refusal.rejection)? {
             Admission::New(transaction) => {
-                self.seat.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
+                self.slot.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
             }
             Admission::Known(..) => Ok(()),
         }

@@ -10,6 +10,7 @@
 //! ```text
 //! orderer      the threads and the handle to them
 //!   engines    starts an orderer with the parts of the node that it needs
+//!   outlet     what ordering hands to other parts of the node
 //!   order      the order thread
 //!   inbox      what waits for one of the two threads
 //!   execute    execution, on either thread
@@ -21,6 +22,7 @@ mod execute;
 mod handover;
 mod inbox;
 mod order;
+mod outlet;
 
 pub(crate) use execute::Executed;
 
@@ -32,6 +34,7 @@ use ledger_base::invariant::vital;
 use ledger_raft::{Input, RoleChange, Status};
 use ledger_replica::Replica;
 use order::Order;
+pub(crate) use outlet::Outlet;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;

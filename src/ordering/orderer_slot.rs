@@ -7,7 +7,7 @@ use ledger_raft::{Input, Status};
 use std::sync::{Mutex, PoisonError, RwLock};
 
 /// The place of the orderer.
-pub(crate) struct Seat {
+pub(crate) struct OrdererSlot {
     phase: RwLock<Phase>,
     /// The threads of the running orderer.
     orderer: Mutex<Option<Orderer>>,
@@ -22,7 +22,7 @@ enum Phase {
     Stopping,
 }
 
-impl Seat {
+impl OrdererSlot {
     /// A place for an orderer that is to come.
     pub(crate) fn empty() -> Self {
         Self { phase: RwLock::new(Phase::CatchingUp(0)), orderer: Mutex::default(), last: Mutex::default() }
@@ -99,7 +99,7 @@ impl Seat {
     /// Hands in a message or a transaction without a copy of the handle.
     ///
     /// # Errors
-    /// As [`Seat::handle`]; [`Code::Overloaded`] if the inbox is full.
+    /// As [`OrdererSlot::handle`]; [`Code::Overloaded`] if the inbox is full.
     pub(crate) fn input(&self, input: Input) -> Result<(), Rejection> {
         if let Phase::Running(handle) = &*self.phase.read().unwrap_or_else(PoisonError::into_inner) {
             return if handle.input(input) { Ok(()) } else { Err(overloaded()) };

@@ -1,6 +1,6 @@
 //! Makes this node's state as new as what was committed when somebody asked: carries out what [`Reads`] decides.
 
-use crate::ordering::orderer_slot::Seat;
+use crate::ordering::orderer_slot::OrdererSlot;
 use crate::process::clock::Clock;
 use crate::storage::blocks::Blocks;
 use ledger::{Ledger, Outcome};
@@ -20,7 +20,7 @@ pub(crate) type Question = oneshot::Receiver<Known>;
 
 /// Makes a node's state current; cheap to clone.
 #[derive(Clone)]
-pub(crate) struct Current {
+pub(crate) struct ReadIndex {
     blocks: Arc<Blocks>,
     questions: Arc<Questions>,
 }
@@ -36,7 +36,7 @@ impl Asker for Waiting {
 
 /// Those who ask, where the engine is, and the time.
 struct Questions {
-    seat: Arc<Seat>,
+    slot: Arc<OrdererSlot>,
     clock: Clock,
     runtime: Handle,
     state: Mutex<State>,
@@ -57,12 +57,12 @@ enum Timer {
     Earlier,
 }
 
-impl Current {
-    /// Of a node that finds its leader at the seat, and its blocks there. Runs in the runtime of the caller.
-    pub(crate) fn new(seat: Arc<Seat>, blocks: Arc<Blocks>, clock: Clock) -> Self {
+impl ReadIndex {
+    /// Of a node that finds its leader at the slot, and its blocks there. Runs in the runtime of the caller.
+    pub(crate) fn new(slot: Arc<OrdererSlot>, blocks: Arc<Blocks>, clock: Clock) -> Self {
         let state = Mutex::new(State { reads: Reads::new(blocks.height()), timer: None });
         let (runtime, earlier) = (Handle::current(), Notify::new());
-        Self { blocks, questions: Arc::new(Questions { seat, clock, runtime, state, earlier }) }
+        Self { blocks, questions: Arc::new(Questions { slot, clock, runtime, state, earlier }) }
     }
 
     /// Waits until this node has executed everything that was committed when this was called, by whichever node.
@@ -74,7 +74,7 @@ impl Current {
         self.ask().await.unwrap_or_else(|_| Err(Rejection::new(Code::ShuttingDown, "the node is stopping")))
     }
 
-    /// As [`Current::reach`], for who does something else meanwhile. The moment of this call counts.
+    /// As [`ReadIndex::reach`], for who does something else meanwhile. The moment of this call counts.
     pub(crate) fn ask(&self) -> Question {
         let (sender, known) = oneshot::channel();
         self.questions.tell(|reads, now, out| reads.ask(now, Waiting(sender), out));
@@ -90,7 +90,7 @@ impl Current {
     /// told, so a current state is enough. A node that lies about heights makes nobody wait at another one.
     ///
     /// # Errors
-    /// As [`Current::reach_height`], where no leader confirms that the state is current either.
+    /// As [`ReadIndex::reach_height`], where no leader confirms that the state is current either.
     pub(crate) async fn reach_told(&self, height: u64) -> Result<(), Rejection> {
         if height <= self.blocks.height() {
             return Ok(());
@@ -122,7 +122,7 @@ impl Current {
     }
 }
 
-impl Observer for Current {
+impl Observer for ReadIndex {
     fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
         self.questions.tell(|reads, now, out| reads.executed(now, outcome.header.height, out));
     }
@@ -160,7 +160,7 @@ impl Questions {
     }
 
     fn put(&self, context: u64) -> Result<(), Rejection> {
-        if self.seat.handle()?.input(Input::ReadIndex { context }) {
+        if self.slot.handle()?.input(Input::ReadIndex { context }) {
             return Ok(());
         }
         Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now").next("ask again later"))

@@ -15,10 +15,13 @@ use tonic::Status;
 /// The clients that wait, by their transactions.
 pub(crate) type Waiters = ledger_replica::Waiters<Client>;
 
+/// Where the answers of a client go.
+pub(crate) type Answers = mpsc::UnboundedSender<Result<SubmitResponse, Status>>;
+
 /// Where an answer goes. The place counts the transaction as in flight until it is answered.
 pub(crate) struct Client {
     /// The client's stream, or the call that waits for one answer.
-    pub answers: mpsc::UnboundedSender<Result<SubmitResponse, Status>>,
+    pub answers: Answers,
     /// Bounds how many can wait.
     pub place: InFlight,
     /// When the transaction came.

@@ -7,7 +7,7 @@
 
 use crate::ordering::directory::Directory;
 use crate::ordering::node_transactions::Author;
-use crate::peers::chain_monitor::Company;
+use crate::peers::chain_monitor::ChainMonitor;
 use ledger::msp::{self, Attest};
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::Rejection;
@@ -72,7 +72,7 @@ pub(crate) struct Testimony {
     /// The attestations of others.
     pub witness: Arc<Witness>,
     /// Hears who differs.
-    pub company: Arc<Company>,
+    pub company: Arc<ChainMonitor>,
     /// This node, `ORGANISATION/NAME`.
     pub me: String,
     /// Time between two attestations.

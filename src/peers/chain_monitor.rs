@@ -17,9 +17,9 @@ use crate::storage::files::DIVERGED_FILE;
 use crate::ordering::directory::Member;
 use crate::peers::connections::Dialer;
 use crate::peers::question::Asked;
-use crate::peers::reachability::Links;
+use crate::peers::reachability::Reachability;
 use crate::process::clock::Offset;
-use crate::process::failure::Fate;
+use crate::process::failure::FailureHandle;
 use confirmed::Confirmed;
 use ledger::Ledger;
 use ledger_base::rejection::{Code, Rejection};
@@ -43,7 +43,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
 type Machine = company::Company<Arc<Ledger>>;
 
 /// The view that the rest of the node has of its company.
-pub(crate) struct Company {
+pub(crate) struct ChainMonitor {
     machine: Mutex<Machine>,
     /// Since when no leader is reached.
     cut_off: Mutex<Option<Instant>>,
@@ -52,7 +52,7 @@ pub(crate) struct Company {
     kept: Confirmed,
 }
 
-impl Company {
+impl ChainMonitor {
     /// Of a node of this organisation.
     pub(crate) fn new(ledger: &Arc<Ledger>, organisation: &str, data: PathBuf) -> Self {
         let kept = Confirmed::of(data);
@@ -93,7 +93,7 @@ impl Company {
     }
 
     /// For how long this node has reached no leader.
-    pub(crate) fn cut_off_for(&self, links: &Links) -> Duration {
+    pub(crate) fn cut_off_for(&self, links: &Reachability) -> Duration {
         let mut since = self.cut_off.lock().unwrap_or_else(PoisonError::into_inner);
         *since = (!links.reaches_leader()).then(|| since.unwrap_or_else(Instant::now));
         since.map_or(Duration::ZERO, |since| since.elapsed().max(Duration::from_micros(1)))
@@ -110,12 +110,12 @@ impl Company {
 
 /// The task that asks.
 pub(crate) struct Asking {
-    pub company: Arc<Company>,
+    pub company: Arc<ChainMonitor>,
     pub ledger: Arc<Ledger>,
-    pub links: Links,
+    pub links: Reachability,
     pub dialer: Dialer,
     /// Ends a node that is wrong.
-    pub fate: Fate,
+    pub failure: FailureHandle,
     /// Where the node is told that it lacks blocks.
     pub behind: watch::Sender<Option<Behind>>,
     /// The data directory.
@@ -186,9 +186,9 @@ impl Asking {
 
     /// This node is wrong: it stops serving, and says where that began.
     async fn stop(&self, reason: Rejection) {
-        self.links.seat.stop();
+        self.links.slot.stop();
         if reason.code != Code::Diverged {
-            return self.fate.fail(reason);
+            return self.failure.fail(reason);
         }
         let mark = self.data.join(DIVERGED_FILE);
         if let Err(error) = std::fs::write(&mark, self.company.describe()) {
@@ -202,11 +202,11 @@ impl Asking {
             None => String::new(),
         };
         let wanted = if began.is_empty() { reason.wanted.clone() } else { format!("{}; {began}", reason.wanted) };
-        self.fate.fail(Rejection { wanted, ..reason });
+        self.failure.fail(Rejection { wanted, ..reason });
     }
 }
 
-impl Company {
+impl ChainMonitor {
     /// Keeps what voters have confirmed, if it is time.
     fn keep(&self) {
         let confirmed = self.machine().confirmed().clone();

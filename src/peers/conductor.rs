@@ -5,7 +5,7 @@
 //! there. Clients are told meanwhile that the node is behind.
 
 use crate::ordering::orderer::Engines;
-use crate::peers::sync::CatchUp;
+use crate::peers::sync::BlockSync;
 use ledger_base::invariant::vital_task;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Secret;
@@ -23,7 +23,7 @@ pub(crate) struct Conductor {
     timing: Timing,
     secret: Secret,
     engines: Engines,
-    catch_up: CatchUp,
+    catch_up: BlockSync,
     machine: conductor::Conductor,
     /// The orderer's last report of being behind.
     behind: watch::Receiver<Option<Behind>>,
@@ -31,7 +31,7 @@ pub(crate) struct Conductor {
 
 impl Conductor {
     /// For the node with this id, and the secret behind its receipts.
-    pub(crate) fn new((id, secret): (u64, Secret), timing: Timing, engines: Engines, catch_up: CatchUp) -> Self {
+    pub(crate) fn new((id, secret): (u64, Secret), timing: Timing, engines: Engines, catch_up: BlockSync) -> Self {
         let behind = engines.outside.behind.subscribe();
         let machine = conductor::Conductor::new(id, Arc::clone(engines.executor.ledger()));
         Self { id, timing, secret, engines, catch_up, machine, behind }
@@ -50,9 +50,9 @@ impl Conductor {
         }
         let hearing = self.catch_up.hear_out(open);
         let running = async move {
-            let fate = self.engines.outside.fate.clone();
+            let failure = self.engines.outside.failure.clone();
             if let Err(reason) = self.run(next).await {
-                fate.fail(reason);
+                failure.fail(reason);
             }
         };
         Ok(tokio::spawn(vital_task(async move {
@@ -83,7 +83,7 @@ impl Conductor {
                     Happened::Waited
                 }
                 Next::StartAgain => {
-                    self.engines.outside.fate.start_again();
+                    self.engines.outside.failure.start_again();
                     return Ok(());
                 }
             };
@@ -104,8 +104,8 @@ impl Conductor {
 
     /// Ends the engine, and waits until what was committed is executed.
     async fn end_engine(&self, behind: Behind) -> Result<(), Rejection> {
-        let seat = Arc::clone(&self.catch_up.seat);
-        let ended = tokio::task::spawn_blocking(move || seat.clear(behind.first_index.saturating_sub(1)));
+        let slot = Arc::clone(&self.catch_up.slot);
+        let ended = tokio::task::spawn_blocking(move || slot.clear(behind.first_index.saturating_sub(1)));
         ended.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while the engine ended"))
     }
 
@@ -119,7 +119,7 @@ impl Conductor {
     fn start_engine(&self) -> Result<(), Rejection> {
         let settings =
             Settings { id: self.id, seed: crate::process::random::number()?, timing: self.timing, secret: self.secret };
-        self.catch_up.seat.take_in(self.engines.start(&settings)?);
+        self.catch_up.slot.take_in(self.engines.start(&settings)?);
         Ok(())
     }
 }

@@ -17,7 +17,7 @@ use tokio::sync::broadcast;
 const WAITING_MAX: usize = 64;
 
 /// Tells of calls before they are ordered.
-pub(crate) struct Early {
+pub(crate) struct EarlyStops {
     ledger: Arc<Ledger>,
     clock: Clock,
     peers: Arc<Peers>,
@@ -25,7 +25,7 @@ pub(crate) struct Early {
     readers: broadcast::Sender<Arc<Foreseen>>,
 }
 
-impl Early {
+impl EarlyStops {
     /// Nobody reads yet.
     pub(crate) fn new(ledger: Arc<Ledger>, clock: Clock, peers: Arc<Peers>) -> Self {
         Self {

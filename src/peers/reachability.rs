@@ -1,18 +1,18 @@
-//! The ways to be ordered through this node: its seat, the members and the connections to them.
+//! The ways to be ordered through this node: its slot, the members and the connections to them.
 
 use crate::ordering::directory::Directory;
-use crate::ordering::orderer_slot::Seat;
+use crate::ordering::orderer_slot::OrdererSlot;
 use crate::peers::connections::Peers;
 use crate::storage::space::Space;
 use std::sync::Arc;
 
 /// Where ordering is and who takes part; cheap to clone.
 #[derive(Clone)]
-pub(crate) struct Links {
+pub(crate) struct Reachability {
     /// The number of this node.
     pub me: u64,
     /// Where ordering is, when it is.
-    pub seat: Arc<Seat>,
+    pub slot: Arc<OrdererSlot>,
     /// The members of the network.
     pub directory: Arc<Directory>,
     /// The ways to the other nodes.
@@ -21,7 +21,7 @@ pub(crate) struct Links {
     pub space: Arc<Space>,
 }
 
-impl Links {
+impl Reachability {
     /// Can nothing be ordered through this node at the moment: no leader is known or reached, it lacks too much, or its
     /// disk is full?
     pub(crate) fn is_cut_off(&self) -> bool {
@@ -30,8 +30,8 @@ impl Links {
 
     /// Does this node follow a leader that it reaches, or lead?
     pub(crate) fn reaches_leader(&self) -> bool {
-        let leader = self.seat.status().and_then(|ordering| ordering.role.leader);
-        self.seat.catching_up_to().is_none() && leader.is_some_and(|id| self.is_connected(id))
+        let leader = self.slot.status().and_then(|ordering| ordering.role.leader);
+        self.slot.catching_up_to().is_none() && leader.is_some_and(|id| self.is_connected(id))
     }
 
     /// Is this node connected with that one, or is it that one?

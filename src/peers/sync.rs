@@ -22,10 +22,10 @@ mod snapshot;
 pub(crate) use serve::{Reader, Source};
 
 use crate::ordering::directory::{Directory, Member};
-use crate::ordering::orderer_slot::Seat;
+use crate::ordering::orderer_slot::OrdererSlot;
 use crate::peers::connections::Dialer;
 use crate::peers::question::{self, Answers, Bootstrap, Contact};
-use crate::process::failure::Fate;
+use crate::process::failure::FailureHandle;
 use crate::storage::log::Log;
 use ledger::Ledger;
 use ledger_api::v1::BlockEntries;
@@ -55,7 +55,7 @@ pub(crate) struct Destination {
 }
 
 /// Fetches what this node lacks.
-pub(crate) struct CatchUp {
+pub(crate) struct BlockSync {
     /// Set on a node that has joined.
     pub bootstrap: Option<Bootstrap>,
     /// Where blocks and snapshots go.
@@ -63,9 +63,9 @@ pub(crate) struct CatchUp {
     /// The members of the network.
     pub directory: Arc<Directory>,
     /// Ends the node if it cannot go on.
-    pub fate: Fate,
+    pub failure: FailureHandle,
     /// Where progress is shown.
-    pub seat: Arc<Seat>,
+    pub slot: Arc<OrdererSlot>,
     /// How to call the others.
     pub dialer: Dialer,
     /// Whether the node may vote.
@@ -82,7 +82,7 @@ struct Fetching {
     told: Instant,
 }
 
-impl CatchUp {
+impl BlockSync {
     /// Fetches what the others have, as far as it can be believed. No engine may run.
     ///
     /// # Errors
@@ -94,7 +94,7 @@ impl CatchUp {
         let mut fetching = Fetching { stream: None, told: Instant::now() };
         let mut todo = Todo::Ask;
         loop {
-            self.seat.show_progress(machine.aim());
+            self.slot.show_progress(machine.aim());
             let got = match todo {
                 Todo::Done(caught) => return Ok(caught),
                 Todo::Failed(reason) => return Err(reason),

@@ -1,6 +1,6 @@
 //! Who calls: the extension of every request, and the connections of members.
 
-use crate::process::connection_limiter::Crowd;
+use crate::process::connection_limiter::ConnectionLimiter;
 use ledger_identity::Identity;
 use std::hash::{Hash, Hasher};
 use std::net::{IpAddr, Ipv6Addr};
@@ -20,7 +20,7 @@ pub(crate) struct Caller {
 pub(crate) struct Named(pub(crate) Arc<Identity>);
 
 /// The connections of members.
-pub(crate) type Members = Crowd<Named>;
+pub(crate) type Members = ConnectionLimiter<Named>;
 
 impl Named {
     fn name(&self) -> (&str, &str) {

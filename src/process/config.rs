@@ -12,7 +12,6 @@ pub(crate) fn count(number: u64) -> usize {
 #[cfg(test)]
 mod tests;
 
-use crate::trust::ca::CertificateAuthority;
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
 use ledger_base::hash::Hash;
@@ -30,6 +29,11 @@ const SEGMENT_UNIT: u64 = 1024 * 1024;
 /// How `storage.retention` is written.
 const RETENTION: &str =
     "forever, an age of at least 10min such as 30d or 12h, or a size of at least 64MiB such as 20GiB";
+
+/// Days for which certificates are valid, unless `[ca]` says otherwise.
+pub const CERTIFICATE_DAYS: u32 = 365;
+/// Days for which secrets can be used, unless `[ca]` says otherwise.
+pub const SECRET_DAYS: u32 = 7;
 
 /// The configuration of a node.
 #[derive(Clone, Debug)]
@@ -177,10 +181,7 @@ impl Default for Config {
             },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
             order: Order::default(),
-            ca: Ca {
-                certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
-                secret_days: CertificateAuthority::SECRET_DAYS,
-            },
+            ca: Ca { certificate_days: CERTIFICATE_DAYS, secret_days: SECRET_DAYS },
             log: Log::default(),
             bridge: None,
             admin: String::new(),

@@ -21,14 +21,14 @@ pub enum Ended {
 
 /// Ends an instance, from any of its parts; cheap to clone.
 #[derive(Clone)]
-pub(crate) struct Fate {
+pub(crate) struct FailureHandle {
     ended: watch::Sender<Option<Ended>>,
     /// For advice to the operator.
     config: Arc<Config>,
 }
 
-impl Fate {
-    /// The fate of a node with this configuration.
+impl FailureHandle {
+    /// For a node with this configuration.
     pub(crate) fn new(config: &Config) -> Self {
         Self { ended: watch::Sender::new(None), config: Arc::new(config.clone()) }
     }
@@ -58,6 +58,6 @@ pub(crate) fn advised(reason: Rejection, config: &Config) -> Rejection {
 }
 
 /// The refusal of the operating system to give a thread.
-pub(crate) fn no_thread(error: &io::Error) -> Rejection {
+pub(crate) fn thread_error(error: &io::Error) -> Rejection {
     Rejection::new(Code::Internal, format!("cannot start a thread: {error}"))
 }

@@ -27,7 +27,7 @@ const ASLEEP: i32 = -1;
 const LINGER: Duration = Duration::from_secs(1);
 
 /// The wish. It ends with the node: the kernel forgets it when the device is closed.
-pub(crate) struct Awake {
+pub(crate) struct IdleControl {
     wish: Option<Arc<Wish>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -50,7 +50,7 @@ struct Device {
     before: Duration,
 }
 
-impl Awake {
+impl IdleControl {
     /// For the profile. Where the device cannot be opened, the processors sleep, and the log says so.
     ///
     /// # Errors
@@ -105,7 +105,7 @@ impl Awake {
     }
 }
 
-impl Drop for Awake {
+impl Drop for IdleControl {
     fn drop(&mut self) {
         if let (Some(wish), Some(thread)) = (&self.wish, self.thread.take()) {
             wish.stop.store(true, Ordering::Relaxed);
@@ -181,7 +181,7 @@ mod tests {
     fn processors_stay_awake_from_a_transaction_on_until_none_has_come_for_a_while() {
         let directory = tempfile::tempdir().unwrap();
         let device = directory.path().join("device");
-        let awake = Awake::by(File::create(&device).unwrap()).unwrap();
+        let awake = IdleControl::by(File::create(&device).unwrap()).unwrap();
         assert!(told(&device).is_empty(), "nothing is in flight");
         awake.keep();
         awake.keep();
@@ -201,7 +201,7 @@ mod tests {
     #[test]
     fn the_time_for_which_processors_are_kept_awake_is_counted_and_no_other() {
         let directory = tempfile::tempdir().unwrap();
-        let awake = Awake::by(File::create(directory.path().join("device")).unwrap()).unwrap();
+        let awake = IdleControl::by(File::create(directory.path().join("device")).unwrap()).unwrap();
         assert_eq!(awake.held(), Duration::ZERO, "nothing is in flight");
         let grows = |from| {
             while awake.held() <= from {
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn the_balanced_profile_wishes_nothing() {
-        let awake = Awake::start(Profile::Balanced).unwrap();
+        let awake = IdleControl::start(Profile::Balanced).unwrap();
         awake.keep();
         assert!(awake.wish.is_none() && awake.thread.is_none());
         assert_eq!(awake.held(), Duration::ZERO);

@@ -1,7 +1,7 @@
 //! The connections of pages over HTTP: plain or TLS, so many at a time, each for so long.
 
 use crate::process::caller::network_of;
-use crate::process::connection_limiter::{Crowd, Stay};
+use crate::process::connection_limiter::{ConnectionLimiter, Permit};
 use axum::extract::connect_info::Connected;
 use axum::serve::{IncomingStream, Listener};
 use ledger_base::rejection::{Code, Rejection};
@@ -82,7 +82,7 @@ impl Doors {
 
 async fn accept(listener: TcpListener, room: Room, entered: mpsc::Sender<(Connection, SocketAddr)>) {
     let Room { all_max, each_max, life_max, tls, wants_certificate } = room;
-    let (crowd, tls) = (Crowd::new(all_max, each_max), tls.map(|tls| TlsAcceptor::from(Arc::new(tls))));
+    let (limiter, tls) = (ConnectionLimiter::new(all_max, each_max), tls.map(|tls| TlsAcceptor::from(Arc::new(tls))));
     let mut handshakes = JoinSet::new();
     loop {
         let Ok((stream, from)) = listener.accept().await else {
@@ -90,16 +90,16 @@ async fn accept(listener: TcpListener, room: Room, entered: mpsc::Sender<(Connec
             continue;
         };
         while handshakes.try_join_next().is_some() {}
-        let (mut stay, _left) = crowd.enter(network_of(from.ip()));
+        let (mut permit, _left) = limiter.enter(network_of(from.ip()));
         let (tls, entered) = (tls.clone(), entered.clone());
         handshakes.spawn(async move {
             let secured = timeout(HANDSHAKE_MAX, secured(stream, tls, wants_certificate));
             let io = tokio::select! {
                 secured = secured => secured.ok().flatten(),
-                () = stay.over() => None,
+                () = permit.over() => None,
             };
             if let Some(io) = io {
-                let connection = Connection { io, ends: Box::pin(sleep(life_max)), stay };
+                let connection = Connection { io, ends: Box::pin(sleep(life_max)), permit };
                 let _stopped = entered.send((connection, from)).await;
             }
         });
@@ -143,13 +143,13 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin> Duplex for T {}
 pub(crate) struct Connection {
     io: Box<dyn Duplex>,
     ends: Pin<Box<Sleep>>,
-    stay: Stay<IpAddr>,
+    permit: Permit<IpAddr>,
 }
 
 impl Connection {
     /// Has it come to its end, or been pushed out?
     fn is_over(&mut self, cx: &mut Context<'_>) -> bool {
-        self.stay.poll_over(cx).is_ready() || self.ends.as_mut().poll(cx).is_ready()
+        self.permit.poll_over(cx).is_ready() || self.ends.as_mut().poll(cx).is_ready()
     }
 }
 

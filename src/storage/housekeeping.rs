@@ -9,8 +9,6 @@ mod bell;
 
 pub(crate) use bell::Bell;
 
-use crate::ordering::waiters::Waiters;
-use crate::process::clock::Clock;
 use crate::storage::retention::Pruner;
 use crate::storage::space::Space;
 use ledger_base::invariant::vital;
@@ -49,14 +47,14 @@ pub(crate) struct Housekeeping {
 }
 
 impl Housekeeping {
-    /// Starts them.
+    /// Starts them. `sweep` ends what has waited too long, now and then.
     ///
     /// # Errors
     /// If the operating system gives no thread.
     pub(crate) fn start(
         pruner: Pruner,
         space: &Arc<Space>,
-        (waiters, clock): (Arc<Waiters>, Clock),
+        mut sweep: impl FnMut() + Send + 'static,
         bells: Arc<Bells>,
     ) -> io::Result<Self> {
         let (store, room) = (Arc::clone(&pruner.store), Arc::clone(space));
@@ -80,10 +78,10 @@ impl Housekeeping {
         let own = Arc::clone(&bells);
         let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
             vital(|| {
-                let mut rounds = Rounds { space: room, waiters, clock, store, swept: None };
+                let mut rounds = Rounds { space: room, store, swept: None };
                 let mut next = PAUSE;
                 while own.rounds.wait(PAUSE, next) {
-                    next = rounds.round();
+                    next = rounds.round(&mut sweep);
                 }
             });
         })?;
@@ -171,19 +169,17 @@ impl Trouble {
 
 struct Rounds {
     space: Arc<Space>,
-    waiters: Arc<Waiters>,
-    clock: Clock,
     store: Arc<BlockStore>,
     swept: Option<Instant>,
 }
 
 impl Rounds {
     /// How long the next one may wait.
-    fn round(&mut self) -> Duration {
+    fn round(&mut self, sweep: &mut impl FnMut()) -> Duration {
         self.space.look();
         if self.swept.is_none_or(|swept| swept.elapsed() >= LOOK_PERIOD) {
             self.swept = Some(Instant::now());
-            self.waiters.sweep(self.clock.elapsed());
+            sweep();
         }
         // What is left on a full disk is for what ends control, not for zeros. It may be over at any moment.
         if self.space.is_full() {

@@ -1,7 +1,7 @@
 //! Looks for rot in the finished part of the log, once after every start: opening does not read it. Slowly, so that nobody
 //! notices: 4 MiB a second at most.
 
-use crate::process::failure::Fate;
+use crate::process::failure::FailureHandle;
 use ledger_storage::block_store::{BlockStore, StoreError};
 use std::io;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ impl Scrub {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(store: Arc<BlockStore>, fate: Fate) -> io::Result<Self> {
+    pub(crate) fn start(store: Arc<BlockStore>, failure: FailureHandle) -> io::Result<Self> {
         let (stop, stopped) = mpsc::channel();
         let thread = std::thread::Builder::new().name("scrub".into()).spawn(move || {
             let mut read = 0_u32;
@@ -39,7 +39,7 @@ impl Scrub {
             });
             match checked {
                 Ok(()) => tracing::debug!("no damage in finished segments"),
-                Err(damage @ StoreError::Corrupt { .. }) => fate.fail(damage.into()),
+                Err(damage @ StoreError::Corrupt { .. }) => failure.fail(damage.into()),
                 Err(error) => tracing::warn!(%error, "cannot look for damage in finished segments"),
             }
         })?;

@@ -17,7 +17,7 @@ use crate::process::config::Config;
 use crate::storage::files::RESTORED_FILE;
 use crate::storage::files::refuse_rejoining;
 use crate::storage::stores::Stores;
-use crate::trust::credentials::Papers;
+use crate::trust::credentials::NodeCredentials;
 use crate::trust::membership::{Joined, own_membership};
 use crate::trust::membership::{check_member, nothing_here};
 use bytes::Bytes;
@@ -58,7 +58,7 @@ pub(crate) struct RecoverOptions {
 /// A stopped node, and what its log says.
 struct Survivor {
     stores: Stores,
-    papers: Papers,
+    papers: NodeCredentials,
     me: Member,
     members: Vec<Member>,
     /// The members at the end of its log.
@@ -91,7 +91,7 @@ impl Survivor {
         let genesis = fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         refuse_rejoining(config)?;
         let stores = Stores::open(config, &genesis, builder.registry()?)?;
-        let (ledger, papers) = (&stores.ledger, Papers::read(config)?);
+        let (ledger, papers) = (&stores.ledger, NodeCredentials::read(config)?);
         let members = Directory::read(ledger).members().to_vec();
         let joined = Joined::load(&config.data)?;
         let me = own_membership(&papers.identity, ledger, &stores.genesis, &members, joined.as_ref())?;

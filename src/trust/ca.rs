@@ -30,6 +30,7 @@ pub use request::REQUEST_BYTES_MAX;
 pub(crate) use request::{make as request, public_key};
 pub use secret::PRESENTED_BYTES_MAX;
 
+use crate::process::config::{CERTIFICATE_DAYS, SECRET_DAYS};
 use issue::Holder;
 use ledger::msp::CarryCa;
 use ledger_base::hash::Hash;
@@ -77,9 +78,9 @@ pub struct Issued {
 
 impl CertificateAuthority {
     /// Days for which certificates are valid, unless [`CertificateAuthority::set_days`] says otherwise.
-    pub const CERTIFICATE_DAYS: u32 = 365;
+    pub const CERTIFICATE_DAYS: u32 = CERTIFICATE_DAYS;
     /// Days for which secrets can be used, unless [`CertificateAuthority::set_days`] says otherwise.
-    pub const SECRET_DAYS: u32 = 7;
+    pub const SECRET_DAYS: u32 = SECRET_DAYS;
 
     /// Sets for how many days certificates are valid and secrets can be used, from now on.
     pub fn set_days(&mut self, certificates: u32, secrets: u32) {

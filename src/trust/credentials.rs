@@ -9,14 +9,14 @@ use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 
 /// The certificate, the key and the CAs of a node.
-pub(crate) struct Papers {
+pub(crate) struct NodeCredentials {
     /// The node's certificate and key, shared with all that show them.
     pub(crate) identity: TlsIdentity,
     /// The CAs that the node carries.
     pub(crate) authorities: Arc<Authorities>,
 }
 
-impl Papers {
+impl NodeCredentials {
     /// Reads them from the data directory.
     ///
     /// # Errors

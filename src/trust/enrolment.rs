@@ -24,7 +24,7 @@ mod tests;
 mod tries;
 
 pub(crate) use authorities::{Authorities, given_up_file, lock};
-pub(crate) use ledger_client::Voice;
+pub(crate) use ledger_client::LedgerClient;
 pub(crate) use tries::Tries;
 
 use crate::ordering::directory::{Directory, Member};
@@ -65,7 +65,7 @@ struct Shared {
     /// Its certificate and key.
     identity: TlsIdentity,
     /// Calls the ledger as this node.
-    voice: Voice,
+    voice: LedgerClient,
     /// One request to join at a time.
     carrying: Semaphore,
     authorities: Arc<Authorities>,
@@ -101,7 +101,7 @@ impl EnrolmentService {
         ledger: Arc<Ledger>,
         surroundings: Surroundings,
         (genesis, document): (Genesis, Bytes),
-        voice: Voice,
+        voice: LedgerClient,
         clock: fn() -> u64,
     ) -> Self {
         let Surroundings { me, identity, directory, cut_off } = surroundings;

@@ -2,7 +2,7 @@
 
 use super::Questions;
 use crate::clients::audit::Audit;
-use crate::ordering::reads::Current;
+use crate::ordering::reads::ReadIndex;
 use ledger::Ledger;
 use ledger_api::v1::{AuditRequest, AuditResponse, AuditRow};
 use ledger_base::rejection::{Code, Rejection};
@@ -23,7 +23,7 @@ pub(crate) struct Answers {
     /// Knows the owners of robots.
     pub ledger: Arc<Ledger>,
     /// Makes the state as new as what was committed when somebody asked.
-    pub current: Current,
+    pub current: ReadIndex,
     /// The turns to read.
     pub questions: Questions,
 }

@@ -1,6 +1,6 @@
 //! The list of refusals, for admins.
 
-use crate::clients::rejections::Denials;
+use crate::clients::rejections::Rejections;
 use ledger_api::v1::DenialsResponse;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
@@ -9,7 +9,7 @@ use ledger_identity::{Identity, Role};
 const DENIALS_DEFAULT: u32 = 100;
 
 /// The latest refusals.
-pub(super) fn latest(denials: &Denials, caller: &Identity, limit: u32) -> Result<DenialsResponse, Rejection> {
+pub(super) fn latest(denials: &Rejections, caller: &Identity, limit: u32) -> Result<DenialsResponse, Rejection> {
     if caller.role != Role::Admin {
         return Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", caller.id()))
             .found(format!("role {}", caller.role))

@@ -1,12 +1,11 @@
 //! The way of a transaction from its arrival to the orderer: it is taken in, looked at, and ordered or answered.
 
-use super::submit::Answers;
-use crate::clients::rejections::Denials;
-use crate::ordering::orderer_slot::Seat;
-use crate::ordering::waiters::{Client, Waiters, refused};
-use crate::peers::early_stop::Early;
+use crate::clients::rejections::Rejections;
+use crate::ordering::orderer_slot::OrdererSlot;
+use crate::ordering::waiters::{Answers, Client, Waiters, refused};
+use crate::peers::early_stop::EarlyStops;
 use crate::process::clock::Clock;
-use crate::process::idle_control::Awake;
+use crate::process::idle_control::IdleControl;
 use crate::process::memory;
 use crate::process::meters::observe;
 use crate::storage::space::Space;
@@ -33,13 +32,13 @@ pub(crate) struct Intake {
     /// Clients that wait.
     pub waiters: Arc<Waiters>,
     /// Where ordering is, when it is.
-    pub seat: Arc<Seat>,
+    pub slot: Arc<OrdererSlot>,
     /// Keeps the processors awake.
-    pub awake: Arc<Awake>,
+    pub awake: Arc<IdleControl>,
     /// Calls that were refused.
-    pub denials: Arc<Denials>,
+    pub denials: Arc<Rejections>,
     /// Tells robots of stops.
-    pub early: Arc<Early>,
+    pub early: Arc<EarlyStops>,
     /// Takes down how long it takes until ordering has a transaction.
     pub handed_over: Histogram,
     /// Takes down how long verdicts take.
@@ -120,7 +119,7 @@ impl Intake {
         let since = client.since;
         self.waiters.add(self.clock.elapsed(), &transaction, lane, client);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
-        if let Err(rejection) = self.seat.input(input) {
+        if let Err(rejection) = self.slot.input(input) {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
             self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
         }

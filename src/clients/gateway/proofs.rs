@@ -1,7 +1,7 @@
 //! Proofs, for readers that believe no single node.
 
 use super::{Questions, status};
-use crate::ordering::reads::Current;
+use crate::ordering::reads::ReadIndex;
 use crate::peers::quorum_certificates::Certificates;
 use crate::storage::blocks::Blocks;
 use bytes::Bytes;
@@ -36,7 +36,7 @@ pub(crate) struct Proofs {
     /// The certificates.
     pub certificates: Arc<Certificates>,
     /// Makes the state as new as what was committed when somebody asked.
-    pub current: Current,
+    pub current: ReadIndex,
     /// The turns to read.
     pub questions: Questions,
 }

@@ -1,10 +1,10 @@
 //! Questions about the committed state and the chain.
 
 use super::{Questions, status};
-use crate::ordering::reads::Current;
+use crate::ordering::reads::ReadIndex;
 use crate::ordering::waiters::verdict_of;
-use crate::peers::chain_monitor::Company;
-use crate::peers::reachability::Links;
+use crate::peers::chain_monitor::ChainMonitor;
+use crate::peers::reachability::Reachability;
 use crate::process::clock::Clock;
 use crate::storage::blocks::Blocks;
 use bytes::Bytes;
@@ -25,13 +25,13 @@ pub(crate) struct Records {
     /// Executed blocks.
     pub blocks: Arc<Blocks>,
     /// Makes the state as new as what was committed when somebody asked.
-    pub current: Current,
+    pub current: ReadIndex,
     /// The node's clock.
     pub clock: Clock,
     /// Knows since when no leader is reached.
-    pub company: Arc<Company>,
+    pub company: Arc<ChainMonitor>,
     /// The ways to the leader.
-    pub links: Links,
+    pub links: Reachability,
     /// The turns to read.
     pub questions: Questions,
 }

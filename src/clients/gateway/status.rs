@@ -1,16 +1,16 @@
 //! The description of a node: its name, its chain, its links to others, and its use.
 
 use super::Audience;
-use crate::clients::rejections::Denials;
+use crate::clients::rejections::Rejections;
 use crate::ordering::directory::Member;
 use crate::ordering::orderer::Executed;
 use crate::peers::attestation::Witness;
-use crate::peers::chain_monitor::Company;
+use crate::peers::chain_monitor::ChainMonitor;
 use crate::peers::quorum_certificates::Certificates;
-use crate::peers::reachability::Links;
+use crate::peers::reachability::Reachability;
 use crate::process::clock::Clock;
 use crate::process::config::Limits;
-use crate::process::idle_control::Awake;
+use crate::process::idle_control::IdleControl;
 use crate::process::meters::Meters;
 use crate::storage::blocks::Blocks;
 use ledger::{Ledger, msp};
@@ -39,13 +39,13 @@ pub(crate) struct Description {
     /// The chain of this node.
     pub chain: Chain,
     /// The ways to be ordered through this node.
-    pub links: Links,
+    pub links: Reachability,
     /// How much it is used.
     pub usage: Usage,
     /// How long the steps of a command take.
     pub meters: Meters,
     /// Keeps the processors awake.
-    pub awake: Arc<Awake>,
+    pub awake: Arc<IdleControl>,
     /// Where the steps of messages are told.
     pub tracer: Tracer,
     /// Where browsers find the console, once there is one.
@@ -61,7 +61,7 @@ pub(crate) struct Chain {
     /// Attests.
     pub witness: Arc<Witness>,
     /// Compares its chain with the others'.
-    pub company: Arc<Company>,
+    pub company: Arc<ChainMonitor>,
     /// Certificates of blocks, and the proofs of lies.
     pub certificates: Arc<Certificates>,
 }
@@ -73,7 +73,7 @@ pub(crate) struct Usage {
     /// The identities that have subscriptions.
     pub audience: Arc<Audience>,
     /// Calls that were refused.
-    pub denials: Arc<Denials>,
+    pub denials: Arc<Rejections>,
     /// Transactions that were executed.
     pub executed: Arc<Executed>,
     /// Limits of the configuration.
@@ -87,7 +87,7 @@ impl Description {
     /// A fault of the store.
     pub(crate) fn status(&self) -> Result<StatusResponse, Rejection> {
         let tip = self.chain.ledger.tip();
-        let ordering = self.links.seat.status();
+        let ordering = self.links.slot.status();
         let members = self.links.directory.members();
         let me = members.iter().find(|member| member.id == self.me.id);
         let leading = ordering.as_ref().map(|ordering| ordering.role);
@@ -152,7 +152,7 @@ impl Description {
             resident_bytes: resident_bytes(),
             first_height: self.chain.blocks.first_height(),
             snapshot_height: self.chain.witness.snapshot_height(),
-            catching_up_to: self.links.seat.catching_up_to().unwrap_or_default(),
+            catching_up_to: self.links.slot.catching_up_to().unwrap_or_default(),
             divergence: self.chain.company.describe(),
             certified: self.chain.certificates.certified(),
             lies: self.chain.certificates.lies(&self.links.directory),

@@ -3,9 +3,9 @@
 use super::Looks;
 use super::intake::Intake;
 use super::looks::Look;
-use crate::ordering::reads::{Current, Known, Question};
-use crate::ordering::waiters::Client;
-use crate::process::slice::Turns;
+use crate::ordering::reads::{Known, Question, ReadIndex};
+use crate::ordering::waiters::{Answers, Client};
+use crate::process::scheduler_slices::Turns;
 use futures::FutureExt;
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_base::rejection::{Code, Rejection};
@@ -34,8 +34,6 @@ const UNREAD_MAX: usize = 16_384;
 /// Transactions in a line when there is much to do.
 const MANY_WAIT: usize = 8;
 
-pub(super) type Answers = mpsc::UnboundedSender<Result<SubmitResponse, Status>>;
-
 /// Takes submissions.
 pub(crate) struct Submissions {
     /// Takes them in, and carries out what is decided about them.
@@ -45,7 +43,7 @@ pub(crate) struct Submissions {
     /// The turns to look at transactions.
     pub looks: Arc<Looks>,
     /// Makes the state as new as what was committed when somebody asked.
-    pub current: Current,
+    pub current: ReadIndex,
     /// How long the turns of the node's threads are.
     pub turns: Turns,
 }

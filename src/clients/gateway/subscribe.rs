@@ -5,9 +5,9 @@
 
 use super::audience::Listener;
 use super::{Audience, Questions, check, status};
-use crate::clients::rejections::Denials;
-use crate::ordering::reads::Current;
-use crate::peers::early_stop::Early;
+use crate::clients::rejections::Rejections;
+use crate::ordering::reads::ReadIndex;
+use crate::peers::early_stop::EarlyStops;
 use crate::peers::quorum_certificates::Certificates;
 use crate::process::clock::Clock;
 use crate::storage::blocks::{Blocks, Interest};
@@ -51,13 +51,13 @@ pub(crate) struct Subscriptions {
     /// The identities that have subscriptions.
     pub audience: Arc<Audience>,
     /// Makes the state as new as what was committed when somebody asked.
-    pub current: Current,
+    pub current: ReadIndex,
     /// The node's clock.
     pub clock: Clock,
     /// Calls that were refused.
-    pub denials: Arc<Denials>,
+    pub denials: Arc<Rejections>,
     /// Calls of which readers hear before they are ordered.
-    pub early: Arc<Early>,
+    pub early: Arc<EarlyStops>,
     /// The turns to read old blocks.
     pub questions: Questions,
     /// Proofs of events.

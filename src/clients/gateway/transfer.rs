@@ -1,6 +1,6 @@
 //! Giving the leadership to another node, because an admin asks for it.
 
-use crate::peers::reachability::Links;
+use crate::peers::reachability::Reachability;
 use ledger_api::v1::{TransferLeadershipResponse, Verdict};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
@@ -15,7 +15,7 @@ const HANDOVER_TIME_MAX: Duration = Duration::from_secs(1);
 /// Pause before it is tried again.
 const HANDOVER_PAUSE: Duration = Duration::from_millis(20);
 
-impl Links {
+impl Reachability {
     pub(super) async fn transfer_leadership(&self, caller: &Identity, to: u64) -> TransferLeadershipResponse {
         match self.transfer(caller, to).await {
             Ok(RoleChange { leader, term, .. }) => TransferLeadershipResponse {
@@ -30,7 +30,7 @@ impl Links {
     /// A node that stops and leads hands over first, so that the others need not wait until they miss it. Calls that
     /// are under way go to the next leader.
     pub(crate) async fn hand_over(&self) {
-        let Ok(orderer) = self.seat.handle() else { return };
+        let Ok(orderer) = self.slot.handle() else { return };
         let deadline = Instant::now() + HANDOVER_TIME_MAX;
         loop {
             let status = orderer.status();
@@ -67,7 +67,7 @@ impl Links {
                 .wanted(format!("an admin of {}", wanted.into_iter().collect::<Vec<_>>().join(" or ")))
                 .next("ask one of them; an organisation that orders decides who leads"));
         }
-        let changed = self.seat.handle()?.transfer_on_demand(to, PATIENCE).await?;
+        let changed = self.slot.handle()?.transfer_on_demand(to, PATIENCE).await?;
         let leader = changed.leader.map(|leader| self.directory.name(leader));
         tracing::info!(by = %caller.id(), leader, "an admin has chosen the leader");
         Ok(changed)

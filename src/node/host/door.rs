@@ -2,28 +2,24 @@
 //! connection to the server of the ledger that the client means, together with the caller's identity.
 //!
 //! Nobody keeps the others out. Every connection is accepted at once; one that crowds the door pushes out another one of
-//! its own address ([`Crowd`]). Addresses from which members have come have places of their own. A connection without a
+//! its own address ([`ConnectionLimiter`]). Addresses from which members have come have places of their own. A connection without a
 //! certificate can only enrol, and ends after [`STRANGER_TIME_MAX`].
 
+use super::connection::{Connection, Staying};
 use super::descriptors::Connections;
 use super::ledgers::{Ledgers, Served};
 use super::sources::Sources;
 use crate::process::caller::{Caller, Members, Named, network_of};
-use crate::process::connection_limiter::{Crowd, Stay};
+use crate::process::connection_limiter::{ConnectionLimiter, Permit};
 use ledger_api::tls::client_identity;
-use std::io;
 use std::net::IpAddr;
-use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::time::{Instant, Sleep, sleep, timeout};
+use tokio::time::{Instant, sleep, timeout};
 use tokio_rustls::LazyConfigAcceptor;
 use tokio_rustls::rustls::server::Acceptor;
-use tokio_rustls::server::TlsStream;
-use tonic::transport::server::Connected;
 
 /// Longest time that a handshake may take.
 const HANDSHAKE_TIME_MAX: Duration = Duration::from_secs(5);
@@ -43,25 +39,11 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// The record of TLS that refuses a client which means no ledger of this listener: a fatal alert of this name, RFC 8446.
 const UNRECOGNISED_NAME: [u8; 7] = [21, 3, 3, 0, 2, 2, 112];
 
-/// An established connection.
-pub(super) struct Connection {
-    stream: TlsStream<TcpStream>,
-    caller: Caller,
-    staying: Staying,
-}
-
-/// An established connection as it is counted.
-enum Staying {
-    Member(Stay<Named>),
-    /// With the end of its time.
-    Stranger(Stay<IpAddr>, Pin<Box<Sleep>>),
-}
-
 /// The places of a listener.
 struct Places {
-    handshakes: Arc<Crowd<IpAddr>>,
-    known_handshakes: Arc<Crowd<IpAddr>>,
-    strangers: Arc<Crowd<IpAddr>>,
+    handshakes: Arc<ConnectionLimiter<IpAddr>>,
+    known_handshakes: Arc<ConnectionLimiter<IpAddr>>,
+    strangers: Arc<ConnectionLimiter<IpAddr>>,
     sources: Sources,
     /// When a warning said last that the door is crowded.
     warned: Mutex<Option<Instant>>,
@@ -70,27 +52,27 @@ struct Places {
 impl Places {
     fn new(most: Connections) -> Self {
         Self {
-            handshakes: Crowd::new(most.handshakes, most.handshakes / PART_OF_ONE),
-            known_handshakes: Crowd::new(most.known_handshakes, most.known_handshakes),
-            strangers: Crowd::new(most.strangers, most.strangers / PART_OF_ONE),
+            handshakes: ConnectionLimiter::new(most.handshakes, most.handshakes / PART_OF_ONE),
+            known_handshakes: ConnectionLimiter::new(most.known_handshakes, most.known_handshakes),
+            strangers: ConnectionLimiter::new(most.strangers, most.strangers / PART_OF_ONE),
             sources: Sources::default(),
             warned: Mutex::default(),
         }
     }
 
     /// A place for a handshake.
-    fn handshake(&self, source: IpAddr) -> Stay<IpAddr> {
-        let crowd = if self.sources.is_known(source) { &self.known_handshakes } else { &self.handshakes };
-        let (stay, left) = crowd.enter(source);
+    fn handshake(&self, source: IpAddr) -> Permit<IpAddr> {
+        let limiter = if self.sources.is_known(source) { &self.known_handshakes } else { &self.handshakes };
+        let (permit, left) = limiter.enter(source);
         self.warn(left);
-        stay
+        permit
     }
 
     /// A place for a connection without a certificate.
-    fn stranger(&self, source: IpAddr) -> Stay<IpAddr> {
-        let (stay, left) = self.strangers.enter(source);
+    fn stranger(&self, source: IpAddr) -> Permit<IpAddr> {
+        let (permit, left) = self.strangers.enter(source);
         self.warn(left);
-        stay
+        permit
     }
 
     fn warn(&self, left: Option<IpAddr>) {
@@ -105,7 +87,7 @@ impl Places {
 
 /// The connections of the members of one ledger: so many together at most.
 pub(crate) fn members(most: usize) -> Arc<Members> {
-    Crowd::new(most, MEMBER_EACH_MAX.min(most))
+    ConnectionLimiter::new(most, MEMBER_EACH_MAX.min(most))
 }
 
 /// Accepts connections for these ledgers, as long as it is polled. A failed handshake is logged and costs nobody else
@@ -123,11 +105,11 @@ pub(super) async fn accept(listener: TcpListener, ledgers: Ledgers, most: Connec
             }
         };
         let (ledgers, places) = (ledgers.clone(), Arc::clone(&places));
-        let mut stay = places.handshake(network_of(address.ip()));
+        let mut permit = places.handshake(network_of(address.ip()));
         tokio::spawn(async move {
             let shaken = tokio::select! {
                 biased;
-                () = stay.over() => return tracing::debug!(%address, "connection closed: its place went to a newer one"),
+                () = permit.over() => return tracing::debug!(%address, "connection closed: its place went to a newer one"),
                 shaken = timeout(HANDSHAKE_TIME_MAX, handshake(socket, address.ip(), &ledgers, &places)) => shaken,
             };
             match shaken {
@@ -192,19 +174,6 @@ async fn handshake(
     Ok((served, Connection { stream, caller, staying }))
 }
 
-impl Staying {
-    /// Ready once the connection has to end.
-    fn poll_over(&mut self, context: &mut Context<'_>) -> Poll<()> {
-        match self {
-            Self::Member(stay) => stay.poll_over(context),
-            Self::Stranger(stay, time) => match stay.poll_over(context) {
-                Poll::Ready(()) => Poll::Ready(()),
-                Poll::Pending => time.as_mut().poll(context),
-            },
-        }
-    }
-}
-
 /// Closes a refused connection so that the client can read the alert that says why. While bytes from it wait unread,
 /// closing would reset the connection, and a reset discards bytes that the client has not read yet.
 async fn linger(mut socket: TcpStream) {
@@ -213,49 +182,4 @@ async fn linger(mut socket: TcpStream) {
     }
     let mut unread = (&mut socket).take(LINGER_BYTES_MAX);
     let _reset = timeout(LINGER_TIME_MAX, tokio::io::copy(&mut unread, &mut tokio::io::sink())).await;
-}
-
-impl Connected for Connection {
-    type ConnectInfo = Caller;
-
-    fn connect_info(&self) -> Caller {
-        self.caller.clone()
-    }
-}
-
-impl AsyncRead for Connection {
-    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        let Self { stream, staying, .. } = self.get_mut();
-        if staying.poll_over(cx).is_ready() {
-            let reason = "the connection has lost its place: its certificate was revoked, or others have come";
-            return Poll::Ready(Err(io::Error::new(io::ErrorKind::ConnectionAborted, reason)));
-        }
-        Pin::new(stream).poll_read(cx, buf)
-    }
-}
-
-impl AsyncWrite for Connection {
-    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.get_mut().stream).poll_write(cx, buf)
-    }
-
-    fn poll_write_vectored(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bufs: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.get_mut().stream).poll_write_vectored(cx, bufs)
-    }
-
-    fn is_write_vectored(&self) -> bool {
-        self.stream.is_write_vectored()
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_flush(cx)
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_shutdown(cx)
-    }
 }

@@ -1,6 +1,6 @@
 //! The ledgers behind one listener: each has its own certificate, its own callers and its own server.
 
-use super::door::Connection;
+use super::connection::Connection;
 use crate::process::caller::Members;
 use ledger_api::tls::{TrustSource, named_network};
 use ledger_base::hash::Hash;

@@ -1,6 +1,7 @@
 //! The parts of an instance that know each other. Each of its services takes the few that it needs.
 
 use super::Standing;
+use super::outlet::ToSubsystems;
 use super::revocations::Revocations;
 use crate::clients::audit::Audit;
 use crate::clients::gateway::{
@@ -8,27 +9,28 @@ use crate::clients::gateway::{
     Submissions, Subscriptions, Usage,
 };
 use crate::clients::rejection_reports::Refusing;
+use crate::clients::rejections::Rejections;
 use crate::node::host::{Deliver, Host};
 use crate::ordering::directory::{Directory, Member};
 use crate::ordering::node_transactions::{Author, Signer};
 use crate::ordering::orderer::{Engines, Executed, Outside, Pace};
-use crate::ordering::orderer_slot::Seat;
-use crate::ordering::reads::Current;
+use crate::ordering::orderer_slot::OrdererSlot;
+use crate::ordering::reads::ReadIndex;
 use crate::ordering::waiters::Waiters;
 use crate::peers::attestation::{Seen, Testimony, Witness};
-use crate::peers::chain_monitor::{Asking, Company};
+use crate::peers::chain_monitor::{Asking, ChainMonitor};
 use crate::peers::connections::{Dialer, Peers};
-use crate::peers::early_stop::Early;
+use crate::peers::early_stop::EarlyStops;
 use crate::peers::question::Bootstrap;
 use crate::peers::quorum_certificates::{Certificates, Certifying, Keys, Told, era};
-use crate::peers::reachability::Links;
+use crate::peers::reachability::Reachability;
 use crate::peers::service::PeerService;
-use crate::peers::sync::{CatchUp, Destination, Source};
+use crate::peers::sync::{BlockSync, Destination, Source};
 use crate::process::caller::Members;
 use crate::process::clock::{Clock, wall};
 use crate::process::config::Config;
 use crate::process::config::count;
-use crate::process::failure::Fate;
+use crate::process::failure::FailureHandle;
 use crate::process::meters::{Meters, Traced};
 use crate::storage::blocks::Blocks;
 use crate::storage::housekeeping::Housekeeping;
@@ -36,8 +38,8 @@ use crate::storage::log::Log;
 use crate::storage::retention::Pruner;
 use crate::storage::space::Space;
 use crate::storage::stores::Stores;
-use crate::trust::credentials::Papers;
-use crate::trust::enrolment::{EnrolmentService, Surroundings, Voice};
+use crate::trust::credentials::NodeCredentials;
+use crate::trust::enrolment::{EnrolmentService, LedgerClient, Surroundings};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::tls::{TlsIdentity, TrustSource};
@@ -64,9 +66,9 @@ pub(super) struct Wired {
     /// The parts that hear of each executed block.
     pub followers: Followers,
     /// Tells robots of stops before they are ordered.
-    pub early: Arc<Early>,
+    pub early: Arc<EarlyStops>,
     /// The ways to be ordered through this node.
-    pub links: Links,
+    pub links: Reachability,
     /// Starts its orderer.
     pub engines: Engines,
     /// How to call the others.
@@ -79,6 +81,8 @@ pub(super) struct Wired {
     pub audit: Arc<Audit>,
     /// Where the steps of messages are told.
     pub tracer: Tracer,
+    /// Rejected calls.
+    pub rejections: Arc<Rejections>,
 }
 
 /// The parts that hear of each executed block.
@@ -87,10 +91,10 @@ pub(super) struct Followers {
     waiters: Arc<Waiters>,
     directory: Arc<Directory>,
     witness: Arc<Witness>,
-    company: Arc<Company>,
+    company: Arc<ChainMonitor>,
     certificates: Arc<Certificates>,
     blocks: Arc<Blocks>,
-    current: Current,
+    current: ReadIndex,
     executed: Arc<Executed>,
 }
 
@@ -99,8 +103,8 @@ impl Followers {
     fn new(
         stores: &Stores,
         directory: &Arc<Directory>,
-        seat: &Arc<Seat>,
-        (clock, company, certificates): (Clock, Company, Arc<Certificates>),
+        slot: &Arc<OrdererSlot>,
+        (clock, company, certificates): (Clock, ChainMonitor, Arc<Certificates>),
     ) -> (Self, mpsc::UnboundedReceiver<Seen>) {
         let blocks = Arc::new(Blocks::new(Arc::clone(&stores.ledger), Arc::clone(&stores.store)));
         let (witness, seen) = Witness::new();
@@ -110,7 +114,7 @@ impl Followers {
             witness,
             company: Arc::new(company),
             certificates,
-            current: Current::new(Arc::clone(seat), Arc::clone(&blocks), clock.clone()),
+            current: ReadIndex::new(Arc::clone(slot), Arc::clone(&blocks), clock.clone()),
             blocks,
             executed: Arc::default(),
             clock,
@@ -151,12 +155,12 @@ impl Wired {
     /// Makes the parts and tells them of each other. Answers also with the attestations that they will have seen, and with
     /// the blocks that the certifier will hear of.
     pub(super) fn new(
-        (papers, config): (&Papers, &Config),
+        (papers, config): (&NodeCredentials, &Config),
         (stores, trust): (&Stores, &Arc<dyn TrustSource>),
         (standing, clock, members): (&Standing, Clock, Arc<Members>),
     ) -> Result<(Self, mpsc::UnboundedReceiver<Seen>, mpsc::UnboundedReceiver<Told>), Rejection> {
         let (me, identity, ledger) = (standing.me.clone(), papers.identity.clone(), &stores.ledger);
-        let (seat, pace) = (Arc::new(Seat::empty()), Pace::of(config.profile)?);
+        let (slot, pace) = (Arc::new(OrdererSlot::empty()), Pace::of(config.profile)?);
         let dialer = Dialer {
             me: me.id,
             network: ledger.network(),
@@ -165,20 +169,23 @@ impl Wired {
             trust: Arc::clone(trust),
             paces: Arc::default(),
         };
-        let company = Company::new(ledger, &me.organisation, config.data.clone());
+        let company = ChainMonitor::new(ledger, &me.organisation, config.data.clone());
         let (certificates, stated) = Certificates::open(&config.data)?;
         let (followers, seen) =
-            Followers::new(stores, &standing.directory, &seat, (clock.clone(), company, certificates));
+            Followers::new(stores, &standing.directory, &slot, (clock.clone(), company, certificates));
         let (peers, space) = (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)));
         peers.follow(&standing.directory);
+        let rejections: Arc<Rejections> = Arc::default();
         let outside = Outside {
             directory: Arc::clone(&standing.directory),
-            peers: Arc::clone(&peers),
-            current: followers.current.clone(),
-            denials: Arc::default(),
-            certificates: Arc::clone(&followers.certificates),
+            outlet: Arc::new(ToSubsystems {
+                peers: Arc::clone(&peers),
+                reads: followers.current.clone(),
+                rejections: Arc::clone(&rejections),
+                certificates: Arc::clone(&followers.certificates),
+            }),
             behind: watch::Sender::new(None),
-            fate: Fate::new(config),
+            failure: FailureHandle::new(config),
         };
         let meters = Meters::default();
         let tracer = Tracer::start(&config.traces, "ledgerd", &me.full_name());
@@ -193,20 +200,33 @@ impl Wired {
             outside,
             meters,
         };
-        let early = Arc::new(Early::new(Arc::clone(ledger), engines.clock.clone(), Arc::clone(&peers)));
-        let links = Links { me: me.id, seat, directory: Arc::clone(&standing.directory), peers, space };
+        let early = Arc::new(EarlyStops::new(Arc::clone(ledger), engines.clock.clone(), Arc::clone(&peers)));
+        let links = Reachability { me: me.id, slot, directory: Arc::clone(&standing.directory), peers, space };
         let shares = Arc::new(Shares::new(count(config.limits.in_flight_max)));
         let stores = stores.clone();
         let audit = Audit::open(&config.data, ledger, (&followers.blocks, &links.space))?;
-        let wired =
-            Self { me, identity, stores, followers, early, links, engines, dialer, shares, members, audit, tracer };
+        let wired = Self {
+            me,
+            identity,
+            stores,
+            followers,
+            early,
+            links,
+            engines,
+            dialer,
+            shares,
+            members,
+            audit,
+            tracer,
+            rejections,
+        };
         Ok((wired, seen, stated))
     }
 
     /// The gateway of a node that started at this moment, in the network of that genesis.
     pub(super) fn gateway(&self, config: &Config, document: Bytes, started: Instant) -> GatewayService {
         let audience = Audience::new(config.limits.subscribers_max, self.me.organisation.clone());
-        let (ledger, denials) = (&self.stores.ledger, &self.engines.outside.denials);
+        let (ledger, denials) = (&self.stores.ledger, &self.rejections);
         let Followers { clock, blocks, current, .. } = &self.followers;
         let workers = tokio::runtime::Handle::current().metrics().num_workers();
         let questions = Questions::new(workers, &self.shares);
@@ -269,9 +289,9 @@ impl Wired {
             bounds,
             retries: Retries::default(),
             waiters: Arc::clone(waiters),
-            seat: Arc::clone(&self.links.seat),
+            slot: Arc::clone(&self.links.slot),
             awake: Arc::clone(awake),
-            denials: Arc::clone(&self.engines.outside.denials),
+            denials: Arc::clone(&self.rejections),
             early: Arc::clone(&self.early),
             handed_over: self.engines.meters.gateway.clone(),
             committed: self.engines.meters.commit.clone(),
@@ -293,7 +313,7 @@ impl Wired {
         let usage = Usage {
             shares: Arc::clone(&self.shares),
             audience,
-            denials: Arc::clone(&self.engines.outside.denials),
+            denials: Arc::clone(&self.rejections),
             executed: Arc::clone(executed),
             limits: config.limits.clone(),
         };
@@ -335,7 +355,7 @@ impl Wired {
             ledger: Arc::clone(&self.stores.ledger),
             links: self.links.clone(),
             dialer: self.dialer.clone(),
-            fate: outside.fate,
+            failure: outside.failure,
             behind: outside.behind,
             data: config.data.clone(),
         }
@@ -363,14 +383,14 @@ impl Wired {
     pub(super) fn author(&self) -> Author {
         let ledger = Arc::clone(&self.stores.ledger);
         let signer = Signer::new(self.identity.clone(), ledger.network(), self.followers.clock.clone());
-        Author { signer, ledger, seat: Arc::clone(&self.links.seat) }
+        Author { signer, ledger, slot: Arc::clone(&self.links.slot) }
     }
 
     /// Tells the ledger what this node refused.
     pub(super) fn refusing(&self) -> Refusing {
         Refusing {
             author: self.author(),
-            denials: Arc::clone(&self.engines.outside.denials),
+            denials: Arc::clone(&self.rejections),
             clock: self.followers.clock.clone(),
             space: Arc::clone(&self.links.space),
         }
@@ -382,24 +402,25 @@ impl Wired {
         bootstrap: Option<Bootstrap>,
         ballot: Ballot,
         stopping: watch::Receiver<bool>,
-    ) -> CatchUp {
+    ) -> BlockSync {
         let Engines { executor, log, outside, .. } = self.engines.clone();
         let into = Destination { log, executor, snapshots: Arc::clone(&self.stores.snapshots) };
-        let (seat, dialer) = (Arc::clone(&self.links.seat), self.dialer.clone());
-        let (directory, fate, receipts) = (outside.directory, outside.fate, self.receipts());
-        CatchUp { bootstrap, into, directory, fate, seat, dialer, ballot, receipts, stopping }
+        let (slot, dialer) = (Arc::clone(&self.links.slot), self.dialer.clone());
+        let (directory, failure, receipts) = (outside.directory, outside.failure, self.receipts());
+        BlockSync { bootstrap, into, directory, failure, slot, dialer, ballot, receipts, stopping }
     }
 
     pub(super) fn housekeeping(&self, pruner: Pruner) -> io::Result<Housekeeping> {
         let (waiters, clock) = (Arc::clone(&self.followers.waiters), self.followers.clock.clone());
-        Housekeeping::start(pruner, &self.links.space, (waiters, clock), Arc::clone(&self.engines.pace.bells))
+        let sweep = move || waiters.sweep(clock.elapsed());
+        Housekeeping::start(pruner, &self.links.space, sweep, Arc::clone(&self.engines.pace.bells))
     }
 
     pub(super) fn peer_service(&self, votes: Ballot) -> PeerService<Deliver> {
-        let Links { seat, directory, peers, .. } = self.links.clone();
+        let Reachability { slot, directory, peers, .. } = self.links.clone();
         let company = Arc::clone(&self.followers.company);
         let (stores, blocks) = ((&self.stores, self.receipts()), Arc::clone(&self.followers.blocks));
-        let source = Source::new(stores, blocks, Arc::clone(&seat), Arc::clone(&company));
+        let source = Source::new(stores, blocks, Arc::clone(&slot), Arc::clone(&company));
         let (certificates, early) = (Arc::clone(&self.followers.certificates), Arc::clone(&self.early));
         let deliver: Deliver = Box::new(move |from, message| {
             let message = match message {
@@ -418,18 +439,18 @@ impl Wired {
             }
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
             // repeats what matters.
-            !matches!(seat.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
+            !matches!(slot.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
         });
         PeerService::new(peers, Arc::new(source), directory.subscribe(), deliver)
     }
 
     pub(super) fn enrolment(
         &self,
-        (host, papers): (&Host, &Papers),
+        (host, papers): (&Host, &NodeCredentials),
         document: Bytes,
         trust: &Arc<dyn TrustSource>,
     ) -> EnrolmentService {
-        let voice = Voice::through(&host.own_gateway(), self.stores.ledger.network(), &papers.identity, trust);
+        let voice = LedgerClient::through(&host.own_gateway(), self.stores.ledger.network(), &papers.identity, trust);
         let links = self.links.clone();
         let surroundings = Surroundings {
             me: self.me.clone(),

@@ -1,19 +1,15 @@
 //! Starts an orderer, with the parts of the node that it needs: each of its threads takes the few that are its own.
 
-use super::Orderer;
-use crate::clients::rejections::Denials;
+use super::{Orderer, Outlet};
 use crate::ordering::directory::Directory;
-use crate::ordering::reads::Current;
 use crate::ordering::waiters::Waiters;
-use crate::peers::connections::Peers;
-use crate::peers::quorum_certificates::Certificates;
 use crate::process::clock::Clock;
 use crate::process::config::Profile;
-use crate::process::failure::Fate;
-use crate::process::failure::no_thread;
-use crate::process::idle_control::Awake;
+use crate::process::failure::FailureHandle;
+use crate::process::failure::thread_error;
+use crate::process::idle_control::IdleControl;
 use crate::process::meters::Meters;
-use crate::process::slice::Turns;
+use crate::process::scheduler_slices::Turns;
 use crate::storage::housekeeping::Bells;
 use crate::storage::log::Log;
 use ledger_base::rejection::Rejection;
@@ -48,7 +44,7 @@ pub(crate) struct Engines {
 #[derive(Clone)]
 pub(crate) struct Pace {
     /// Keeps the processors awake.
-    pub awake: Arc<Awake>,
+    pub awake: Arc<IdleControl>,
     /// How long the turns of the threads are.
     pub turns: Turns,
     /// Wakes housekeeping when there is work for it.
@@ -60,18 +56,12 @@ pub(crate) struct Pace {
 pub(crate) struct Outside {
     /// The members of the network.
     pub directory: Arc<Directory>,
-    /// The other nodes.
-    pub peers: Arc<Peers>,
-    /// The readers that wait until the state is current.
-    pub current: Current,
-    /// Calls that were refused, here by ordering.
-    pub denials: Arc<Denials>,
-    /// Proofs of lies are kept there.
-    pub certificates: Arc<Certificates>,
+    /// The rest of the node.
+    pub outlet: Arc<dyn Outlet>,
     /// The engine's report about blocks that it lacks; the conductor acts on it.
     pub behind: watch::Sender<Option<Behind>>,
     /// Ends the node if it cannot go on.
-    pub fate: Fate,
+    pub failure: FailureHandle,
 }
 
 impl Engines {
@@ -85,7 +75,7 @@ impl Engines {
             (Arc::clone(&self.log.store), Arc::clone(&self.executor), Arc::clone(&self.waiters));
         let (desired, ballots) = (self.outside.directory.desired(), Arc::clone(&self.ballots));
         let replica = Replica::start(settings, store, executor, waiters, desired, ballots)?;
-        Orderer::start(replica, self).map_err(|error| no_thread(&error))
+        Orderer::start(replica, self).map_err(|error| thread_error(&error))
     }
 }
 
@@ -95,7 +85,7 @@ impl Pace {
     /// # Errors
     /// [`Code::Internal`] if the operating system gives no thread.
     pub(crate) fn of(profile: Profile) -> Result<Self, Rejection> {
-        let awake = Arc::new(Awake::start(profile).map_err(|error| no_thread(&error))?);
+        let awake = Arc::new(IdleControl::start(profile).map_err(|error| thread_error(&error))?);
         Ok(Self { awake, turns: Turns::of(profile), bells: Arc::default() })
     }
 }

@@ -3,7 +3,7 @@
 use super::inbox::Inbox;
 use super::{Engines, Pace};
 use crate::process::clock::Clock;
-use crate::process::failure::Fate;
+use crate::process::failure::FailureHandle;
 use crate::process::meters::observe;
 use crate::storage::housekeeping::PENDING_BYTES_MAX;
 use ledger::{Ledger, Outcome};
@@ -23,7 +23,7 @@ pub(super) struct Execute {
     executor: Arc<Executor>,
     clock: Clock,
     pace: Pace,
-    fate: Fate,
+    failure: FailureHandle,
     given: Given,
     took: Histogram,
 }
@@ -31,7 +31,7 @@ pub(super) struct Execute {
 impl Execute {
     pub(super) fn new(parts: &Engines) -> Self {
         let Engines { executor, clock, pace, outside, meters, .. } = parts.clone();
-        Self { executor, clock, pace, fate: outside.fate, given: Given::default(), took: meters.execute }
+        Self { executor, clock, pace, failure: outside.failure, given: Given::default(), took: meters.execute }
     }
 
     /// The execute thread.
@@ -70,7 +70,7 @@ impl Execute {
         let executed = self.executor.execute_all(entries);
         observe(&self.took, since);
         if let Err(fault) = executed {
-            self.fate.fail(fault);
+            self.failure.fail(fault);
             return false;
         }
         if self.executor.ledger().pending_bytes() > PENDING_BYTES_MAX {

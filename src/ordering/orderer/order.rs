@@ -148,7 +148,7 @@ impl Order {
     fn carry_out(&mut self, effect: Effect, unsent: &mut Vec<Event>) {
         match effect {
             Effect::Send { to, message } => {
-                if !self.outside.peers.send(to, &message) {
+                if !self.outside.outlet.send(to, &message) {
                     unsent.push(Event::Unsent { to, message });
                 }
             }
@@ -165,8 +165,8 @@ impl Order {
             Effect::Reconciles(step) => {
                 tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
             }
-            Effect::Read { context, answer } => self.outside.current.answered(context, answer),
-            Effect::Denied(refusal) => self.outside.denials.record(self.clock.now(), &refusal),
+            Effect::Read { context, answer } => self.outside.outlet.answered(context, answer),
+            Effect::Denied(refusal) => self.outside.outlet.rejected(self.clock.now(), &refusal),
             Effect::Refused { input, reason } => {
                 tracing::warn!(request = self.described(&input), code = reason.code.name(), %reason, "ordering refused a request");
             }
@@ -183,10 +183,10 @@ impl Order {
                     tracing::warn!(node = peer, reason, "ordering ignores messages of a peer");
                 }
             }
-            Effect::VotedTwice(proof) => self.outside.certificates.voted_twice(proof),
+            Effect::VotedTwice(proof) => self.outside.outlet.voted_twice(proof),
             Effect::Failed(reason) => {
                 self.failed = true;
-                self.outside.fate.fail(reason);
+                self.outside.failure.fail(reason);
             }
         }
     }

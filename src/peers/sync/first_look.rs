@@ -1,6 +1,6 @@
 //! Asks the other nodes what they have, before the first engine starts.
 
-use super::CatchUp;
+use super::BlockSync;
 use crate::peers::question::Answers;
 use futures::StreamExt;
 use ledger_base::rejection::Rejection;
@@ -15,7 +15,7 @@ pub(crate) struct Open {
     asked: Instant,
 }
 
-impl CatchUp {
+impl BlockSync {
     /// Asks the other nodes what they have, before the first engine starts. `election_time`: this node does not stand for
     /// election for so long.
     ///
@@ -39,7 +39,7 @@ impl CatchUp {
 
     /// Hears out those that were silent, until the question is closed; then the node may vote.
     pub(crate) fn hear_out(&self, mut open: Open) -> impl Future<Output = ()> + Send + use<> {
-        let (fate, mut stopping) = (self.fate.clone(), self.stopping.clone());
+        let (failure, mut stopping) = (self.failure.clone(), self.stopping.clone());
         async move {
             while open.look.stage() != Stage::Closed {
                 let heard = tokio::select! {
@@ -48,7 +48,7 @@ impl CatchUp {
                     heard = open.hear() => heard,
                 };
                 if let Err(lost) = heard {
-                    return fate.fail(lost);
+                    return failure.fail(lost);
                 }
             }
         }

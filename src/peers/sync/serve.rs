@@ -2,8 +2,8 @@
 
 use super::blocks::to_wire;
 use crate::ordering::directory::Member;
-use crate::ordering::orderer_slot::Seat;
-use crate::peers::chain_monitor::Company;
+use crate::ordering::orderer_slot::OrdererSlot;
+use crate::peers::chain_monitor::ChainMonitor;
 use crate::peers::receipt;
 use crate::process::clock::wall;
 use crate::storage::blocks::Blocks;
@@ -43,8 +43,8 @@ pub(crate) struct Source {
     store: Arc<BlockStore>,
     snapshots: Arc<Snapshots>,
     blocks: Arc<Blocks>,
-    seat: Arc<Seat>,
-    company: Arc<Company>,
+    slot: Arc<OrdererSlot>,
+    company: Arc<ChainMonitor>,
     /// Makes receipts for what this node holds.
     receipts: ReceiptKey,
     streams: Arc<Semaphore>,
@@ -55,8 +55,8 @@ impl Source {
     pub(crate) fn new(
         (stores, receipts): (&Stores, ReceiptKey),
         blocks: Arc<Blocks>,
-        seat: Arc<Seat>,
-        company: Arc<Company>,
+        slot: Arc<OrdererSlot>,
+        company: Arc<ChainMonitor>,
     ) -> Self {
         let Stores { ledger, store, snapshots, .. } = stores.clone();
         Self {
@@ -64,7 +64,7 @@ impl Source {
             store,
             snapshots,
             blocks,
-            seat,
+            slot,
             company,
             receipts,
             streams: Arc::new(Semaphore::new(STREAMS_MAX)),
@@ -76,7 +76,7 @@ impl Source {
         let stores = (&*self.ledger, &*self.store, &*self.snapshots);
         let id = asking.map_or(0, |asking| asking.id);
         let confirmed = self.company.confirmed(id);
-        let has = Holding::of(stores, self.seat.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
+        let has = Holding::of(stores, self.slot.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
         let Holding { height, first_height, snapshot_height, yours, receipts, you_vote, receipt } = has;
         let told = Hash::from_slice(&request.block_hash).zip(Hash::from_slice(&request.digest));
         if let (Some(asking), Some((hash, digest))) = (asking, told) {

@@ -4,7 +4,7 @@
 //! believed when it is there, is decided by [`ledger_replica::trust`]. Chunks that are there after an interruption are not
 //! fetched again.
 
-use super::CatchUp;
+use super::BlockSync;
 use super::blocks::in_time;
 use crate::peers::question::Contact;
 use bytes::Bytes;
@@ -42,7 +42,7 @@ fn client(peer: &Contact) -> PeerClient<Channel> {
     PeerClient::new(peer.channel.clone()).max_decoding_message_size(size)
 }
 
-impl CatchUp {
+impl BlockSync {
     /// Fetches the chunks that are missing, and lets the trial conclude.
     pub(super) async fn fetch(&self, peer: &Contact, manifest: Manifest, trial: Trial) -> Got<Contact> {
         let (height, snapshots) = (manifest.height, Arc::clone(&self.into.snapshots));

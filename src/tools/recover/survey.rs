@@ -1,7 +1,7 @@
 //! The nodes of a network that still answer. Only a node that shows its certificate counts: nobody else can hold a recovery up.
 
 use crate::ordering::directory::Member;
-use crate::trust::credentials::Papers;
+use crate::trust::credentials::NodeCredentials;
 use futures::future::join_all;
 use ledger::Ledger;
 use ledger_api::tls::ServerTrust;
@@ -25,7 +25,7 @@ pub(super) struct Answer {
 /// # Errors
 /// If this node's certificate is of no use.
 pub(super) async fn survey(
-    papers: &Papers,
+    papers: &NodeCredentials,
     ledger: &Ledger,
     me: &Member,
     members: &[Member],

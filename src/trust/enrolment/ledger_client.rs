@@ -19,14 +19,14 @@ type Submit = Box<dyn Fn(&'static str, Bytes) -> BoxFuture<'static, Result<Bytes
 type CatchUp = Box<dyn Fn() -> BoxFuture<'static, Result<(), Rejection>> + Send + Sync>;
 
 /// How the node speaks and hears; see the module.
-pub(crate) struct Voice {
+pub(crate) struct LedgerClient {
     /// See [`Submit`].
     pub(super) submit: Submit,
     /// See [`CatchUp`].
     pub(super) catch_up: CatchUp,
 }
 
-impl Voice {
+impl LedgerClient {
     /// Through the gateway at `address`, which is this node's own.
     pub(crate) fn through(address: &str, network: Hash, identity: &TlsIdentity, trust: &Arc<dyn TrustSource>) -> Self {
         let door = Door { address: address.to_owned(), network, identity: identity.clone(), trust: Arc::clone(trust) };

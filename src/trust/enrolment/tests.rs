@@ -86,7 +86,7 @@ fn service(chain: &Arc<Chain>, document: &Bytes, data: &Path, id: u64) -> Enrolm
         certificate: Bytes::copy_from_slice(own.certificate()),
     });
     let (submitting, reading) = (Arc::clone(chain), Arc::clone(chain));
-    let voice = Voice {
+    let voice = LedgerClient {
         submit: Box::new(move |function, argument| {
             let (chain, signer) = (Arc::clone(&submitting), Arc::clone(&signer));
             async move { chain.call(&signer, function, &argument) }.boxed()

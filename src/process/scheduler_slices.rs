@@ -4,7 +4,7 @@
 //! ms each. A call that gives or ends control passes a handful of threads. Linux (6.12 and later) lets a thread ask for
 //! shorter turns of its own: it gets no more of the processors, but gets its part earlier (`sched_runtime` in
 //! sched_setattr(2)). While little is to do they are only in the way: a thread that was just woken would interrupt the
-//! one that is about to finish. Only the profile `low-latency` asks for them. Figures are in docs/benchmarks.md.
+//! one that is about to finish. Only the profile `low-latency` asks for them. Figures are in docs/experiments.md.
 
 use crate::process::config::Profile;
 use std::cell::Cell;
