@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 25] = [
+const LAYERS: [(&str, &[&str]); 26] = [
+    // The rules of this repository, as tests.
+    ("ledgerd-repository", &["ledger-base"]),
     // The foundation: no cryptography beyond a hash, no network, no chain.
     ("ledger-base", &[]),
     // The paper's experiment without its network: nothing of a ledger.

@@ -11,7 +11,9 @@ const NAMES: [&str; 6] = ["utils", "util", "types", "helpers", "common", "consta
 
 /// The top of the repository.
 pub(crate) fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    // The folder of this package is `tests/repository`.
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    package.ancestors().nth(2).unwrap_or(package)
 }
 
 /// The text of a file of the repository.
