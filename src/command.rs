@@ -121,7 +121,17 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
             return if error.use_stderr() { ExitCode::from(64) } else { ExitCode::SUCCESS };
         }
     };
-    match execute(arguments.command, &builder) {
+    exit_code(execute(arguments.command, &builder))
+}
+
+/// Runs a program of its own beside the command line, such as an experiment on [`crate::demo`]: a rejection goes to
+/// standard error, and decides the exit code.
+pub fn run_program(body: impl Future<Output = Result<(), Rejection>>) -> ExitCode {
+    exit_code(block_on(body))
+}
+
+fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(rejection) => {
             eprint_line(&report(&rejection));
@@ -278,7 +288,7 @@ fn start_again() -> Rejection {
 
 /// Catches SIGINT and SIGTERM from now on; the future ends when one of them comes. Called before a node starts, so that
 /// it ends in order whenever it is asked to. Must be called inside a tokio runtime.
-pub(crate) fn stop_signal() -> impl Future<Output = ()> {
+pub fn stop_signal() -> impl Future<Output = ()> {
     use tokio::signal::unix::{Signal, SignalKind, signal};
     let listen = |kind| {
         let listening = signal(kind);
@@ -354,13 +364,13 @@ fn block_on_with(workers: usize, body: impl Future<Output = Result<(), Rejection
 }
 
 /// Prints a line; that the reader has gone away is not our failure.
-pub(crate) fn print_line(text: &str) {
+pub fn print_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stdout(), "{text}");
 }
 
 /// Prints a line on standard error.
-pub(crate) fn eprint_line(text: &str) {
+pub fn eprint_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stderr(), "{text}");
 }

@@ -59,7 +59,7 @@ mod company;
 mod conductor;
 pub mod config;
 mod console;
-mod demo;
+pub mod demo;
 mod denials;
 mod dev;
 mod doors;
@@ -94,6 +94,6 @@ mod verify;
 mod waiters;
 mod witness;
 
-pub use command::{run, run_with};
+pub use command::{run, run_program, run_with};
 pub use host::{Host, Node, NodeBuilder};
 pub use instance::Ended;

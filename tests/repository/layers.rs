@@ -11,8 +11,8 @@ const LAYERS: [(&str, &[&str]); 26] = [
     ("ledgerd-repository", &["ledger-base"]),
     // The foundation: no cryptography beyond a hash, no network, no chain.
     ("ledger-base", &[]),
-    // The paper's experiment without its network: nothing of a ledger.
-    ("arena", &[]),
+    // The paper's experiment with a robot that moves.
+    ("arena", &["ledger-api", "ledger-base", "ledger-gate", "ledgerd", "ros-bridge", "ros-message"]),
     // Files of ROS 2: recordings.
     ("mcap", &[]),
     // What each process tells a collector of its part in a message: nothing of a ledger but ids.
@@ -114,7 +114,6 @@ const LAYERS: [(&str, &[&str]); 26] = [
     (
         "ledgerd",
         &[
-            "arena",
             "ledger",
             "ledger-abac",
             "ledger-api",
