@@ -26,12 +26,6 @@
     reason = "tests"
 )]
 
-#[path = "../support/own_network.rs"]
-mod own_network;
-#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
-#[path = "../support/mod.rs"]
-mod support;
-
 mod audit;
 mod cluster;
 mod damage;
@@ -43,6 +37,9 @@ mod partitions;
 mod pauses;
 mod site;
 mod upgrade;
+
+use ledgerd_support as support;
+use testkit::own_network;
 
 /// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`.
 fn rounds() -> u64 {

@@ -5,12 +5,13 @@
 //! name in capitals. After a change of words: `LEDGERD_TRANSCRIPTS=write cargo test --test node transcripts`, then read
 //! the difference.
 
+use crate::support::programs::repository;
 use crate::support::{Ctl, Dev};
 use std::fs;
 use std::path::PathBuf;
 
 fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/transcripts/wrong_input.txt")
+    repository().join("tests/transcripts/wrong_input.txt")
 }
 
 /// A step of the transcript: the prompt line, and what is expected below it.

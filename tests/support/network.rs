@@ -49,10 +49,15 @@ pub fn free_address() -> String {
 
 /// A node's place: directory, address, configuration.
 pub struct NodePlace {
+    /// The name of the node.
     pub name: String,
+    /// The organisation that runs it.
     pub organisation: String,
+    /// Its data directory.
     pub data: PathBuf,
+    /// Its address, with the port.
     pub address: String,
+    /// Its configuration file.
     pub config: PathBuf,
     logs: PathBuf,
 }
@@ -101,9 +106,13 @@ impl NodePlace {
 /// A node that is to be founded.
 #[derive(Clone)]
 pub struct NodeWish {
+    /// The name of the node.
     pub name: String,
+    /// The organisation that runs it.
     pub organisation: String,
+    /// A voter, or a learner.
     pub voter: bool,
+    /// Its address, with the port.
     pub address: String,
 }
 
@@ -124,7 +133,9 @@ impl NodeWish {
 
 /// The paper's organisations on nodes in a temporary directory: Org1 with the users, Org2 which owns the robots.
 pub struct Fleet {
+    /// Its nodes.
     pub nodes: Vec<NodePlace>,
+    /// The keys and certificates of its founding.
     pub founded: Founded,
     // Last: removed after everything else.
     directory: TempDir,

@@ -7,9 +7,7 @@
 //! `LEDGER_RAFT_SEED=n cargo test -p ledger-replica --test chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
 
-mod cluster;
-
-use cluster::{CALM, Cluster, Faults};
+use crate::cluster::{CALM, Cluster, Faults};
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
 use std::collections::BTreeSet;
 use testkit::Random;
