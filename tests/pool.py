@@ -35,7 +35,9 @@ FIRST = ["sim::seeds::", "cluster::", "interop::"]
 # Left out without --long.
 LONG = []
 # With --long these try more than without it.
-LONGER = ["sim::mutations::", "sim::seeds::no_storm"]
+LONGER = ["cluster::", "replica::chaos::", "sim::mutations::", "sim::seeds::no_storm"]
+# One after the other, when all others have ended: they show what a machine without other work can do.
+ALONE = ["repository::documents::the_first_command_of_the_readme_plays_the_experiment"]
 # Seconds after which a test has failed.
 TIME_MAX = 900
 
@@ -119,10 +121,10 @@ def listed(message):
     return [Test(binary, name, [program, "--exact", name, "--nocapture"], directory) for name in names]
 
 
-def examples(packages):
+def examples():
     """The examples in the documentation of libraries, which no binary has."""
-    chosen = [word for package in packages for word in ("--package", package)] or ["--workspace"]
-    return Test("documentation", "examples", ["cargo", "test", "--doc", *chosen, "--profile", PROFILE, "--locked"], TOP)
+    command = ["cargo", "test", "--doc", "--workspace", "--profile", PROFILE, "--locked"]
+    return Test("documentation", "examples", command, TOP)
 
 
 def main():
@@ -137,9 +139,14 @@ def main():
     print(f"test: built in {time.monotonic() - begun:.0f} s", flush=True)
     with ThreadPoolExecutor(PROCESSORS) as pool:
         tests = [test for found in pool.map(listed, binaries) for test in found]
-    if not asked.package:
-        tests.append(examples([]))
     is_in = lambda test, prefixes: any(test.name.startswith(prefix) for prefix in prefixes)
+    if not asked.package:
+        tests.append(examples())
+        there = {test.name.split("::")[0] for test in tests}
+        gone = (WAITING | WITH_PROGRAMS) - there
+        gone |= {prefix for prefix in FIRST + LONG + LONGER + ALONE if not any(is_in(test, [prefix]) for test in tests)}
+        if gone:
+            sys.exit(f"error: tests/pool.py names tests that are not there: {' '.join(sorted(gone))}")
     left_out = []
     if asked.long:
         os.environ["LEDGERD_TEST_LONG"] = "1"
@@ -164,9 +171,13 @@ def main():
             elif len(done) % 200 == 0:
                 print(f"test: {len(done)} of {len(tests)} after {time.monotonic() - begun:.0f} s", flush=True)
 
+    alone = [test for test in tests if is_in(test, ALONE)]
     with ThreadPoolExecutor(WAITING_SLOTS) as waiting, ThreadPoolExecutor(PROCESSORS) as computing:
         for test in tests:
-            (waiting if test.waits else computing).submit(run, test)
+            if test not in alone:
+                (waiting if test.waits else computing).submit(run, test)
+    for test in alone:
+        run(test)
     DURATIONS.write_text(json.dumps({**durations, **{test.name: round(test.seconds, 2) for test in done}}, indent=0))
 
     print()

@@ -41,7 +41,11 @@ mod upgrade;
 use ledgerd_support as support;
 use testkit::own_network;
 
-/// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`.
+/// Times the usual number of faults in `./test --long`.
+const ROUNDS_LONG: u64 = 4;
+
+/// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`, else more in `./test --long` than in `./test`.
 fn rounds() -> u64 {
-    std::env::var("LEDGERD_TEST_ROUNDS").map_or(1, |rounds| rounds.parse().expect("a number of rounds"))
+    let usual = if std::env::var_os("LEDGERD_TEST_LONG").is_some() { ROUNDS_LONG } else { 1 };
+    std::env::var("LEDGERD_TEST_ROUNDS").map_or(usual, |rounds| rounds.parse().expect("a number of rounds"))
 }

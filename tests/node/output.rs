@@ -1,7 +1,7 @@
 //! docs/output.md against the JSON that `ledgerctl` prints. Every command of that page is run. Each printed field is documented,
 //! and each documented field was printed, unless it stands there with a `?`.
 //!
-//! After a change: `LEDGERD_TRANSCRIPTS=write cargo test --test node output` writes the lists of fields anew, then read the
+//! After a change: `LEDGERD_TRANSCRIPTS=write ./test node::output` writes the lists of fields anew, then read the
 //! difference; names in the table of meanings are written by hand.
 
 mod alone;

@@ -2,7 +2,7 @@
 //!
 //! The file is for reading. Each line `who$ ledgerctl …` is run as that person on one network for playing, in this
 //! order. Below it stands its output, with its exit code if that is not 0. Words that differ from run to run have a
-//! name in capitals. After a change of words: `LEDGERD_TRANSCRIPTS=write cargo test --test node transcripts`, then read
+//! name in capitals. After a change of words: `LEDGERD_TRANSCRIPTS=write ./test node::transcripts`, then read
 //! the difference.
 
 use crate::support::programs::repository;

@@ -5,6 +5,8 @@
 //! of `./test`. In a release [`active`] is a constant `false` and the compiler takes the bugs out; `packaging/check-release` looks
 //! at a program for the switches.
 
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+
 /// A deliberate bug.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]

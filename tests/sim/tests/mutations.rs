@@ -54,7 +54,9 @@ fn caught(mutation: Mutation, seed: u64, by: &[&str]) {
     if !is_alone() {
         return;
     }
-    assert!(COMPILED_IN, "no switches in this build: run ./test, or cargo test without --release");
+    if !COMPILED_IN {
+        panic!("no switches in this build: run ./test, or cargo test without --release");
+    }
     let people = Arc::new(People::new());
     turn_on(Some(mutation));
     // Another promise may be the first to break in a seed; one of these must.
@@ -99,7 +101,9 @@ fn borne(mutation: Mutation) {
     if !is_alone() {
         return;
     }
-    assert!(COMPILED_IN, "no switches in this build: run ./test, or cargo test without --release");
+    if !COMPILED_IN {
+        panic!("no switches in this build: run ./test, or cargo test without --release");
+    }
     let people = Arc::new(People::new());
     turn_on(Some(mutation));
     let broken: Vec<_> =
