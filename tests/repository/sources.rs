@@ -43,6 +43,12 @@ pub(crate) fn manifests() -> Vec<PathBuf> {
     files(root(), "Cargo.toml")
 }
 
+/// Is this the manifest of a package of tests alone? The simulation is more: a program, too.
+pub(crate) fn is_of_tests(manifest: &Path) -> bool {
+    let inside = manifest.strip_prefix(root()).unwrap_or(manifest);
+    inside.iter().any(|part| part == "tests") && !inside.starts_with("tests/sim")
+}
+
 /// The text of a Rust file without the tests at its end.
 pub(crate) fn product(path: &Path) -> String {
     let text = read(path);

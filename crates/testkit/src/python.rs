@@ -1,5 +1,4 @@
 //! Python processes with CycloneDDS, the software on the other side that we did not write.
-#![allow(dead_code, clippy::allow_attributes, reason = "each test uses its own part")]
 
 use std::{
     env,
@@ -11,27 +10,27 @@ use std::{
 };
 
 /// CycloneDDS on a loopback without multicast.
-pub(crate) const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>\
+pub const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>\
     </Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
     <MaxAutoParticipantIndex>11</MaxAutoParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery>\
     </Domain></CycloneDDS>";
 
 /// A Python process with CycloneDDS; ends with the test.
-pub(crate) struct Python {
+pub struct Python {
     /// The running interpreter.
-    pub(crate) child: Child,
+    pub child: Child,
     lines: Receiver<String>,
 }
 
 impl Python {
     /// Starts a script of this directory. The interpreter is `LEDGERD_TEST_PYTHON` or `python3`; it must have the
     /// package `cyclonedds`.
-    pub(crate) fn start(script: &str, args: &[&str]) -> Self {
+    pub fn start(script: &str, args: &[&str]) -> Self {
         Self::start_within(&[], CYCLONE, script, args)
     }
 
     /// The same by another command, such as `nsenter`, and with that configuration of CycloneDDS.
-    pub(crate) fn start_within(by: &[&str], cyclone: &str, script: &str, args: &[&str]) -> Self {
+    pub fn start_within(by: &[&str], cyclone: &str, script: &str, args: &[&str]) -> Self {
         let python = env::var_os("LEDGERD_TEST_PYTHON").unwrap_or_else(|| "python3".into());
         // `env` alone runs the interpreter.
         let mut command = Command::new(by.first().unwrap_or(&"env"));
@@ -41,7 +40,7 @@ impl Python {
     }
 
     /// Starts any program, and takes the lines that it prints.
-    pub(crate) fn run(mut command: Command) -> Self {
+    pub fn run(mut command: Command) -> Self {
         let child = command.stdout(Stdio::piped()).spawn();
         let mut child =
             child.unwrap_or_else(|error| panic!("{command:?} does not start: {error}; set LEDGERD_TEST_PYTHON"));
@@ -53,23 +52,23 @@ impl Python {
     }
 
     /// The next line that the script prints, or `None` at its end. Blocks for at most a minute.
-    pub(crate) fn line(&mut self) -> Option<String> {
+    pub fn line(&mut self) -> Option<String> {
         self.lines.recv_timeout(Duration::from_secs(60)).ok()
     }
 
     /// A line that the script has printed already.
-    pub(crate) fn try_line(&mut self) -> Option<String> {
+    pub fn try_line(&mut self) -> Option<String> {
         self.lines.try_recv().ok()
     }
 
     /// Waits for the end of the script and returns whether it succeeded.
-    pub(crate) fn finish(mut self) -> bool {
+    pub fn finish(mut self) -> bool {
         self.child.wait().expect("the script ends").success()
     }
 }
 
 /// A file of this directory, for a test of any package.
-pub(crate) fn source(name: &str) -> PathBuf {
+pub fn source(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .ancestors()
         .map(|directory| directory.join("tests/interop").join(name))

@@ -11,12 +11,22 @@
 //! | `small_disk` | a disk that can be full |
 //! | `dev` | `ledgerd dev` with its users |
 //! | `page` | the page for whoever watches a node or a bridge |
+//! | `two_networks` | two networks behind one listener |
 //! | `ctl` | one run of `ledgerctl`, or of `ledgerd verify` |
 //! | `wire` | connections below the Rust client |
 //! | `wait` | conditions with a deadline, and a small source of random numbers |
 //!
-//! `own_network` (a network namespace for a test) and `two_networks` (behind one listener) stand alone: whoever needs one declares
-//! it by its path.
+//! A network namespace for a test is `testkit::own_network`.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "for tests"
+)]
 
 pub mod ctl;
 pub mod dev;
@@ -27,6 +37,7 @@ pub mod process;
 pub mod programs;
 pub mod readme;
 pub mod small_disk;
+pub mod two_networks;
 pub mod wait;
 pub mod wire;
 

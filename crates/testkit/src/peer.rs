@@ -1,12 +1,12 @@
 //! The software on the other side that we did not write: CycloneDDS or Fast DDS, with the same words on the command line.
 
 use crate::python::{CYCLONE, Python, source};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 /// The DDS of a process on the other side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Peer {
+pub enum Peer {
     /// CycloneDDS in Python, as in `rmw_cyclonedds`.
     Cyclone,
     /// Fast DDS in C++, as in `rmw_fastrtps`.
@@ -16,22 +16,16 @@ pub(crate) enum Peer {
 }
 
 /// Both.
-pub(crate) const PEERS: [Peer; 2] = [Peer::Cyclone, Peer::Fast];
+pub const PEERS: [Peer; 2] = [Peer::Cyclone, Peer::Fast];
 
 impl Peer {
     /// Starts a publisher: it waits for a reader, and says "matched".
-    pub(crate) fn publishes(
-        self,
-        domain: u16,
-        topic: &str,
-        (count, rate, size): (u32, u32, usize),
-        words: &[&str],
-    ) -> Python {
+    pub fn publishes(self, domain: u16, topic: &str, (count, rate, size): (u32, u32, usize), words: &[&str]) -> Python {
         self.start(["pub", &domain.to_string(), topic, &count.to_string(), &rate.to_string(), &size.to_string()], words)
     }
 
     /// Starts a subscriber: it says "ready", then "matched", then the number of each sample.
-    pub(crate) fn subscribes(self, domain: u16, topic: &str, (count, size): (u32, usize), words: &[&str]) -> Python {
+    pub fn subscribes(self, domain: u16, topic: &str, (count, size): (u32, usize), words: &[&str]) -> Python {
         self.start(["sub", &domain.to_string(), topic, &count.to_string(), "90", &size.to_string()], words)
     }
 
@@ -50,15 +44,15 @@ impl Peer {
 }
 
 /// The number of the next sample that a subscriber has.
-pub(crate) fn number(subscriber: &mut Python) -> Option<u32> {
+pub fn number(subscriber: &mut Python) -> Option<u32> {
     Some(subscriber.line()?.split_once(' ')?.0.parse().expect("a number"))
 }
 
 /// The program with Fast DDS, built where it is not there in this version.
-pub(crate) fn fast_dds() -> PathBuf {
+pub fn fast_dds() -> PathBuf {
     let text = std::fs::read(source("fastdds/stream.cpp")).expect("the source is there");
     let version = text.iter().fold(0_u64, |hash, byte| hash.wrapping_mul(0x0100_0000_01b3) ^ u64::from(*byte));
-    let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fastdds-stream-{version:016x}"));
+    let program = crate::scratch().join(format!("fastdds-stream-{version:016x}"));
     if !program.exists() {
         let building = program.with_extension(std::process::id().to_string());
         let mut command = Command::new("g++");
@@ -74,7 +68,7 @@ pub(crate) fn fast_dds() -> PathBuf {
 fn profile() -> PathBuf {
     let book = std::fs::read_to_string(source("../../docs/bridge.md")).expect("the page is there");
     let profile = book.split_once("```xml").and_then(|(_, rest)| rest.split_once("```")).expect("a profile is in it").0;
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fastdds-profile-{}.xml", std::process::id()));
+    let path = crate::scratch().join(format!("fastdds-profile-{}.xml", std::process::id()));
     std::fs::write(&path, profile).expect("the profile is written");
     path
 }
