@@ -1,4 +1,4 @@
-//! The meaning of events of the ledger to the gate, and what then is to be done.
+//! The events of a block, and their meaning to the gate.
 
 use std::collections::HashMap;
 
@@ -6,28 +6,13 @@ use bytes::Bytes;
 use ledger_base::mutation::{Mutation, active};
 use ledger_contract::{Reason, Word};
 
+use super::act::Act;
 use super::held::Message;
 use crate::{
     ABAC, MSP,
-    gate::{Delivered, Gate, Now, Passed, Refused},
+    gate::{Delivered, Gate, Now, Refused},
     service::{Listed, Released, Revoked, read},
 };
-
-/// The action that is to be taken.
-#[derive(Debug, PartialEq, Eq)]
-pub enum Act {
-    /// Publish its samples, in order.
-    Publish(Passed),
-    /// Publish the stop message, for this reason.
-    Stop(&'static str),
-    /// The gate did not let a message of this block pass.
-    Refused {
-        /// The rule that it broke.
-        refused: Refused,
-        /// The block.
-        height: u64,
-    },
-}
 
 /// An event, as a node tells it.
 #[derive(Clone, Copy, Debug)]

@@ -1,0 +1,19 @@
+//! What the driver of a gate is to do.
+
+use crate::gate::{Passed, Refused};
+
+/// The action that is to be taken.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Act {
+    /// Publish its samples, in order.
+    Publish(Passed),
+    /// Publish the stop message, for this reason.
+    Stop(&'static str),
+    /// The gate did not let a message of this block pass.
+    Refused {
+        /// The rule that it broke.
+        refused: Refused,
+        /// The block.
+        height: u64,
+    },
+}
