@@ -1,7 +1,7 @@
 //! The faults of the store.
 
 use ledger_base::rejection::{Code, Rejection};
-use std::io;
+use std::io::{self, ErrorKind};
 use std::sync::Arc;
 
 /// Advice to an operator about damage. A voter must not go on under its number with less than it has promised.
@@ -113,6 +113,14 @@ impl StoreError {
     /// An error of the disk while doing `operation` with `file`.
     pub(crate) fn io(operation: &'static str, file: &str, source: io::Error) -> Self {
         Self::Io { operation, file: file.to_owned(), source: Arc::new(source) }
+    }
+
+    /// An error of the disk while writing: a full disk is told apart.
+    pub(crate) fn writing(operation: &'static str, file: &str, wanted_bytes: u64, source: io::Error) -> Self {
+        if source.kind() == ErrorKind::StorageFull {
+            return Self::DiskFull { operation, file: file.to_owned(), wanted_bytes };
+        }
+        Self::io(operation, file, source)
     }
 
     pub(crate) fn corrupt(file: &str, offset: u64, what: impl Into<String>, index: u64) -> Self {
