@@ -123,7 +123,17 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
             return if error.use_stderr() { ExitCode::from(64) } else { ExitCode::SUCCESS };
         }
     };
-    match execute(arguments.command, &builder) {
+    exit_code(execute(arguments.command, &builder))
+}
+
+/// Runs a program of its own beside the command line, such as an experiment on [`crate::demo`]: a rejection goes to
+/// standard error, and decides the exit code.
+pub fn run_program(body: impl Future<Output = Result<(), Rejection>>) -> ExitCode {
+    exit_code(block_on(body))
+}
+
+fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(rejection) => {
             eprint_line(&report(&rejection));

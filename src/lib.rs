@@ -40,9 +40,9 @@ mod storage;
 mod tools;
 mod trust;
 
-pub use command::{run, run_with};
+pub use command::{run, run_program, run_with};
 pub use node::{Host, Node, NodeBuilder};
 pub use process::config;
 pub use process::failure::Ended;
-pub use tools::setup;
+pub use tools::{demo, setup};
 pub use trust::ca;

@@ -10,7 +10,7 @@
 
 pub(crate) mod backup;
 pub(crate) mod ca_commands;
-pub(crate) mod demo;
+pub mod demo;
 pub(crate) mod dev;
 pub(crate) mod join;
 pub(crate) mod recover;

@@ -4,7 +4,7 @@ use std::future::Future;
 
 /// Catches SIGINT and SIGTERM from now on; the future ends when one of them comes. Called before a node starts, so that
 /// it ends in order whenever it is asked to. Must be called inside a tokio runtime.
-pub(crate) fn stop_signal() -> impl Future<Output = ()> {
+pub fn stop_signal() -> impl Future<Output = ()> {
     use tokio::signal::unix::{Signal, SignalKind, signal};
     let listen = |kind| {
         let listening = signal(kind);
@@ -28,13 +28,13 @@ pub(crate) fn stop_signal() -> impl Future<Output = ()> {
 }
 
 /// Prints a line; that the reader has gone away is not our failure.
-pub(crate) fn print_line(text: &str) {
+pub fn print_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stdout(), "{text}");
 }
 
 /// Prints a line on standard error.
-pub(crate) fn eprint_line(text: &str) {
+pub fn eprint_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stderr(), "{text}");
 }

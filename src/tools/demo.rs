@@ -1,6 +1,7 @@
 //! The paper's experiment, for real: two organisations with a node each, two users, one robot, ROS 2 messages over DDS.
+//!
+//! Its network, bridges and ROS 2 nodes are public for other experiments on them, such as `examples/arena`.
 
-mod arena;
 mod bridges;
 mod graph;
 mod measure;
@@ -9,17 +10,23 @@ mod network;
 mod picture;
 mod process;
 mod summary;
+mod user;
 
-use crate::process::terminal::{eprint_line, print_line, stop_signal};
+pub use crate::process::terminal::{eprint_line, print_line, stop_signal};
+pub use bridges::{Bridges, Plan, Route, domains};
+pub use graph::{DISCOVERY_TIME_MAX, Publisher, Received, Robot, cmd_vel, failed, nobody_there};
+pub use measure::{Percentiles, RosToRos};
+pub use messages::{Command, Twist, read_twist, twist};
+pub use network::Network;
+pub use picture::{LINE_UP, is_coloured, is_seen};
+pub use summary::{BridgeReport, failure};
+pub use user::User;
+
 use crate::tools::dev::paper_robots;
-use ::arena::course::User;
-use bridges::{Plan, Route};
 use bytes::Bytes;
-use graph::{DISCOVERY_TIME_MAX, Publisher, Received, Robot, nobody_there};
 use ledger_api::Client;
 use ledger_base::rejection::{Code, Rejection};
-use measure::{Phase, RosToRos};
-use network::Network;
+use measure::Phase;
 use picture::Picture;
 use std::time::{Duration, Instant};
 use summary::Summary;
@@ -28,16 +35,16 @@ use tokio::time::interval;
 /// The rate of the paper's experiment.
 const HZ: u32 = 50;
 /// Time for messages that are under way when a phase ends.
-const SETTLE: Duration = Duration::from_millis(500);
+pub const SETTLE: Duration = Duration::from_millis(500);
 /// How long Salma publishes before the demo looks whether the robot has heard her.
 const FIRST_TRY: Duration = Duration::from_millis(100);
 /// The service in question.
-const SERVICE: &str = "Turtlebot4/cmd_vel";
+pub const SERVICE: &str = "Turtlebot4/cmd_vel";
 /// The commands of a user.
-const TO_LEDGER: Route =
+pub const TO_LEDGER: Route =
     Route { service: SERVICE, direction: "to_ledger", topic: "/cmd_vel", kind: "geometry_msgs/msg/Twist" };
 /// The commands that reach the robot.
-const FROM_LEDGER: Route = Route { direction: "from_ledger", ..TO_LEDGER };
+pub const FROM_LEDGER: Route = Route { direction: "from_ledger", ..TO_LEDGER };
 
 /// `ledgerd demo`
 #[derive(clap::Args)]
@@ -48,15 +55,10 @@ pub(crate) struct Options {
     /// Print the result as one line of JSON, and nothing else on standard output.
     #[arg(long)]
     json: bool,
-    #[command(flatten)]
-    arena: arena::Options,
 }
 
 /// Plays the experiment; Ctrl-C ends everything that was started.
 pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
-    if options.arena.arena {
-        return arena::run(options.arena, options.json).await;
-    }
     let seconds = Duration::from_secs(options.seconds);
     // Dropping the experiment ends its processes and removes its directory.
     let played = tokio::select! {
@@ -67,7 +69,7 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     };
     let summary = played.inspect_err(|rejection| {
         if options.json {
-            print_line(&summary::failure(rejection));
+            print_line(&failure(rejection));
         }
     })?;
     print_line(&if options.json { summary.json()? } else { summary.table() });
@@ -78,7 +80,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let started = Instant::now();
     let say = |what: &str| {
         let stamp = format!("{:>5.1} s", started.elapsed().as_secs_f64());
-        match picture::is_coloured() {
+        match is_coloured() {
             true => eprint_line(&format!("\x1b[2m{stamp}\x1b[0m  {what}")),
             false => eprint_line(&format!("{stamp}  {what}")),
         }
@@ -104,7 +106,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     summary.refused(&refused);
 
     say("three ROS 2 graphs come up, each with a bridge to its organisation's node: Salma's, Farhad's, the robot's");
-    let [of_salma, of_farhad, of_robot] = bridges::domains()?;
+    let [of_salma, of_farhad, of_robot] = domains()?;
     let plan = |name, domain, direction| Plan { name, domain, routes: direction, via: None };
     network.start_bridges(&[
         plan("Salma", of_salma, &[TO_LEDGER]),
@@ -158,7 +160,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
 }
 
 /// The owner registers the paper's robots.
-async fn set_up(owner: &Client) -> Result<(), Rejection> {
+pub async fn set_up(owner: &Client) -> Result<(), Rejection> {
     let specs = paper_robots("exclusive").into_iter().map(|(_, spec)| Bytes::from(spec.to_string())).collect();
     owner.invoke("abac", "setup", specs).await.map(drop)
 }
@@ -169,13 +171,14 @@ async fn set_mode(owner: &Client, mode: &str) -> Result<(), Rejection> {
     owner.invoke("abac", "configure", vec![SERVICE.into(), settings.into()]).await.map(drop)
 }
 
-async fn acquire(user: &Client, service: &str) -> Result<(), Rejection> {
+/// Acquires a service or robot for a user.
+pub async fn acquire(user: &Client, service: &str) -> Result<(), Rejection> {
     let args = vec![Bytes::copy_from_slice(service.as_bytes())];
     user.invoke("abac", "acquire", args).await.map(drop)
 }
 
 /// A call that must be refused, with its code.
-fn must_fail(outcome: Result<(), Rejection>, code: Code, otherwise: &str) -> Result<Rejection, Rejection> {
+pub fn must_fail(outcome: Result<(), Rejection>, code: Code, otherwise: &str) -> Result<Rejection, Rejection> {
     match outcome {
         Err(rejection) if rejection.code == code => Ok(rejection),
         Err(other) => Err(other),
@@ -207,7 +210,7 @@ async fn publish_both(
 }
 
 /// Salma publishes until the robot hears her: rates are counted from then on, not from somewhere in DDS discovery.
-async fn first_heard(robot: &Robot, salma: &mut Publisher) -> Result<(), Rejection> {
+pub async fn first_heard(robot: &Robot, salma: &mut Publisher) -> Result<(), Rejection> {
     let deadline = Instant::now() + DISCOVERY_TIME_MAX;
     while robot.received_from(User::Salma) == 0 {
         if Instant::now() > deadline {

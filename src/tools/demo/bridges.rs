@@ -15,7 +15,7 @@ const LOOK: std::time::Duration = std::time::Duration::from_millis(20);
 const DOMAIN_MAX: u64 = 100;
 
 /// So many ROS 2 domain ids that follow each other, somewhere in their range.
-pub(super) fn domains<const COUNT: usize>() -> Result<[u16; COUNT], Rejection> {
+pub fn domains<const COUNT: usize>() -> Result<[u16; COUNT], Rejection> {
     let first = 1 + random::number()? % (DOMAIN_MAX - COUNT as u64);
     let mut domains = [0; COUNT];
     for (domain, number) in domains.iter_mut().zip(first..) {
@@ -26,7 +26,7 @@ pub(super) fn domains<const COUNT: usize>() -> Result<[u16; COUNT], Rejection> {
 
 /// One topic of a service, in one direction.
 #[derive(Clone, Copy)]
-pub(super) struct Route {
+pub struct Route {
     /// `Turtlebot4/cmd_vel`
     pub service: &'static str,
     /// `to_ledger` or `from_ledger`
@@ -38,7 +38,7 @@ pub(super) struct Route {
 }
 
 /// A bridge to start.
-pub(super) struct Plan<'a> {
+pub struct Plan<'a> {
     /// The name of its context.
     pub name: &'static str,
     /// The ROS 2 domain of its graph.
@@ -51,7 +51,7 @@ pub(super) struct Plan<'a> {
 
 /// Running bridges.
 #[derive(Default)]
-pub(super) struct Bridges {
+pub struct Bridges {
     running: Vec<Running>,
 }
 
@@ -63,7 +63,7 @@ struct Running {
 
 impl Bridges {
     /// Starts a bridge. Its identity is in `home`; its files go into `directory`.
-    pub(super) fn start(&mut self, plan: &Plan<'_>, home: &Path, directory: &Path) -> Result<(), Rejection> {
+    pub fn start(&mut self, plan: &Plan<'_>, home: &Path, directory: &Path) -> Result<(), Rejection> {
         let name = plan.name;
         let home = match plan.via {
             None => home.to_owned(),
@@ -91,7 +91,7 @@ impl Bridges {
 
     /// Waits until each bridge has found the ROS 2 nodes of its graph. Discovery has two directions: a node that has found
     /// its bridge may still be unknown to it, and then a message to the node is lost.
-    pub(super) async fn found(&mut self) -> Result<(), Rejection> {
+    pub async fn found(&mut self) -> Result<(), Rejection> {
         let deadline = Instant::now() + DISCOVERY_TIME_MAX;
         let knows =
             |bridge: &Running| bridge.topics.iter().all(|topic| bridge.process.logged(&format!("on {topic} has come")));
@@ -106,12 +106,12 @@ impl Bridges {
     }
 
     /// Fails if a process has ended by itself.
-    pub(super) fn check(&mut self) -> Result<(), Rejection> {
+    pub fn check(&mut self) -> Result<(), Rejection> {
         self.running.iter_mut().try_for_each(|bridge| bridge.process.check())
     }
 
     /// Ends the bridges. Answers with the name of each, and with its report as it was printed and read.
-    pub(super) async fn stop(&mut self) -> Result<Vec<(&'static str, String, BridgeReport)>, Rejection> {
+    pub async fn stop(&mut self) -> Result<Vec<(&'static str, String, BridgeReport)>, Rejection> {
         let mut reports = Vec::new();
         for bridge in self.running.drain(..) {
             let printed = bridge.process.stop().await?;

@@ -1,9 +1,9 @@
 //! The ROS 2 nodes of the demo: operators that publish `/cmd_vel`, and the robot that listens to it. They know nothing
 //! of any ledger.
 
+use super::messages::Command;
 use super::messages::{Twist, read_twist, twist};
-use arena::course::User;
-use arena::robot::Command;
+use super::user::User;
 use ledger_base::rejection::{Code, Rejection};
 use ros_bridge::dds::{Participant, Reader, Writer};
 use ros_bridge::names::{TopicName, TypeName};
@@ -16,13 +16,13 @@ use tokio::task::JoinHandle;
 use tokio::time::{MissedTickBehavior, interval};
 
 /// Time for two participants to find each other.
-pub(super) const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
+pub const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
 /// The speed that the operators publish (m/s).
 const SPEED: f64 = 0.2;
 
 /// A Twist that the robot received.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Received {
+pub struct Received {
     /// The publisher; none for a stop message.
     pub operator: Option<User>,
     /// Its number.
@@ -32,19 +32,19 @@ pub(super) struct Received {
 }
 
 /// A fault of the middleware, for people.
-pub(super) fn failed(error: &ros_bridge::error::Error) -> Rejection {
+pub fn failed(error: &ros_bridge::error::Error) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, error.to_string())
 }
 
 /// The topic of the robot's commands.
-pub(super) fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
+pub fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
     let topic = TopicName::parse("/cmd_vel").map_err(|error| failed(&error))?;
     let kind = TypeName::parse("geometry_msgs/msg/Twist").map_err(|error| failed(&error))?;
     Ok((topic, kind))
 }
 
 /// A node that publishes `/cmd_vel` at a steady rate.
-pub(super) struct Publisher {
+pub struct Publisher {
     _participant: Participant,
     writer: Writer,
     operator: User,
@@ -54,7 +54,7 @@ pub(super) struct Publisher {
 
 impl Publisher {
     /// Joins a ROS 2 domain.
-    pub(super) async fn open(domain: u16, operator: User) -> Result<Self, Rejection> {
+    pub async fn open(domain: u16, operator: User) -> Result<Self, Rejection> {
         let (topic, kind) = cmd_vel()?;
         let name = format!("{operator:?}_teleop").to_lowercase();
         let participant = Participant::open(domain, &name).await.map_err(|error| failed(&error))?;
@@ -63,7 +63,7 @@ impl Publisher {
     }
 
     /// Waits until somebody listens.
-    pub(super) async fn matched(&mut self) -> Result<(), Rejection> {
+    pub async fn matched(&mut self) -> Result<(), Rejection> {
         let matched = self.writer.matched();
         tokio::time::timeout(DISCOVERY_TIME_MAX, matched.at_least(1))
             .await
@@ -72,7 +72,7 @@ impl Publisher {
     }
 
     /// Publishes at `hz` for a while, on a fixed schedule; answers with the time of each message, by number.
-    pub(super) async fn publish(&mut self, hz: u32, how_long: Duration) -> Result<Vec<Instant>, Rejection> {
+    pub async fn publish(&mut self, hz: u32, how_long: Duration) -> Result<Vec<Instant>, Rejection> {
         let period = Duration::from_secs(1) / hz;
         let count = usize::try_from(how_long.as_nanos() / period.as_nanos()).unwrap_or(usize::MAX);
         let mut schedule = interval(period);
@@ -90,18 +90,18 @@ impl Publisher {
     }
 
     /// The number that the next message will have.
-    pub(super) fn next_number(&self) -> usize {
+    pub fn next_number(&self) -> usize {
         self.published.load(Ordering::Relaxed)
     }
 
     /// How much it has published, for whoever watches.
-    pub(super) fn published(&self) -> Arc<AtomicUsize> {
+    pub fn published(&self) -> Arc<AtomicUsize> {
         Arc::clone(&self.published)
     }
 }
 
 /// The robot: keeps every Twist that it receives.
-pub(super) struct Robot {
+pub struct Robot {
     _participant: Participant,
     matched: ros_bridge::dds::Matched,
     received: Arc<Mutex<Vec<Received>>>,
@@ -110,7 +110,7 @@ pub(super) struct Robot {
 
 impl Robot {
     /// Joins a ROS 2 domain and listens to `/cmd_vel`.
-    pub(super) async fn open(domain: u16) -> Result<Self, Rejection> {
+    pub async fn open(domain: u16) -> Result<Self, Rejection> {
         let (topic, kind) = cmd_vel()?;
         let participant = Participant::open(domain, "turtlebot4_base").await.map_err(|error| failed(&error))?;
         let mut reader: Reader =
@@ -130,7 +130,7 @@ impl Robot {
     }
 
     /// Waits until the robot's bridge is there.
-    pub(super) async fn matched(&mut self) -> Result<(), Rejection> {
+    pub async fn matched(&mut self) -> Result<(), Rejection> {
         tokio::time::timeout(DISCOVERY_TIME_MAX, self.matched.at_least(1))
             .await
             .map(drop)
@@ -138,13 +138,13 @@ impl Robot {
     }
 
     /// How many of an operator's messages were received since the last [`Robot::take`].
-    pub(super) fn received_from(&self, operator: User) -> usize {
+    pub fn received_from(&self, operator: User) -> usize {
         let received = self.received.lock().unwrap_or_else(PoisonError::into_inner);
         received.iter().filter(|message| message.operator == Some(operator)).count()
     }
 
     /// The samples received so far; starts anew.
-    pub(super) fn take(&self) -> Vec<Received> {
+    pub fn take(&self) -> Vec<Received> {
         std::mem::take(&mut *self.received.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -155,7 +155,8 @@ impl Drop for Robot {
     }
 }
 
-pub(super) fn nobody_there(who: &str) -> Rejection {
+/// The rejection of a wait for another side that was not discovered.
+pub fn nobody_there(who: &str) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, format!("{who} was not discovered on the ROS 2 graph"))
         .wanted(format!("a match on /cmd_vel within {DISCOVERY_TIME_MAX:?}"))
         .next("check that UDP traffic on the loopback interface is allowed")

@@ -1,7 +1,7 @@
 //! Figures of the demo.
 
 use super::graph::Received;
-use arena::course::User;
+use super::user::User;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ const MICROSECONDS_MAX: u64 = 3_600_000_000;
 
 /// Percentiles of a latency in milliseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub(super) struct Percentiles {
+pub struct Percentiles {
     /// Half are faster.
     pub p50: f64,
     /// 95 of 100 are faster.
@@ -64,13 +64,13 @@ impl Phase {
 
 /// Collects the time from the operator's publication to the robot's reception.
 #[derive(Default)]
-pub(super) struct RosToRos {
+pub struct RosToRos {
     microseconds: Vec<u64>,
 }
 
 impl RosToRos {
     /// Adds the messages of one operator, published from number `first` on at `times`.
-    pub(super) fn add(&mut self, operator: User, first: usize, times: &[Instant], received: &[Received]) {
+    pub fn add(&mut self, operator: User, first: usize, times: &[Instant], received: &[Received]) {
         for message in received.iter().filter(|message| message.operator == Some(operator)) {
             if let Some(published) = message.number.checked_sub(first).and_then(|index| times.get(index)) {
                 let latency = message.at.saturating_duration_since(*published);
@@ -79,13 +79,13 @@ impl RosToRos {
         }
     }
 
-    /// How many messages there are.
-    pub(super) fn count(&self) -> usize {
+    /// The number of messages.
+    pub fn count(&self) -> usize {
         self.microseconds.len()
     }
 
     /// The percentiles so far; zeros if nothing was received.
-    pub(super) fn percentiles(&self) -> Percentiles {
+    pub fn percentiles(&self) -> Percentiles {
         let Ok(mut histogram) = Histogram::new_with_bounds(1, MICROSECONDS_MAX, 3) else {
             return Percentiles::default();
         };

@@ -1,23 +1,30 @@
-//! The ROS 2 messages of the demos, as little-endian CDR.
+//! The velocity commands of the demo, as little-endian CDR.
 
-use arena::course::User;
-use arena::geometry::{Point, Pose};
-use arena::robot::Command;
+use super::user::User;
 use bytes::Bytes;
 use ledger_base::rejection::Rejection;
 use ledger_gate::sample::{CDR_LE, Sample};
-use std::time::Duration;
 
 /// Bytes of a Twist: two vectors of three doubles.
 const TWIST_BYTES: usize = 48;
-/// The frame of poses: a string ends with a zero.
-const FRAME: &[u8] = b"world\0";
-/// Where the numbers of a PoseStamped begin: after stamp and frame, at a multiple of 8.
-const POSE_AT: usize = 24;
 
-/// A Twist that came.
+/// A `geometry_msgs/msg/Twist` as a differential drive reads it: it ignores all other fields.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Command {
+    /// `linear.x` (m/s).
+    pub linear: f64,
+    /// `angular.z` (rad/s).
+    pub angular: f64,
+}
+
+impl Command {
+    /// The command to stand still.
+    pub const STOP: Self = Self { linear: 0.0, angular: 0.0 };
+}
+
+/// A received Twist.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Twist {
+pub struct Twist {
     /// Its user; none for a stop message.
     pub user: Option<User>,
     /// Its number.
@@ -28,7 +35,7 @@ pub(super) struct Twist {
 
 /// A `geometry_msgs/msg/Twist`. A differential drive has no use for `linear.y` and `linear.z`: they carry number and mark, so
 /// that the robot's side can tell whose message it got.
-pub(super) fn twist(command: Command, number: usize, user: User) -> Result<Sample, Rejection> {
+pub fn twist(command: Command, number: usize, user: User) -> Result<Sample, Rejection> {
     let mut body = Vec::with_capacity(TWIST_BYTES);
     for value in [command.linear, number as f64, f64::from(user.mark()), 0.0, 0.0, command.angular] {
         body.extend_from_slice(&value.to_le_bytes());
@@ -37,34 +44,10 @@ pub(super) fn twist(command: Command, number: usize, user: User) -> Result<Sampl
 }
 
 /// Reads a Twist.
-pub(super) fn read_twist(body: &Bytes) -> Option<Twist> {
+pub fn read_twist(body: &Bytes) -> Option<Twist> {
     let value = |index: usize| double(body, index * 8);
     let command = Command { linear: value(0)?, angular: value(5)? };
     Some(Twist { user: User::marked(value(2)?), number: value(1)? as usize, command })
-}
-
-/// A `geometry_msgs/msg/PoseStamped` with this time in its stamp.
-pub(super) fn pose_stamped(stamp: Duration, pose: Pose) -> Result<Sample, Rejection> {
-    let mut body = Vec::with_capacity(POSE_AT + 7 * 8);
-    body.extend_from_slice(&i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX).to_le_bytes());
-    body.extend_from_slice(&stamp.subsec_nanos().to_le_bytes());
-    body.extend_from_slice(&(FRAME.len() as u32).to_le_bytes());
-    body.extend_from_slice(FRAME);
-    body.resize(POSE_AT, 0);
-    let half = pose.yaw / 2.0;
-    for value in [pose.at.x, pose.at.y, 0.0, 0.0, 0.0, half.sin(), half.cos()] {
-        body.extend_from_slice(&value.to_le_bytes());
-    }
-    Sample::new(CDR_LE, &body)
-}
-
-/// Reads what [`pose_stamped`] has written.
-pub(super) fn read_pose(body: &Bytes) -> Option<(Duration, Pose)> {
-    let seconds = i32::from_le_bytes(body.get(..4)?.try_into().ok()?);
-    let nanos = u32::from_le_bytes(body.get(4..8)?.try_into().ok()?);
-    let value = |index: usize| double(body, POSE_AT + index * 8);
-    let pose = Pose { at: Point { x: value(0)?, y: value(1)? }, yaw: 2.0 * value(5)?.atan2(value(6)?) };
-    Some((Duration::new(u64::try_from(seconds).ok()?, nanos), pose))
 }
 
 fn double(body: &Bytes, at: usize) -> Option<f64> {
@@ -90,19 +73,5 @@ mod tests {
         assert_eq!(read_twist(&sample.body()), Some(Twist { user: Some(User::Farhad), number: 7, command }));
         assert_eq!(read_twist(&Bytes::from(vec![0; TWIST_BYTES])).unwrap().user, None, "a stop message");
         assert_eq!(read_twist(&Bytes::from(vec![0; TWIST_BYTES - 1])), None);
-    }
-
-    #[test]
-    fn a_pose_is_one_of_ros_and_comes_back() {
-        let pose = Pose { at: Point { x: -1.25, y: 3.5 }, yaw: 2.5 };
-        let stamp = Duration::new(1_800_000_000, 123_456_789);
-        let sample = pose_stamped(stamp, pose).unwrap();
-        let text = yaml("geometry_msgs/msg/PoseStamped", &sample);
-        for wanted in ["sec: 1800000000", "nanosec: 123456789", "frame_id: world", "x: -1.25", "y: 3.5"] {
-            assert!(text.contains(wanted), "{wanted}: {text}");
-        }
-        let (read_stamp, read) = read_pose(&sample.body()).unwrap();
-        assert_eq!(read_stamp, stamp);
-        assert!((read.yaw - pose.yaw).abs() < 1e-12 && read.at == pose.at);
     }
 }

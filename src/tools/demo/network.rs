@@ -26,7 +26,7 @@ const CONVERGE_TIME_MAX: Duration = Duration::from_secs(10);
 const ROBOTS: [&str; 2] = ["Turtlebot4", "OptiTrack"];
 
 /// The running experiment. Dropping it ends the processes and removes the directory.
-pub(super) struct Network {
+pub struct Network {
     /// A client of Org2's admin, who owns the robots.
     pub owner: Client,
     admin: Client,
@@ -41,7 +41,7 @@ pub(super) struct Network {
 
 impl Network {
     /// Founds the network of the paper and starts its two nodes.
-    pub(super) async fn start() -> Result<Self, Rejection> {
+    pub async fn start() -> Result<Self, Rejection> {
         let directory = tempfile::Builder::new()
             .prefix("ledgerd-demo-")
             .tempdir()
@@ -76,13 +76,13 @@ impl Network {
     }
 
     /// The addresses of the nodes: Org1's, and Org2's.
-    pub(super) fn addresses(&self) -> &[String; 2] {
+    pub fn addresses(&self) -> &[String; 2] {
         &self.addresses
     }
 
     /// Org1's admin registers a user, who enrols from outside as anybody would. An attribute is `KEY=VALUE`, or `KEY` for
     /// `KEY=true`.
-    pub(super) async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
+    pub async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
         let attributes: BTreeMap<_, _> = attributes
             .iter()
             .map(|attribute| attribute.split_once('=').unwrap_or((attribute, "true")))
@@ -98,13 +98,13 @@ impl Network {
     }
 
     /// Starts bridges.
-    pub(super) fn start_bridges(&mut self, plans: &[Plan<'_>]) -> Result<(), Rejection> {
+    pub fn start_bridges(&mut self, plans: &[Plan<'_>]) -> Result<(), Rejection> {
         let home = self.home();
         plans.iter().try_for_each(|plan| self.bridges.start(plan, &home, self.directory.path()))
     }
 
     /// Fails if a process has ended by itself.
-    pub(super) fn check(&mut self) -> Result<(), Rejection> {
+    pub fn check(&mut self) -> Result<(), Rejection> {
         self.nodes.iter_mut().try_for_each(Process::check)?;
         self.bridges.check()
     }
@@ -130,7 +130,7 @@ impl Network {
     }
 
     /// Ends the nodes in order; the directory goes with `self`.
-    pub(super) async fn stop(mut self) -> Result<(), Rejection> {
+    pub async fn stop(mut self) -> Result<(), Rejection> {
         for node in self.nodes.drain(..) {
             node.stop().await?;
         }

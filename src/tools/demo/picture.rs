@@ -3,8 +3,8 @@
 
 use super::HZ;
 use super::graph::Robot;
+use super::user::User;
 use crate::process::terminal::eprint_line;
-use arena::course::User;
 use std::collections::VecDeque;
 use std::io::IsTerminal;
 use std::sync::Arc;
@@ -21,15 +21,15 @@ const BAR: usize = 24;
 const UP: &str = "\x1b[4A\x1b[J";
 
 /// The same for a single line.
-pub(super) const LINE_UP: &str = "\x1b[1A\x1b[J";
+pub const LINE_UP: &str = "\x1b[1A\x1b[J";
 
 /// Is there somebody who sees colours and a moving cursor?
-pub(super) fn is_seen() -> bool {
+pub fn is_seen() -> bool {
     std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
 }
 
 /// Are colours wanted? See no-color.org.
-pub(super) fn is_coloured() -> bool {
+pub fn is_coloured() -> bool {
     is_seen() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 

@@ -39,7 +39,7 @@ pub(super) struct Summary {
 
 /// The summary that a bridge prints when it ends.
 #[derive(Clone, Debug, Deserialize)]
-pub(super) struct BridgeReport {
+pub struct BridgeReport {
     routes: Vec<RouteReport>,
 }
 
@@ -61,7 +61,7 @@ struct Micros {
 
 impl BridgeReport {
     /// Reads the last line that a bridge printed.
-    pub(super) fn read(printed: &str) -> Result<Self, Rejection> {
+    pub fn read(printed: &str) -> Result<Self, Rejection> {
         let line = printed.lines().last().unwrap_or_default();
         serde_json::from_str(line).map_err(|error| {
             Rejection::new(Code::Internal, format!("a bridge's report cannot be read: {error}")).found(line.to_owned())
@@ -71,7 +71,7 @@ impl BridgeReport {
 
 impl BridgeReport {
     /// The messages that the ledger refused, by code.
-    pub(super) fn refused(&self) -> BTreeMap<String, u64> {
+    pub fn refused(&self) -> BTreeMap<String, u64> {
         let mut refused = BTreeMap::new();
         for route in self.routes.iter().filter(|route| route.direction == "to_ledger") {
             for (code, count) in &route.refused {
@@ -192,7 +192,7 @@ fn by_code<S: Serializer>(refusals: &BTreeMap<Code, u64>, serializer: S) -> Resu
 }
 
 /// The line for programs when the experiment could not be played to its end.
-pub(super) fn failure(rejection: &Rejection) -> String {
+pub fn failure(rejection: &Rejection) -> String {
     let error = serde_json::json!({"code": rejection.code.to_string(), "message": rejection.message});
     serde_json::json!({"ok": false, "version": env!("CARGO_PKG_VERSION"), "error": error}).to_string()
 }
