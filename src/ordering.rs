@@ -156,3 +156,6 @@ impl Ordering {
         }
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

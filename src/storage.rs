@@ -115,3 +115,6 @@ impl Storage {
         Scrub::start(Arc::clone(&self.log.store), failure).map_err(|error| thread_error(&error))
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;
