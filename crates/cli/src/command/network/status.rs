@@ -1,6 +1,6 @@
 //! `network status`: how every node is, asked one by one.
 
-use super::current;
+use crate::nodes::current;
 use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
