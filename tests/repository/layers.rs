@@ -12,7 +12,6 @@ const LAYERS: [(&str, &[&str]); 25] = [
     // The paper's experiment without its network: nothing of a ledger.
     ("arena", &[]),
     // Files of ROS 2: recordings.
-    ("mcap", &[]),
     // What each process tells a collector of its part in a message: nothing of a ledger but ids.
     ("ledger-traces", &["ledger-base"]),
     // Keys and certificates: no file, no chain.
@@ -86,7 +85,6 @@ const LAYERS: [(&str, &[&str]); 25] = [
             "ledger-identity",
             "ledger-light",
             "ledger-storage",
-            "mcap",
             "ros-bridge",
             "ros-message",
         ],
@@ -106,7 +104,6 @@ const LAYERS: [(&str, &[&str]); 25] = [
             "ledger-light",
             "ledger-raft",
             "ledger-storage",
-            "mcap",
         ],
     ),
     (
