@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing. A package of tests alone, which stands
 /// in a folder `tests`, may use all of them, and none may use it.
-const LAYERS: [(&str, &[&str]); 25] = [
+const LAYERS: [(&str, &[&str]); 24] = [
     // The foundation: no cryptography beyond a hash, no network, no chain.
     ("ledger-base", &[]),
     // The paper's experiment with a robot that moves.
