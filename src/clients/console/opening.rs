@@ -86,7 +86,7 @@ fn to_sign(network: &[u8], node: &str, origin: &str, challenge: &[u8]) -> Vec<u8
 
 impl Shared {
     fn now(&self) -> u64 {
-        self.parts.gateway.clock.wall()
+        self.parts.gateway.clock().wall()
     }
 
     fn node(&self) -> String {
@@ -109,7 +109,7 @@ impl Shared {
         }
         let key = Certificate::parse(&certificate)?.public_key_info;
         let key = PublicKey::from_spki(&key).map_err(|error| refused(&error.to_string()))?;
-        let network = self.parts.gateway.ledger.network();
+        let network = self.parts.gateway.ledger().network();
         let signed = to_sign(&network.0, &self.node(), origin, &challenge);
         key.verify(&signed, &signature)
             .map_err(|_| refused("the challenge is not signed by the key of the certificate"))?;
@@ -145,7 +145,7 @@ async fn challenge(State(shared): State<Arc<Shared>>) -> Response {
     let Some(made) = shared.challenges.make(shared.now()) else {
         return refusal(&Rejection::new(Code::Internal, "the operating system gives no randomness"));
     };
-    let network = shared.parts.gateway.ledger.network();
+    let network = shared.parts.gateway.ledger().network();
     told(
         StatusCode::OK,
         &json!({

@@ -26,7 +26,12 @@ impl Watched for WatchedNode {
     }
 
     fn register(&self, registry: &mut Registry) -> Result<(), Rejection> {
-        metrics::register(registry, &self.node.status()?, &self.node.meters, self.node.awake.held());
+        metrics::register(
+            registry,
+            &self.node.status()?,
+            &self.node.ordering.meters,
+            self.node.ordering.idle_control.held(),
+        );
         if let Some(bridge) = &self.bridge {
             bridge::register(registry, &bridge.look());
         }

@@ -17,7 +17,7 @@ use ledger_api::v1::peer_server::PeerServer;
 use ledger_base::hash::Hash;
 use ledger_base::invariant::vital_task;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
+use ledger_raft::PEER_MESSAGE_BYTES_MAX;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -41,9 +41,6 @@ const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
 /// Time that open calls have to end when the node stops.
 const STOP_TIME_MAX: Duration = Duration::from_millis(500);
 
-/// Takes a message of another node; false when this one is stopping.
-pub(crate) type Deliver = Box<dyn Fn(u64, PeerMessage) -> bool + Send + Sync>;
-
 /// The services of an instance for clients and other nodes.
 pub(crate) struct Services {
     /// For clients and bridges.
@@ -51,7 +48,7 @@ pub(crate) struct Services {
     /// The API of the CAs.
     pub(crate) enrolment: EnrolmentService,
     /// For other nodes.
-    pub(crate) peer: PeerService<Deliver>,
+    pub(crate) peer: PeerService,
     /// The callers that it accepts.
     pub(crate) trust: Arc<dyn TrustSource>,
     /// Those of them that are connected.

@@ -3,8 +3,7 @@
 use crate::clients::rejections::Rejections;
 use crate::ordering::orderer::Outlet;
 use crate::ordering::reads::ReadIndex;
-use crate::peers::connections::Peers;
-use crate::peers::quorum_certificates::Certificates;
+use crate::peers::Peers;
 use ledger::Refusal;
 use ledger_light::DoubleVote;
 use ledger_raft::PeerMessage;
@@ -13,19 +12,17 @@ use std::sync::Arc;
 
 /// Passes on what ordering hands out.
 pub(super) struct ToSubsystems {
-    /// Messages to other nodes.
-    pub peers: Arc<Peers>,
     /// Answers to readers.
     pub reads: ReadIndex,
+    /// Messages to other nodes, and proofs of lies.
+    pub peers: Arc<Peers>,
     /// Rejected calls.
     pub rejections: Arc<Rejections>,
-    /// Proofs of lies.
-    pub certificates: Arc<Certificates>,
 }
 
 impl Outlet for ToSubsystems {
     fn send(&self, to: u64, message: &PeerMessage) -> bool {
-        self.peers.send(to, message)
+        self.peers.connections.send(to, message)
     }
 
     fn answered(&self, question: u64, answer: Known) {
@@ -37,6 +34,6 @@ impl Outlet for ToSubsystems {
     }
 
     fn voted_twice(&self, proof: Box<DoubleVote>) {
-        self.certificates.voted_twice(proof);
+        self.peers.certificates.voted_twice(proof);
     }
 }
