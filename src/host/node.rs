@@ -16,7 +16,7 @@ use ledger_abac::{AccessControl, Rule};
 use ledger_api::tls::TlsIdentity;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
@@ -134,7 +134,7 @@ impl Node {
         };
         let host = if trusts_clock { host.trusting_its_clock() } else { host };
         let (prepared, services) = Prepared::new((&host, papers), config, (stores, genesis.into()), started)?;
-        let sight = config.bridge.as_ref().map(|_| Sight::default());
+        let sight = config.bridge.as_ref().map(|_| BridgeMonitor::default());
         let admin = admin(config, &identity, &services, sight.clone()).await?;
         let console = console(config, &host, &services).await?;
         let tracer = services.gateway.description.tracer.clone();
@@ -221,7 +221,7 @@ async fn admin(
     config: &Config,
     identity: &TlsIdentity,
     services: &Services,
-    bridge: Option<Sight>,
+    bridge: Option<BridgeMonitor>,
 ) -> Result<Option<Admin>, Rejection> {
     if config.admin.is_empty() {
         return Ok(None);
