@@ -1,4 +1,4 @@
-//! The doors of a robot: what a bridge delivers commands to, and nobody else in the local graph should.
+//! The guarded topics, services and actions of a robot: a bridge delivers commands there, and nobody else in the local graph should.
 
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, RobotAsset, ServiceState};
@@ -94,7 +94,7 @@ mod tests {
     fn names(text: &str) -> Result<Vec<String>, Rejection> {
         let config = Config::parse(text, Path::new("bridge.toml"), |_| ()).unwrap();
         let guarded = config.guarded(&[rover()])?;
-        Ok(guarded.into_iter().map(|door| format!("{} {}", door.interface.name(), door.name)).collect())
+        Ok(guarded.into_iter().map(|one| format!("{} {}", one.interface.name(), one.name)).collect())
     }
 
     #[test]

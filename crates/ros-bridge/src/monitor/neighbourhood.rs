@@ -154,10 +154,10 @@ impl Neighbourhood {
         let is_beside = |neighbour: &&Neighbour| neighbour.topic == topic && neighbour.role == Role::Publisher;
         let on_dds: Vec<&Neighbour> = self.known.values().filter(is_beside).collect();
         let in_memory = open.in_memory().map_or_else(Vec::new, Peers::publishers);
-        let strangers = self.met.entry(open.slot.number).or_default().look(&on_dds, open.slot.mark, in_memory, now);
-        open.slot.counters.lock().live.beside = strangers.count;
+        let rogue = self.met.entry(open.slot.number).or_default().look(&on_dds, open.slot.mark, in_memory, now);
+        open.slot.counters.lock().live.beside = rogue.count;
         let (service, topic) = (&open.slot.route.service, open.topic().as_str());
-        if strangers.has_marked_news && self.warnings.spend(now) {
+        if rogue.has_marked_news && self.warnings.spend(now) {
             tracing::warn!(
                 service,
                 topic,
@@ -165,7 +165,7 @@ impl Neighbourhood {
                  stop the other bridge of {service}, or who copies the mark"
             );
         }
-        for process in strangers.news {
+        for process in rogue.news {
             if self.warnings.spend(now) {
                 tracing::warn!(
                     service,

@@ -151,7 +151,7 @@ impl Reporter {
         let follow = participant.follow(self.roster.topics(), |change| drop(tell.send(change)));
         let mut follow = std::pin::pin!(follow);
         let mut neighbourhood = Neighbourhood::new(self.local.clone(), Arc::clone(&self.roster));
-        let mut doors = RoguePublisherReports::new(Arc::clone(&self.gateway));
+        let mut rogue_publishers = RoguePublisherReports::new(Arc::clone(&self.gateway));
         let mut look = interval(LOOK_EVERY);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut count = interval(self.every);
@@ -163,14 +163,14 @@ impl Reporter {
                 Some(change) = changes.recv() => {
                     let now = Instant::now();
                     neighbourhood.note(change, now);
-                    self.look_at_doors(&mut doors, now);
+                    self.look_at_publishers(&mut rogue_publishers, now);
                 }
-                () = doors.step() => {}
+                () = rogue_publishers.step() => {}
                 _ = count.tick() => self.count(),
                 _ = look.tick() => {
                     let now = Instant::now();
                     neighbourhood.look(now);
-                    self.look_at_doors(&mut doors, now);
+                    self.look_at_publishers(&mut rogue_publishers, now);
                     self.look_at_node(now);
                     self.look_at_routes(&neighbourhood, now);
                 }
@@ -179,8 +179,8 @@ impl Reporter {
         }
     }
 
-    fn look_at_doors(&self, doors: &mut RoguePublisherReports, now: Instant) {
-        self.roster.open().for_each(|open| doors.look(&open, now));
+    fn look_at_publishers(&self, rogue_publishers: &mut RoguePublisherReports, now: Instant) {
+        self.roster.open().for_each(|open| rogue_publishers.look(&open, now));
     }
 
     fn look_at_node(&mut self, now: Instant) {

@@ -1,8 +1,8 @@
-//! Side doors are reported to the ledger: so the owner's people see on any node, also later, that somebody published on the
-//! robot's own topic.
+//! Rogue publishers are reported to the ledger: so the owner's people see on any node, also later, that somebody published on
+//! the robot's own topic.
 //!
-//! The ledger takes one report in a minute for each service. A door that was open in between is not forgotten: its report
-//! comes when the minute is over, and that it is closed after another one.
+//! The ledger takes one report in a minute for each service. A rogue publisher that came in between is not
+//! forgotten: its report comes when the minute is over, and that it has left after another one.
 
 use std::{
     collections::BTreeMap,
@@ -28,14 +28,14 @@ const PAUSE: Duration = Duration::from_secs(61);
 const AGAIN: Duration = Duration::from_secs(5);
 /// Before a report is tried again that the ledger refused.
 const REFUSED_PAUSE: Duration = Duration::from_secs(600);
-/// Discovery finds those who are there within this time. Then the ledger is asked for a door of an earlier run.
+/// Discovery finds those who are there within this time. Then the ledger is asked for reports of an earlier run.
 const DISCOVERED_WITHIN: Duration = Duration::from_secs(10);
 
-/// The side doors of all routes that deliver commands.
+/// The side services of all routes that deliver commands.
 pub(crate) struct RoguePublisherReports {
     gateway: Arc<dyn Gateway>,
     /// By service.
-    doors: BTreeMap<String, Reports>,
+    services: BTreeMap<String, Reports>,
     calls: FuturesUnordered<BoxFuture<'static, (String, Outcome)>>,
     log_limiter: LogLimiter,
 }
@@ -55,7 +55,7 @@ struct Reports {
     asks: Option<Duty>,
 }
 
-/// The thing to do about a door.
+/// The thing to do about the publishers beside one service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Duty {
     /// Ask the ledger what it knows.
@@ -126,8 +126,8 @@ fn pause_after(refused: &Rejection) -> Duration {
 
 impl RoguePublisherReports {
     pub(crate) fn new(gateway: Arc<dyn Gateway>) -> Self {
-        let (doors, calls) = (BTreeMap::new(), FuturesUnordered::new());
-        Self { gateway, doors, calls, log_limiter: LogLimiter::default() }
+        let (services, calls) = (BTreeMap::new(), FuturesUnordered::new());
+        Self { gateway, services, calls, log_limiter: LogLimiter::default() }
     }
 
     /// Looks at a route.
@@ -136,8 +136,8 @@ impl RoguePublisherReports {
             return;
         }
         let (service, beside) = (&open.slot.route.service, open.slot.counters.lock().live.beside);
-        let door = self.doors.entry(service.clone()).or_insert_with(|| Reports::new(now));
-        let Some(duty) = door.look(beside, now) else { return };
+        let reports = self.services.entry(service.clone()).or_insert_with(|| Reports::new(now));
+        let Some(duty) = reports.look(beside, now) else { return };
         let (gateway, service, topic) = (Arc::clone(&self.gateway), service.clone(), open.topic().as_str().to_owned());
         self.calls.push(
             async move {
@@ -176,15 +176,15 @@ impl RoguePublisherReports {
             }
             Outcome::Known(_) | Outcome::Refused(_) => {}
         }
-        if let Some(door) = self.doors.get_mut(&service) {
-            door.ended(&outcome, now);
+        if let Some(reports) = self.services.get_mut(&service) {
+            reports.ended(&outcome, now);
         }
     }
 }
 
 async fn known(gateway: &dyn Gateway, service: &str) -> Result<Outcome, Rejection> {
     let (state, _): (ServiceState, _) = ask(gateway, 0, ABAC, "service", &[service]).await?;
-    let publishers = state.side_door.map_or(0, |door| usize::try_from(door.publishers).unwrap_or(usize::MAX));
+    let publishers = state.side_door.map_or(0, |known| usize::try_from(known.publishers).unwrap_or(usize::MAX));
     Ok(Outcome::Known(publishers))
 }
 
@@ -202,7 +202,7 @@ mod tests {
         Outcome::Refused(Rejection::new(code, "no"))
     }
 
-    /// A door of which the ledger knows so many publishers, and nothing was said lately.
+    /// Reports of which the ledger knows so many publishers, and nothing was said lately.
     fn known(publishers: usize, now: Instant) -> Reports {
         Reports { told: Some(publishers), ..Reports::new(now) }
     }
@@ -210,39 +210,39 @@ mod tests {
     #[test]
     fn a_side_door_is_reported_at_once_when_it_changes_a_minute_later_and_when_it_is_closed() {
         let start = Instant::now();
-        let mut door = known(0, start);
-        assert_eq!(door.look(0, start), None);
-        assert_eq!(door.look(1, start), Some(Duty::Report(1)));
-        assert_eq!(door.look(2, start), None, "one call at a time");
-        door.ended(&Outcome::Told(1), start);
-        assert_eq!(door.look(2, start + Duration::from_secs(60)), None);
-        assert_eq!(door.look(2, start + PAUSE), Some(Duty::Report(2)));
-        door.ended(&Outcome::Told(2), start + PAUSE);
-        assert_eq!(door.look(2, start + 20 * PAUSE), None, "as the ledger knows it");
-        assert_eq!(door.look(0, start + 20 * PAUSE), Some(Duty::Report(0)));
+        let mut reports = known(0, start);
+        assert_eq!(reports.look(0, start), None);
+        assert_eq!(reports.look(1, start), Some(Duty::Report(1)));
+        assert_eq!(reports.look(2, start), None, "one call at a time");
+        reports.ended(&Outcome::Told(1), start);
+        assert_eq!(reports.look(2, start + Duration::from_secs(60)), None);
+        assert_eq!(reports.look(2, start + PAUSE), Some(Duty::Report(2)));
+        reports.ended(&Outcome::Told(2), start + PAUSE);
+        assert_eq!(reports.look(2, start + 20 * PAUSE), None, "as the ledger knows it");
+        assert_eq!(reports.look(0, start + 20 * PAUSE), Some(Duty::Report(0)));
     }
 
     #[test]
     fn who_was_there_for_less_than_a_minute_is_reported_too() {
         let start = Instant::now();
-        let mut door = known(1, start);
-        assert_eq!(door.look(0, start), Some(Duty::Report(0)));
-        door.ended(&Outcome::Told(0), start);
+        let mut reports = known(1, start);
+        assert_eq!(reports.look(0, start), Some(Duty::Report(0)));
+        reports.ended(&Outcome::Told(0), start);
         let soon = start + Duration::from_secs(10);
-        assert_eq!((door.look(3, soon), door.look(0, soon)), (None, None));
-        assert_eq!(door.look(0, start + PAUSE), Some(Duty::Report(3)));
-        door.ended(&Outcome::Told(3), start + PAUSE);
-        assert_eq!(door.look(0, start + 2 * PAUSE), Some(Duty::Report(0)));
+        assert_eq!((reports.look(3, soon), reports.look(0, soon)), (None, None));
+        assert_eq!(reports.look(0, start + PAUSE), Some(Duty::Report(3)));
+        reports.ended(&Outcome::Told(3), start + PAUSE);
+        assert_eq!(reports.look(0, start + 2 * PAUSE), Some(Duty::Report(0)));
     }
 
     #[test]
     fn a_bridge_that_comes_back_closes_the_door_that_it_has_reported_before() {
         let start = Instant::now();
-        let (mut door, later) = (Reports::new(start), start + DISCOVERED_WITHIN);
-        assert_eq!(door.look(0, start), None, "somebody may be there who is not discovered yet");
-        assert_eq!(door.look(0, later), Some(Duty::Ask));
-        door.ended(&Outcome::Known(2), later);
-        assert_eq!(door.look(0, later), Some(Duty::Report(0)));
+        let (mut reports, later) = (Reports::new(start), start + DISCOVERED_WITHIN);
+        assert_eq!(reports.look(0, start), None, "somebody may be there who is not discovered yet");
+        assert_eq!(reports.look(0, later), Some(Duty::Ask));
+        reports.ended(&Outcome::Known(2), later);
+        assert_eq!(reports.look(0, later), Some(Duty::Report(0)));
         assert_eq!(Reports::new(start).look(1, start), Some(Duty::Report(1)));
     }
 
@@ -255,11 +255,11 @@ mod tests {
             (Code::NotOwner, REFUSED_PAUSE),
             (Code::UnknownFunction, REFUSED_PAUSE),
         ] {
-            let mut door = known(0, start);
-            assert_eq!(door.look(1, start), Some(Duty::Report(1)));
-            door.ended(&refused(code), start);
-            assert_eq!(door.look(1, start + pause - Duration::from_millis(1)), None, "{code}");
-            assert_eq!(door.look(0, start + pause), Some(Duty::Report(1)), "{code}: also who has left meanwhile");
+            let mut reports = known(0, start);
+            assert_eq!(reports.look(1, start), Some(Duty::Report(1)));
+            reports.ended(&refused(code), start);
+            assert_eq!(reports.look(1, start + pause - Duration::from_millis(1)), None, "{code}");
+            assert_eq!(reports.look(0, start + pause), Some(Duty::Report(1)), "{code}: also who has left meanwhile");
         }
     }
 }

@@ -52,7 +52,7 @@ impl NearbyPublishers {
         let count = self.look_at_marked(!marked.is_empty(), now);
         let counted = std::mem::replace(&mut self.marked_count, count);
         let of_dds = if count { on_dds.len() } else { others.len() };
-        let mut strangers = RoguePublishers { count: of_dds, has_marked_news: count && !counted, news: Vec::new() };
+        let mut rogue = RoguePublishers { count: of_dds, has_marked_news: count && !counted, news: Vec::new() };
         if !count {
             // A bridge is in shared memory as well: its node there names its participant of DDS.
             in_memory.retain(|publisher| !publisher.bridge.is_some_and(|bridge| is_of(&marked, bridge)));
@@ -63,12 +63,12 @@ impl NearbyPublishers {
             if bridge.is_some() && now.saturating_duration_since(*since) < INTRODUCTION {
                 continue;
             }
-            strangers.count = strangers.count.saturating_add(1);
+            rogue.count = rogue.count.saturating_add(1);
             if !std::mem::replace(is_told, true) {
-                strangers.news.push(process);
+                rogue.news.push(process);
             }
         }
-        strangers
+        rogue
     }
 
     /// Do those with the mark of the route count: are they there for longer than an earlier run of this bridge can be? One that
@@ -109,14 +109,14 @@ mod tests {
     fn who_says_to_be_a_bridge_in_shared_memory_has_some_seconds_to_prove_it_on_dds() {
         let (start, mut met) = (Instant::now(), NearbyPublishers::default());
         let of = |bridge| vec![OtherPublisher { id: 7, process: Some(9), bridge }];
-        let strangers =
+        let rogue =
             |count, news: &[Option<u32>]| RoguePublishers { count, has_marked_news: false, news: news.to_vec() };
         let mut look = |found, now| met.look(&[], own(), found, now);
-        assert_eq!(look(of(None), start), strangers(1, &[Some(9)]));
-        assert_eq!(look(of(None), start), strangers(1, &[]), "told once");
-        assert_eq!(look(Vec::new(), start), strangers(0, &[]));
-        assert_eq!(look(of(Some([1; 16])), start), strangers(0, &[]));
-        assert_eq!(look(of(Some([1; 16])), start + INTRODUCTION), strangers(1, &[Some(9)]));
+        assert_eq!(look(of(None), start), rogue(1, &[Some(9)]));
+        assert_eq!(look(of(None), start), rogue(1, &[]), "told once");
+        assert_eq!(look(Vec::new(), start), rogue(0, &[]));
+        assert_eq!(look(of(Some([1; 16])), start), rogue(0, &[]));
+        assert_eq!(look(of(Some([1; 16])), start + INTRODUCTION), rogue(1, &[Some(9)]));
     }
 
     #[test]

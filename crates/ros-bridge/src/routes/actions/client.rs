@@ -110,6 +110,7 @@ impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<RouteTask, Rejection> {
         let Opening { route, local, service, topic, mark, counters, shutdown, query, .. } = &opening;
         let (came, clocks) = (Instant::now(), Clocks::start());
+        let earlier = EarlierGoals::new(Some(clocks.now().wall));
         let participant = local.participant();
         let open = |exchange: Exchange| participant.client(&exchange, *mark, route.sample_bytes_max);
         let clients = Parts::open(topic, &route.message, open)?;
@@ -135,7 +136,7 @@ impl Settings {
             results: Waiting::new(self.results),
             goals: Goals::new(self.goal),
             servers: 0,
-            earlier: EarlierGoals::new(Some(clocks.now().wall)),
+            earlier,
             clocks,
             said: FeedbackBuffer::new(self.feedback_every),
             account: Account::new(&route.service, counters.clone()),
