@@ -90,8 +90,7 @@ impl Owners<'_> {
             return None;
         }
         let args = [robot.to_owned().into()];
-        let (answer, _) =
-            self.ordering.storage.ledger.query(self.reader, self.ledger.tip().time, "abac", "robot", &args).ok()?;
+        let (answer, _) = self.ledger.query(self.reader, self.ledger.tip().time, "abac", "robot", &args).ok()?;
         let robot: serde_json::Value = serde_json::from_slice(&answer).ok()?;
         robot.get("organisation")?.as_str().map(str::to_owned)
     }
