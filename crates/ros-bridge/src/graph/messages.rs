@@ -2,4 +2,4 @@
 
 pub(crate) mod builtin;
 pub(crate) mod length;
-pub(crate) mod stop;
+pub mod stop;

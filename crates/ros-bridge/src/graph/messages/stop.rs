@@ -20,7 +20,7 @@ enum Part {
 }
 
 /// The stop message of a type, or nothing if zero would not mean "stand still" in it.
-pub(crate) fn stop_message(message: &TypeName) -> Option<Sample> {
+pub fn stop_message(message: &TypeName) -> Option<Sample> {
     let parts: &[Part] = match message.to_string().as_str() {
         "geometry_msgs/msg/Twist" => &[Part::Doubles(6)],
         "geometry_msgs/msg/TwistStamped" => &[Part::Header, Part::Doubles(6)],
