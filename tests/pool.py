@@ -29,9 +29,9 @@ PROCESSORS = os.cpu_count() or 1
 # The classes of test binaries, with their slots. What is named nowhere computes, has one slot for each processor, and gives way.
 CLASSES = {
     # They wait for nodes, leases and elections.
-    "waiting": (6 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
+    "waiting": (4 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
     # They wait for graphs of ROS 2, whose many processes lose messages where processors are short.
-    "graphs": (2 * PROCESSORS, {"bridge", "interop", "ros_bridge"}),
+    "graphs": (PROCESSORS + 1, {"bridge", "interop", "ros_bridge"}),
     "computing": (PROCESSORS, set()),
 }
 # Test binaries that start programs of this workspace.
@@ -46,6 +46,8 @@ LONGER = ["cluster::", "replica::chaos::", "sim::mutations::", "sim::seeds::no_s
 ALONE = ["repository::documents::the_first_command_of_the_readme_plays_the_experiment"]
 # Seconds after which a test has failed.
 TIME_MAX = 900
+# The process groups of the tests that run.
+RUNNING = set()
 
 
 class Test:
@@ -80,12 +82,22 @@ class Test:
         return self
 
     def wait(self, process):
-        """The exit code. A test that takes too long is ended, with everything that it has started."""
+        """The exit code. What a test leaves behind is ended, and a test that takes too long."""
+        RUNNING.add(process.pid)
         try:
             return process.wait(TIME_MAX)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+            self.end(process.pid)
             return process.wait()
+        finally:
+            RUNNING.discard(process.pid)
+            self.end(process.pid)
+
+    @staticmethod
+    def end(group):
+        """Ends a test with everything that it has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
 
 
 def cargo(*arguments):
@@ -134,7 +146,16 @@ def examples():
     return Test("documentation", "examples", command, TOP)
 
 
+def interrupted(number, _frame):
+    """Leaves no test behind."""
+    for group in list(RUNNING):
+        Test.end(group)
+    os._exit(128 + number)
+
+
 def main():
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, interrupted)
     parser = argparse.ArgumentParser(prog="./test", description="Builds the tests and runs them in one pool.")
     parser.add_argument("--long", action="store_true", help="what is left out otherwise, and searches for new cases")
     parser.add_argument("-p", "--package", action="append", default=[], help="only a package, and the one with its tests")

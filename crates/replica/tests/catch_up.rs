@@ -1,5 +1,4 @@
 //! Logs that begin above 1, nodes that are too far behind for them, and nodes that have lost their disk.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 use crate::cluster::{CALM, Cluster, Faults};
 use ledger_base::rejection::Code;

@@ -1,5 +1,4 @@
 //! Two participants of ours on a network of their own.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 use rustdds::{
     DataReaderStatus, DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, RTPSEntity,

@@ -1,5 +1,4 @@
 //! Shared memory between two nodes, and between two processes.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 #[path = "../examples/shared_memory.rs"]
 #[expect(dead_code, reason = "an example, run as a program")]
