@@ -32,6 +32,7 @@
 //! | `peers` | TLS connections between nodes |
 //! | `company` | what the other nodes say about the chain, and what this one stops for |
 //! | `gateway` | the gRPC API |
+//! | `http` | the HTTP API: the gateway's calls as JSON |
 //! | `admin`, `console`, `doors` | pages over HTTP: readiness and figures; the console for browsers; their connections |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
 //! | `identity` | which of the network's nodes this is |
@@ -69,6 +70,7 @@ mod gateway;
 mod health;
 mod host;
 mod housekeeping;
+mod http;
 mod identity;
 mod instance;
 mod join;

@@ -7,10 +7,11 @@ use crate::config::Limits;
 use crate::enrolment::EnrolmentService;
 use crate::gateway::GatewayService;
 use crate::health;
+use crate::http::{self, Api, Names};
 use crate::instance::count;
 use crate::peers::PeerService;
 use ledger::block::PAYLOAD_BYTES_MAX;
-use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
+use ledger_api::tls::{TlsIdentity, TrustSource, server_config, server_name};
 use ledger_api::v1::enrolment_server::EnrolmentServer;
 use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
@@ -22,6 +23,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use tonic::service::Routes;
 use tonic::transport::Server;
 
 /// Bytes of one stream, and of one connection, that may be on their way: enough for a fast link's delay.
@@ -97,6 +99,7 @@ impl Host {
         let (gateway_server, enrolment_server, peer_server) =
             services(message_bytes_max, PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES);
         let for_members = server(WINDOW_BYTES)
+            .add_routes(routes(&gateway, &enrolment))
             .add_service(gateway_server)
             .add_service(enrolment_server)
             .add_service(peer_server)
@@ -110,6 +113,7 @@ impl Host {
         let for_strangers = server(STRANGER_WINDOW_BYTES)
             .max_concurrent_streams(STRANGER_CALLS_MAX)
             .http2_max_header_list_size(STRANGER_HEADER_BYTES_MAX)
+            .add_routes(routes(&gateway, &enrolment))
             .add_service(gateway_server)
             .add_service(enrolment_server)
             .add_service(peer_server)
@@ -122,6 +126,18 @@ impl Host {
         }));
         Ok(Serving { listed, server, stop })
     }
+}
+
+/// The HTTP API beside the services of gRPC.
+fn routes(gateway: &Arc<GatewayService>, enrolment: &Arc<EnrolmentService>) -> Routes {
+    let (node, network) = (&gateway.description.me, gateway.ledger.network());
+    let tls_name = server_name(Some(&network)).map(|name| name.to_str().into_owned()).unwrap_or_default();
+    let names = Names::new([node.name.clone(), http::host_of(&node.address).to_owned(), tls_name], true);
+    let api = Api { gateway: Arc::clone(gateway), enrolment: Arc::clone(enrolment) };
+    let mut routes = Routes::default();
+    let grpc = std::mem::take(routes.axum_router_mut());
+    *routes.axum_router_mut() = grpc.merge(http::for_certificates(http::router(api), names));
+    routes
 }
 
 /// A server with windows of so many bytes for each stream and for each connection.

@@ -39,6 +39,7 @@ mod fabric;
 mod footprint;
 mod formats;
 mod histories;
+mod http;
 mod instances;
 mod join;
 mod languages;
