@@ -73,7 +73,7 @@ export function open({ parts: [chosen], identity }) {
         h("h2", "History"),
         rejected(sets.error),
         sets.answer?.length === 0 && empty("No set has a number yet."),
-        sets.answer?.length && table(`Sets of policies of ${organisation}`, ["Set", "Time", "By", "Message", "Block", ""], sets.answer.map(row)),
+        sets.answer && sets.answer.length > 0 && table(`Sets of policies of ${organisation}`, ["Set", "Time", "By", "Message", "Block", ""], sets.answer.map(row)),
         rejected(error),
         changes && differences(changes),
       );

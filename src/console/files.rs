@@ -90,24 +90,28 @@ mod tests {
 
     /// The paths of the scripts below a directory of `console/`.
     fn scripts(top: &Path, below: &str) -> Vec<String> {
-        let entries = std::fs::read_dir(top.join(below)).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let entries =
+            std::fs::read_dir(top.join(below)).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         let scripts = entries.filter(|name| name.ends_with(".js"));
-        scripts.map(|name| format!("{}/{name}", if below.is_empty() { String::new() } else { format!("/{below}") })).collect()
+        scripts
+            .map(|name| format!("{}/{name}", if below.is_empty() { String::new() } else { format!("/{below}") }))
+            .collect()
     }
 
     #[test]
     fn every_script_is_served_and_each_kind_has_its_type() {
         let top = Path::new(env!("CARGO_MANIFEST_DIR")).join("console");
-        let mut wanted: Vec<_> = ["", "data", "pages", "view"].into_iter().flat_map(|below| scripts(&top, below)).collect();
+        let mut wanted: Vec<_> =
+            ["", "data", "pages", "view"].into_iter().flat_map(|below| scripts(&top, below)).collect();
         wanted.retain(|path| path != TYPES);
-        let mut served: Vec<_> = FILES.iter().map(|(path, _)| (*path).to_owned()).filter(|path| path.ends_with(".js")).collect();
+        let mut served: Vec<_> =
+            FILES.iter().map(|(path, _)| (*path).to_owned()).filter(|path| path.ends_with(".js")).collect();
         wanted.sort();
         served.sort();
         assert_eq!(served, wanted);
-        assert_eq!(["/index.html", "/console.css", "/icon.svg"].map(kind).map(|kind| kind.split(';').next()), [
-            Some("text/html"),
-            Some("text/css"),
-            Some("image/svg+xml"),
-        ]);
+        assert_eq!(
+            ["/index.html", "/console.css", "/icon.svg"].map(kind).map(|kind| kind.split(';').next()),
+            [Some("text/html"), Some("text/css"), Some("image/svg+xml"),]
+        );
     }
 }

@@ -51,7 +51,9 @@ impl Parameters {
     pub(super) fn text(&self, name: &str) -> Result<String, Rejection> {
         let mut all = self.all(name);
         if all.len() > 1 {
-            return Err(Rejection::new(Code::BadArgument, format!("{name} is given {} times", all.len())).wanted("once"));
+            return Err(
+                Rejection::new(Code::BadArgument, format!("{name} is given {} times", all.len())).wanted("once")
+            );
         }
         Ok(all.pop().unwrap_or_default())
     }
@@ -81,9 +83,9 @@ impl Parameters {
         match self.text(name)?.as_str() {
             "" | "false" => Ok(false),
             "true" => Ok(true),
-            other => {
-                Err(Rejection::new(Code::BadArgument, format!("{name} is no switch")).found(format!("{other:?}")).wanted("true or false"))
-            }
+            other => Err(Rejection::new(Code::BadArgument, format!("{name} is no switch"))
+                .found(format!("{other:?}"))
+                .wanted("true or false")),
         }
     }
 
@@ -190,7 +192,9 @@ mod tests {
             assert_eq!(read(query).err().unwrap().code, Code::BadArgument, "{query}");
         }
         let wrong = read("limit=-1&limit=2&early=yes&after=0").unwrap();
-        assert!(wrong.number::<u32>("limit").is_err() && wrong.is_on("early").is_err() && wrong.bytes("after").is_err());
+        assert!(
+            wrong.number::<u32>("limit").is_err() && wrong.is_on("early").is_err() && wrong.bytes("after").is_err()
+        );
         assert!(read("limit=99999999999").unwrap().number::<u32>("limit").is_err());
     }
 }

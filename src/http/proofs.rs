@@ -52,7 +52,8 @@ struct Change {
 
 impl From<v1::GovernanceStep> for Step {
     fn from(step: v1::GovernanceStep) -> Self {
-        let change = |change: v1::GovernanceChange| Change { height: change.height, writes: hex::encode(change.writes) };
+        let change =
+            |change: v1::GovernanceChange| Change { height: change.height, writes: hex::encode(change.writes) };
         Self {
             genesis: hex::encode(step.genesis),
             changes: step.changes.into_iter().map(change).collect(),

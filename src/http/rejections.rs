@@ -81,7 +81,8 @@ fn status_of(code: Code) -> StatusCode {
 /// An answer in JSON.
 pub(crate) fn answer(body: &impl Serialize) -> Result<Response, Rejected> {
     let body = serde_json::to_vec(body);
-    let body = body.map_err(|error| Rejection::new(Code::Internal, "the answer cannot be written").found(error.to_string()))?;
+    let body =
+        body.map_err(|error| Rejection::new(Code::Internal, "the answer cannot be written").found(error.to_string()))?;
     Ok((HEADERS, body).into_response())
 }
 

@@ -2,10 +2,10 @@
 
 use crate::{ran, repository};
 use ledger_api::v1;
-use prost::Message;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
+use prost::Message;
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::fs;
@@ -48,12 +48,17 @@ fn start() -> BTreeSet<PathBuf> {
 #[test]
 fn the_start_page_is_small_and_announces_what_it_loads() {
     let page = text(&console().join("index.html"));
-    let announced: BTreeSet<_> = page.split('"').filter(|part| part.starts_with('/') && part.ends_with(".js")).collect();
+    let announced: BTreeSet<_> =
+        page.split('"').filter(|part| part.starts_with('/') && part.ends_with(".js")).collect();
     let top = fs::canonicalize(console()).unwrap();
     let scripts = start();
     let loaded: BTreeSet<_> =
         scripts.iter().map(|path| format!("/{}", path.strip_prefix(&top).unwrap().display())).collect();
-    assert_eq!(announced, loaded.iter().map(String::as_str).collect(), "left: index.html; right: the imports of main.js");
+    assert_eq!(
+        announced,
+        loaded.iter().map(String::as_str).collect(),
+        "left: index.html; right: the imports of main.js"
+    );
     let others = ["index.html", "console.css", "icon.svg"].map(|name| console().join(name));
     let bytes: usize = scripts.iter().chain(&others).map(|path| fs::read(path).unwrap().len()).sum();
     println!("{bytes} bytes in {} files", scripts.len() + others.len());
@@ -64,11 +69,27 @@ fn the_start_page_is_small_and_announces_what_it_loads() {
 fn no_file_names_a_place_from_which_a_page_would_load_something() {
     let served = ["", "data", "pages", "view"].map(|below| console().join(below));
     let files = served.iter().flat_map(|place| fs::read_dir(place).unwrap()).map(|entry| entry.unwrap().path());
-    let files: Vec<_> = files.filter(|path| path.extension().is_some_and(|end| ["js", "css", "html", "svg"].map(Into::into).contains(&end.to_owned()))).collect();
+    let files: Vec<_> = files
+        .filter(|path| {
+            path.extension().is_some_and(|end| ["js", "css", "html", "svg"].map(Into::into).contains(&end.to_owned()))
+        })
+        .collect();
     assert!(files.len() > 20, "{files:?}");
     for path in files {
         let text = text(&path);
-        for loads in ["@import", "importScripts", "url(", "src=\"http", "import(\"http", "from \"http", "eval(", "innerHTML", "document.write", "localStorage", "document.cookie"] {
+        for loads in [
+            "@import",
+            "importScripts",
+            "url(",
+            "src=\"http",
+            "import(\"http",
+            "from \"http",
+            "eval(",
+            "innerHTML",
+            "document.write",
+            "localStorage",
+            "document.cookie",
+        ] {
             assert!(!text.contains(loads), "{} has {loads:?}", path.display());
         }
     }
@@ -90,13 +111,15 @@ fn transactions() -> impl Strategy<Value = (v1::TransactionBody, v1::Transaction
     let not_after = prop_oneof![Just(0), 1..u64::MAX, Just(1_800_000_000_000_000)];
     let args = proptest::collection::vec(prop_oneof![bytes(3), bytes(200), bytes(20_000)], 0..4);
     let body = (bytes(33), bytes(33), bytes(17), not_after, "\\PC{0,200}", "\\PC{0,20}", args);
-    (body, bytes(80), bytes(600)).prop_map(|((network, creator, nonce, not_after, chaincode, function, args), signature, certificate)| {
-        let args = args.into_iter().map(Into::into).collect();
-        let (network, creator, nonce) = (network.into(), creator.into(), nonce.into());
-        let body = v1::TransactionBody { network, creator, nonce, not_after, chaincode, function, args };
-        let encoded = body.encode_to_vec().into();
-        (body, v1::Transaction { body: encoded, signature: signature.into(), certificate: certificate.into() })
-    })
+    (body, bytes(80), bytes(600)).prop_map(
+        |((network, creator, nonce, not_after, chaincode, function, args), signature, certificate)| {
+            let args = args.into_iter().map(Into::into).collect();
+            let (network, creator, nonce) = (network.into(), creator.into(), nonce.into());
+            let body = v1::TransactionBody { network, creator, nonce, not_after, chaincode, function, args };
+            let encoded = body.encode_to_vec().into();
+            (body, v1::Transaction { body: encoded, signature: signature.into(), certificate: certificate.into() })
+        },
+    )
 }
 
 #[test]

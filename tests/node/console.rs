@@ -76,8 +76,7 @@ impl Browser {
     }
 
     fn post(&self, path: &str, body: &Value) -> Answer {
-        let headers =
-            [("host", self.host.as_str()), ("origin", &self.origin), ("content-type", "application/json")];
+        let headers = [("host", self.host.as_str()), ("origin", &self.origin), ("content-type", "application/json")];
         self.ask(&format!("POST {path}"), &headers, body.to_string().as_bytes())
     }
 
@@ -108,7 +107,8 @@ impl Browser {
         let pair = PrivatePkcs8KeyDer::from(key.to_pkcs8_der());
         let pair = KeyPair::from_pkcs8_der_and_sign_algo(&pair, &PKCS_ECDSA_P256_SHA256).unwrap();
         let request = CertificateParams::default().serialize_request(&pair).unwrap().der().to_vec();
-        let enrol = json!({"name": format!("{organisation}/{name}"), "secret": secret, "request": hex::encode(request)});
+        let enrol =
+            json!({"name": format!("{organisation}/{name}"), "secret": secret, "request": hex::encode(request)});
         let enrolled = self.write("/v1/enrol", &enrol).unwrap_or_else(|no| panic!("{}", no.head));
         let bytes = |digits: &Value| hex::decode(digits.as_str().unwrap()).unwrap();
         Tablet { key, certificate: bytes(&enrolled["certificate"]), network: bytes(&enrolled["network"]["network"]) }
@@ -267,7 +267,8 @@ fn a_challenge_is_good_once_and_for_one_origin_and_nothing_is_answered_to_other_
     assert_eq!(["same-origin", "cross-site", "same-site"].map(as_page), [200, 401, 401]);
 
     // Calls of gRPC, what changes something without a signature, and what nodes tell each other have no path.
-    for path in ["/ledgerd.v1.Gateway/Status", "/ledgerd.v1.Gateway/Submit", "/v1/leadership", "/ledgerd.v1.Peer/Talk"] {
+    for path in ["/ledgerd.v1.Gateway/Status", "/ledgerd.v1.Gateway/Submit", "/v1/leadership", "/ledgerd.v1.Peer/Talk"]
+    {
         let rejected = browser.write(path, &json!({})).err().unwrap();
         assert_eq!(rejected.status, 404, "{path}");
     }

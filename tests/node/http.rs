@@ -122,7 +122,8 @@ impl Place {
         let (said, told) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         let ended = output.status.code().unwrap();
         assert!(ended == 0 || ended == TIMED_OUT, "{line}\n{said}\n{told}");
-        serde_json::from_str(said.lines().next().unwrap_or_default()).unwrap_or_else(|error| panic!("{line}\n{error}: {said}\n{told}"))
+        serde_json::from_str(said.lines().next().unwrap_or_default())
+            .unwrap_or_else(|error| panic!("{line}\n{error}: {said}\n{told}"))
     }
 
     /// Its status of HTTP, and its JSON.
@@ -163,7 +164,10 @@ fn alike(what: &str, wanted: &Value, found: &Value) {
         (Value::Object(fields), Value::Object(_)) => {
             let (mut named, answered) = (keys(wanted), keys(found));
             let has_more = named.remove("…");
-            assert!(named.is_subset(&answered) && (has_more || named == answered), "{what}: {named:?}, answered {answered:?}");
+            assert!(
+                named.is_subset(&answered) && (has_more || named == answered),
+                "{what}: {named:?}, answered {answered:?}"
+            );
             for name in named.into_iter().filter(|name| !["response", "payload"].contains(name)) {
                 alike(&format!("{what} {name}"), &fields[name], &found[name]);
             }
@@ -229,10 +233,13 @@ fn rights_and_codes_are_those_of_grpc() {
     let by_http = |arguments: &str| place.asked(&format!("-K me.curl {arguments}"));
     let farhad = place.dev.user("Farhad", &[], "p256");
     use_as("Farhad");
-    let told: Value = serde_json::from_str(&farhad.run(&["denials", "-o", "json"]).refused(2, &["LGR-3010"]).stderr).unwrap();
+    let told: Value =
+        serde_json::from_str(&farhad.run(&["denials", "-o", "json"]).refused(2, &["LGR-3010"]).stderr).unwrap();
     let (status, rejected) = by_http(&format!("{url}/denials"));
     assert_eq!(status, 403);
-    for (http, grpc) in [("code", "code"), ("message", "message"), ("found", "found"), ("wanted", "wanted"), ("next", "try")] {
+    for (http, grpc) in
+        [("code", "code"), ("message", "message"), ("found", "found"), ("wanted", "wanted"), ("next", "try")]
+    {
         assert_eq!(rejected[http], told[grpc], "{http}");
     }
     // Messages of a robot that he may not read.
@@ -252,6 +259,16 @@ fn rights_and_codes_are_those_of_grpc() {
     let (_, audit) = by_http(&format!("'{url}/audit?robot=Turtlebot4&limit=1'"));
     let printed = ctl("dev-org1-admin").json(&["audit", "--robot", "Turtlebot4", "--limit", "1"]);
     assert_eq!(keys(&audit["rows"][0]), keys(&printed), "{audit}");
+    let (_, status) = by_http(&format!("{url}/status"));
+    let printed = ctl("dev-org1-admin").json(&["status"]);
+    let judged = BTreeSet::from(["attention", "failures_tolerated", "quorum"]);
+    let more = BTreeSet::from(["console", "first_height", "snapshot_height"]);
+    assert_eq!(keys(&printed).difference(&keys(&status)).copied().collect::<BTreeSet<_>>(), judged);
+    assert_eq!(keys(&status).difference(&keys(&printed)).copied().collect::<BTreeSet<_>>(), more);
+    for part in ["disk", "certificates"] {
+        let first = |facts: &Value| if facts[part].is_array() { facts[part][0].clone() } else { facts[part].clone() };
+        assert_eq!(keys(&first(&status)), keys(&first(&printed)), "{part}");
+    }
     // A revoked certificate reads nothing more, and its streams end.
     use_as("Farhad");
     place.dev.admin().run(&["identity", "revoke", "Farhad"]).ok();
@@ -295,8 +312,13 @@ fn hostile_requests_are_rejected_with_their_four_lines() {
     // More bytes than are read, announced or not.
     fs::write(place.file("large"), vec![b' '; (1 << 20) + 1]).unwrap();
     rejected(&format!("{url}/query -H 'content-type: application/json' --data-binary @large"), 413, "LGR-1002");
-    rejected(&format!("{url}/transactions -X POST -H 'content-type: application/octet-stream' -T - < large"), 413, "LGR-1002");
-    let (status, _) = place.asked(&format!("-K newcomer.curl {url}/enrol -H 'content-type: application/json' --data-binary @large"));
+    rejected(
+        &format!("{url}/transactions -X POST -H 'content-type: application/octet-stream' -T - < large"),
+        413,
+        "LGR-1002",
+    );
+    let (status, _) =
+        place.asked(&format!("-K newcomer.curl {url}/enrol -H 'content-type: application/json' --data-binary @large"));
     assert_eq!(status, 413);
     assert!(place.status()["height"].as_u64().is_some_and(|height| height > 0), "others do not notice");
 }

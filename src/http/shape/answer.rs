@@ -40,7 +40,10 @@ mod tests {
     #[test]
     fn bytes_are_json_on_one_line_text_or_hexadecimal_digits() {
         let shown = |bytes: &[u8]| serde_json::to_string(&Answer::read(bytes)).unwrap();
-        assert_eq!(shown(b"{\"a\":\n18446744073709551616}"), r#"{"encoding":"json","response":{"a": 18446744073709551616}}"#);
+        assert_eq!(
+            shown(b"{\"a\":\n18446744073709551616}"),
+            r#"{"encoding":"json","response":{"a": 18446744073709551616}}"#
+        );
         assert_eq!(shown(b"hello\n"), r#"{"encoding":"text","response":"hello\n"}"#);
         assert_eq!(shown(&[0, 1, 0, 0]), r#"{"encoding":"hex","response":"00010000"}"#);
         assert_eq!(shown(&[0xff]), r#"{"encoding":"hex","response":"ff"}"#);
