@@ -3,29 +3,19 @@
 //! | module | what happens |
 //! |---|---|
 //! | `python` | the package `clients/python`: its own tests, its types, its wheel, its README |
-//! | `console` | the sources and the bundle of the console; tests/interop shows it in a browser |
+//! | `console` | the files of the console, its types, its encoding; tests/interop shows it in a browser |
 //! | `languages` | the programs of docs/clients.md, typed as they stand |
 //!
 //! The interpreter is `$LEDGERD_TEST_PYTHON`, as `./test` prepares it.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 #![expect(clippy::indexing_slicing, reason = "tests")]
-
-#[expect(
-    dead_code,
-    unused_imports,
-    clippy::print_stderr,
-    clippy::print_stdout,
-    reason = "shared with the tests of nodes"
-)]
-#[path = "../support/mod.rs"]
-mod support;
-#[path = "../support/two_networks.rs"]
-mod two_networks;
 
 mod console;
 mod languages;
 mod python;
+
+use ledgerd_support::{self as support, two_networks};
 
 use std::path::Path;
 use support::programs::{python, ran, repository};

@@ -1,9 +1,7 @@
 //! The content of a proposal: a call. Four calls have names of their own, from when there were no others.
 
-use super::invitations::InviteOrganisation;
-use super::nodes::{NodeRole, SetNodeRole};
-use super::organisations::RemoveOrganisation;
-use super::rules::ActivateRules;
+use super::arguments::{ActivateRules, InviteOrganisation, RemoveOrganisation, SetNodeRole};
+use super::nodes::NodeRole;
 use super::store::json;
 use super::{ACTIVATE_RULES, INVITE_ORGANISATION, NAME, REMOVE_ORGANISATION, SET_NODE_ROLE};
 use crate::chaincode::Call;
