@@ -91,7 +91,7 @@ fn to_sign(network: &[u8], node: &str, origin: &str, challenge: &[u8]) -> Vec<u8
 
 impl Shared {
     fn now(&self) -> u64 {
-        self.parts.gateway.clock.wall()
+        self.parts.gateway.clock().wall()
     }
 
     fn node(&self) -> String {
@@ -114,7 +114,7 @@ impl Shared {
         }
         let key = Certificate::parse(&certificate)?.public_key_info;
         let key = PublicKey::from_spki(&key).map_err(|error| refused(&error.to_string()))?;
-        let network = self.parts.gateway.ledger.network();
+        let network = self.parts.gateway.ledger().network();
         let signed = to_sign(&network.0, &self.node(), origin, &challenge);
         key.verify(&signed, &signature)
             .map_err(|_| refused("the challenge is not signed by the key of the certificate"))?;
@@ -147,7 +147,7 @@ async fn challenge(State(shared): State<Arc<Shared>>) -> Result<Response, Reject
     let Some(made) = shared.challenges.make(shared.now()) else {
         return Err(Rejection::new(Code::Internal, "the operating system gives no randomness").into());
     };
-    let network = shared.parts.gateway.ledger.network();
+    let network = shared.parts.gateway.ledger().network();
     http::answer(&json!({
         "network": network, "node": shared.node(), "challenge": hex::encode(made), "clock": shared.now()
     }))

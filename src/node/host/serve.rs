@@ -18,7 +18,7 @@ use ledger_api::v1::peer_server::PeerServer;
 use ledger_base::hash::Hash;
 use ledger_base::invariant::vital_task;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
+use ledger_raft::PEER_MESSAGE_BYTES_MAX;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -43,9 +43,6 @@ const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
 /// Time that open calls have to end when the node stops.
 const STOP_TIME_MAX: Duration = Duration::from_millis(500);
 
-/// Takes a message of another node; false when this one is stopping.
-pub(crate) type Deliver = Box<dyn Fn(u64, PeerMessage) -> bool + Send + Sync>;
-
 /// The services of an instance for clients and other nodes.
 pub(crate) struct Services {
     /// For clients and bridges.
@@ -53,7 +50,7 @@ pub(crate) struct Services {
     /// The API of the CAs.
     pub(crate) enrolment: EnrolmentService,
     /// For other nodes.
-    pub(crate) peer: PeerService<Deliver>,
+    pub(crate) peer: PeerService,
     /// The callers that it accepts.
     pub(crate) trust: Arc<dyn TrustSource>,
     /// Those of them that are connected.
@@ -130,7 +127,7 @@ impl Host {
 
 /// The HTTP API beside the services of gRPC.
 fn routes(gateway: &Arc<GatewayService>, enrolment: &Arc<EnrolmentService>) -> Routes {
-    let (node, network) = (&gateway.description.me, gateway.ledger.network());
+    let (node, network) = (&gateway.description.me, gateway.ledger().network());
     let tls_name = server_name(Some(&network)).map(|name| name.to_str().into_owned()).unwrap_or_default();
     let names = Names::new([node.name.clone(), http::host_of(&node.address).to_owned(), tls_name], true);
     let api = Api { gateway: Arc::clone(gateway), enrolment: Arc::clone(enrolment) };
