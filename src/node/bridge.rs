@@ -23,7 +23,11 @@ pub(crate) struct NodeBridge {
 impl NodeBridge {
     /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment, `tracer` hears
     /// of messages.
-    pub(crate) fn start(settings: ros_bridge::Config, address: String, (sight, tracer): (BridgeMonitor, Tracer)) -> Self {
+    pub(crate) fn start(
+        settings: ros_bridge::Config,
+        address: String,
+        (sight, tracer): (BridgeMonitor, Tracer),
+    ) -> Self {
         let settings = settings.traced(tracer.clone());
         let (stop, mut stopping) = watch::channel(false);
         let (sender, mut changes) = watch::channel(settings);

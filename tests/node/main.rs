@@ -31,6 +31,7 @@ mod fabric;
 mod footprint;
 mod formats;
 mod histories;
+mod http;
 mod instances;
 mod join;
 mod languages;

@@ -5,8 +5,8 @@ use prometheus_client::encoding::{EncodeMetric, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
-use ros_bridge::{BridgeStatus, BridgeView, RouteView};
 use ros_bridge::{BOUNDS_US, RouteSummary, Spread};
+use ros_bridge::{BridgeStatus, BridgeView, RouteView};
 
 const MICROS: f64 = 1_000_000.0;
 
