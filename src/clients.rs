@@ -1,4 +1,4 @@
-//! What clients call: the gRPC gateway, the HTTP API, the console, and the pages for monitoring.
+//! Interfaces for clients: the gRPC gateway, the HTTP API, the console, and the pages for monitoring.
 //!
 //! | module | content |
 //! |---|---|
@@ -39,7 +39,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use tokio::task::JoinHandle;
 
-/// What a node offers to its clients.
+/// Interfaces of a node for its clients.
 pub(crate) struct Clients {
     /// The gRPC API.
     pub gateway: GatewayService,

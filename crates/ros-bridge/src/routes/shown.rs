@@ -1,4 +1,4 @@
-//! What routes show on topics of the local graph, for those who come late too.
+//! Reports of routes on latched topics of the local graph.
 
 mod display;
 mod holder;

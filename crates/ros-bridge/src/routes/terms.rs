@@ -1,4 +1,4 @@
-//! What a route takes from its service: its topic and its stop message.
+//! Settings of a service that its route uses: topic and its stop message.
 
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::is_called;

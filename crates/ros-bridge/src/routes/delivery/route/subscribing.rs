@@ -1,4 +1,4 @@
-//! What a route from the ledger subscribes to.
+//! Subscriptions of a route from the ledger.
 
 use futures::{StreamExt, stream};
 use ledger_api::Subscription;
