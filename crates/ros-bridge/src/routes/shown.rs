@@ -1,4 +1,4 @@
-//! Reports of routes on latched topics of the local graph.
+//! Latched topics of the local graph on which routes show their state: the holders of a service, and points of a task.
 
 mod display;
 mod holder;

@@ -1,4 +1,4 @@
-//! Settings of a service that its route uses: topic and its stop message.
+//! The terms of a service for its route: the topic and the stop message.
 
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::is_called;

@@ -1,4 +1,4 @@
-//! Failures of DDS, with advice.
+//! Errors of DDS, with advice.
 
 use crate::error::{Error, Explained};
 

@@ -42,7 +42,7 @@ enum State {
     Waits(Option<Rejection>),
 }
 
-/// Endpoints that a route found when it was opened.
+/// The findings of a route when it was opened.
 pub(super) struct Opened {
     pub(super) topic: TopicName,
     pub(super) is_command: bool,

@@ -1,4 +1,4 @@
-//! Subscriptions of a route from the ledger.
+//! The subscriptions of a route from the ledger.
 
 use futures::{StreamExt, stream};
 use ledger_api::Subscription;
