@@ -1,8 +1,9 @@
-//! What clients call: the gRPC gateway, the console, and the pages for monitoring.
+//! Interfaces for clients: the gRPC gateway, the HTTP API, the console, and the pages for monitoring.
 //!
 //! | module | content |
 //! |---|---|
 //! | `gateway` | the gRPC API |
+//! | `http` | its calls as JSON over HTTP |
 //! | `audit` | an index of who did what |
 //! | `rejections`, `rejection_reports` | rejected calls; reporting them to the ledger |
 //! | `monitoring`, `health` | readiness and metrics over HTTP; health over gRPC |
@@ -12,6 +13,7 @@ pub(crate) mod audit;
 pub(crate) mod console;
 pub(crate) mod gateway;
 pub(crate) mod health;
+pub(crate) mod http;
 pub(crate) mod monitoring;
 pub(crate) mod rejection_reports;
 pub(crate) mod rejections;
@@ -37,7 +39,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use tokio::task::JoinHandle;
 
-/// What a node offers to its clients.
+/// Interfaces of a node for its clients.
 pub(crate) struct Clients {
     /// The gRPC API.
     pub gateway: GatewayService,

@@ -1,4 +1,4 @@
-//! Who this node is and whom it trusts: certificates of organisations and nodes.
+//! Identity of this node, and certificates of organisations and nodes.
 //!
 //! | module | content |
 //! |---|---|
@@ -32,7 +32,7 @@ use renewal::Renewer;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Who this node is, and whom it trusts.
+/// Identity of this node, and the organisations that it trusts.
 pub(crate) struct Trust {
     data: PathBuf,
     /// This node, as it was known when it started.

@@ -20,7 +20,7 @@ use ledger_abac::{AccessControl, Rule};
 use ledger_api::tls::TlsIdentity;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
@@ -140,7 +140,7 @@ impl Node {
         let (instance, services) = Instance::build(&host, config, (storage, meters), credentials, started)?;
         let (identity, tracer) = (instance.trust.identity.clone(), instance.clients.tracer());
         let network = instance.ordering.storage.ledger.network();
-        let sight = config.bridge.as_ref().map(|_| Sight::default());
+        let sight = config.bridge.as_ref().map(|_| BridgeMonitor::default());
         let admin = admin(config, &identity, &services, sight.clone()).await?;
         let console = console(config, &host, &services).await?;
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
@@ -226,7 +226,7 @@ async fn admin(
     config: &Config,
     identity: &TlsIdentity,
     services: &Services,
-    bridge: Option<Sight>,
+    bridge: Option<BridgeMonitor>,
 ) -> Result<Option<Admin>, Rejection> {
     if config.admin.is_empty() {
         return Ok(None);

@@ -36,7 +36,7 @@
 //! | `policy` | who may: Cedar, the policies on the ledger, decisions that are remembered |
 //! | `rules` | who wins when several may: a file for each rule, and the table of them |
 //! | `records` | what the state holds: robots, services, grants, keys and indexes |
-//! | `arguments`, `timestamp` | argument parsing, RFC 3339 |
+//! | `arguments` | argument parsing |
 
 mod actions;
 mod arguments;
@@ -46,7 +46,6 @@ mod fixture;
 mod policy;
 mod records;
 mod rules;
-mod timestamp;
 
 pub use actions::authorize::{Authorization, Caller};
 pub use actions::publish::MESSAGES_PER_CALL_MAX;

@@ -9,7 +9,7 @@ use super::{Watched, is_well};
 use crate::clients::gateway::Description;
 use ledger_base::rejection::Rejection;
 use prometheus_client::registry::Registry;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::sync::Arc;
 
 /// A node, for its page.
@@ -17,7 +17,7 @@ pub(crate) struct WatchedNode {
     /// The node.
     pub(crate) node: Arc<Description>,
     /// The bridge inside, if it has one: its figures are there, too. Whether the node is ready does not depend on it.
-    pub(crate) bridge: Option<Sight>,
+    pub(crate) bridge: Option<BridgeMonitor>,
 }
 
 impl Watched for WatchedNode {

@@ -7,9 +7,9 @@ use crate::records::principal::Principal;
 use crate::records::robot::{self, Robot};
 use crate::records::service::Target;
 use crate::records::{grant, stopped, store};
-use crate::timestamp::rfc3339;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, Emergency, EmergencyAnswer, Reason, Stopped};
 

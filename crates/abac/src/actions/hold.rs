@@ -7,9 +7,9 @@ use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
 use crate::records::{robot, store};
-use crate::timestamp::rfc3339;
 use bytes::Bytes;
 use ledger::{Context, Paging};
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Grant;
 

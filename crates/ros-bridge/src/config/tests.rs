@@ -2,7 +2,10 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use super::*;
-use crate::qos::{Durability, Reliability};
+use crate::{
+    graph::qos::{Durability, Qos, Reliability},
+    routes::kinds::KINDS,
+};
 
 const ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\n";
 
@@ -19,7 +22,7 @@ fn a_short_configuration_has_defaults() {
     assert_eq!(route.kind.name, "from_ledger");
     assert_eq!(
         format!("{:?}", route.plan),
-        "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, max_rate_hz: None, on_demand: false }"
+        "Settings { max_age: None, stale_after: 1s, command_timeout: None, rogue_publishers: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, max_rate_hz: None, on_demand: false }"
     );
     assert_eq!(route.limits().queue_samples_max, 100);
 }
