@@ -29,6 +29,7 @@ mod rejections;
 mod shape;
 
 pub(crate) use access::for_certificates;
+pub(crate) use body::discard;
 pub(crate) use names::{Names, host_of};
 pub(crate) use rejections::{Rejected, answer};
 

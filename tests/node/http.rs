@@ -91,6 +91,14 @@ impl Place {
         fs::write(self.file("me.curl"), format!("{common}cert = certificate.pem\nkey = key.pem\n")).unwrap();
     }
 
+    /// From now on `me.curl` shows the certificate of this context.
+    fn identify_as(&self, context: &Path) {
+        let common = fs::read_to_string(self.file("newcomer.curl")).unwrap();
+        let context = context.display();
+        let text = format!("{common}cert = {context}/certificate.pem\nkey = {context}/key.pem\n");
+        fs::write(self.file("me.curl"), text).unwrap();
+    }
+
     /// Writes a new transaction that calls this function.
     fn sign(&self, function: &str, args: &[&str]) {
         let key = SigningKey::from_pem(&fs::read_to_string(self.file("key.pem")).unwrap()).unwrap();
@@ -130,7 +138,10 @@ impl Place {
     fn asked(&self, arguments: &str) -> (u16, Value) {
         let output = self.run(&format!("curl {arguments} -w '\\n%{{http_code}}'"));
         let said = String::from_utf8(output.stdout).unwrap();
-        let (body, status) = said.trim().rsplit_once('\n').unwrap_or_else(|| panic!("{arguments}: {said:?}"));
+        let (body, status) = said
+            .trim()
+            .rsplit_once('\n')
+            .unwrap_or_else(|| panic!("{arguments}: {said:?}: {}", String::from_utf8_lossy(&output.stderr)));
         let body = serde_json::from_str(body).unwrap_or_else(|error| panic!("{arguments}: {error}: {body}"));
         (status.parse().unwrap(), body)
     }
@@ -211,9 +222,7 @@ fn no_path_answers_without_a_certificate_but_those_that_make_an_identity() {
     }
     // A certificate of another network is no certificate.
     let other = Dev::start();
-    for file in ["certificate.pem", "key.pem"] {
-        fs::copy(other.home.path().join("contexts/dev-org1-admin").join(file), place.file(file)).unwrap();
-    }
+    place.identify_as(&other.home.path().join("contexts/dev-org1-admin"));
     let refused = place.run("curl -K me.curl https://node1:7450/v1/status");
     assert!(!refused.status.success() && refused.stdout.is_empty(), "{refused:?}");
 }
@@ -222,12 +231,7 @@ fn no_path_answers_without_a_certificate_but_those_that_make_an_identity() {
 fn rights_and_codes_are_those_of_grpc() {
     let place = Place::start();
     let ctl = |name: &str| -> Ctl { place.dev.ctl().as_(name) };
-    let use_as = |name: &str| {
-        for file in ["certificate.pem", "key.pem"] {
-            let from: &Path = &place.dev.home.path().join("contexts").join(name).join(file);
-            fs::copy(from, place.file(file)).unwrap();
-        }
-    };
+    let use_as = |name: &str| place.identify_as(&place.dev.home.path().join("contexts").join(name));
     let url = "https://node1:7450/v1";
     // The same rejection with the same four lines, whichever way it takes.
     let by_http = |arguments: &str| place.asked(&format!("-K me.curl {arguments}"));

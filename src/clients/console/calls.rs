@@ -3,7 +3,7 @@
 use super::Shared;
 use super::opening::token;
 use super::sessions::CALLS_MAX;
-use crate::clients::http::{self, Api, Names, Rejected};
+use crate::clients::http::{self, Api, Names, Rejected, discard};
 use crate::process::caller::Caller;
 use crate::process::page_connections::Source;
 use axum::Router;
@@ -37,6 +37,7 @@ async fn admitted(
     let now = Instant::now();
     let told = token(request.headers()).filter(|_| Names::is_of_own_page(request.headers()));
     let Some(session) = told.and_then(|token| shared.sessions.find(&token, now)) else {
+        discard(request).await;
         return Rejected::from(
             Rejection::new(Code::CertificateRequired, "the call has no session, or its session has ended")
                 .wanted("authorization: Session TOKEN, from a page of this console")
@@ -46,6 +47,7 @@ async fn admitted(
         .into_response();
     };
     let Some(busy) = session.begin(now) else {
+        discard(request).await;
         return Rejected::from(
             Rejection::new(Code::Overloaded, "the session has too many calls at a time")
                 .wanted(format!("at most {CALLS_MAX} calls and streams"))

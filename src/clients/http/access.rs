@@ -1,5 +1,6 @@
 //! The callers of endpoints.
 
+use super::body::discard;
 use super::names::{Names, is_of_other_page};
 use super::{Rejected, names};
 use crate::process::caller::Caller;
@@ -18,16 +19,19 @@ pub(super) fn call<T>(caller: Caller, message: T) -> tonic::Request<T> {
     request
 }
 
-/// Lets a request through that has an identity. It is checked before the body is read; the call checks it again.
+/// Lets a request through that has an identity. It is checked before the body is kept; the call checks it again.
 pub(super) async fn identified(request: Request, next: Next) -> Response {
     match request.extensions().get::<Caller>() {
         Some(Caller { identity: Some(_), .. }) => next.run(request).await,
-        _ => Rejected::from(
-            Rejection::new(Code::CertificateRequired, "this call needs an identity")
-                .wanted("a client certificate, or at the console a session that is open")
-                .next("enrol first: ledgerctl enroll; at the console, open a session"),
-        )
-        .into_response(),
+        _ => {
+            discard(request).await;
+            Rejected::from(
+                Rejection::new(Code::CertificateRequired, "this call needs an identity")
+                    .wanted("a client certificate, or at the console a session that is open")
+                    .next("enrol first: ledgerctl enroll; at the console, open a session"),
+            )
+            .into_response()
+        }
     }
 }
 
@@ -51,5 +55,6 @@ async fn without_browsers(State(names): State<Arc<Names>>, request: Request, nex
     } else {
         return next.run(request).await;
     };
+    discard(request).await;
     Rejected::from(rejection).with_status(StatusCode::FORBIDDEN).into_response()
 }

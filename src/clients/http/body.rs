@@ -42,8 +42,23 @@ pub(super) async fn json<T: DeserializeOwned>(request: Request, bytes_max: usize
 
 /// The body, if its head promises one that is accepted.
 async fn read(request: Request, kind: &str, curl: &str, bytes_max: usize) -> Result<Bytes, Rejection> {
-    check(request.headers(), kind, curl, bytes_max)?;
+    if let Err(rejection) = check(request.headers(), kind, curl, bytes_max) {
+        discard(request).await;
+        return Err(rejection);
+    }
     collect(request.into_body(), bytes_max, BODY_TIME_MAX).await
+}
+
+/// Reads the body of a request that is rejected without it: many clients read no answer before all is sent.
+pub(crate) async fn discard(request: Request) {
+    if length(request.headers()) <= DISCARDED_BYTES_MAX {
+        let _rejected_anyway = collect(request.into_body(), 0, BODY_TIME_MAX).await;
+    }
+}
+
+/// The number of bytes that the head promises; 0 if it promises none.
+fn length(headers: &HeaderMap) -> usize {
+    headers.get(CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok()).unwrap_or_default()
 }
 
 /// The bytes of a body. More than are accepted are discarded as they arrive: many clients read no answer before all is sent.
@@ -81,7 +96,7 @@ fn check(headers: &HeaderMap, kind: &str, curl: &str, bytes_max: usize) -> Resul
             .wanted(kind)
             .next(format!("with curl: {curl}")));
     }
-    let length = header(CONTENT_LENGTH).parse::<usize>().unwrap_or_default();
+    let length = length(headers);
     if length > DISCARDED_BYTES_MAX { Err(too_large(length, bytes_max)) } else { Ok(()) }
 }
 
