@@ -198,10 +198,10 @@ fn every_example_of_the_page_works_with_a_certificate_and_answers_in_its_form() 
     for endpoint in endpoints() {
         if endpoint.method == "POST" && endpoint.path == "/v1/transactions" {
             place.sign("can_be_anything", &[]);
-            let (status, rejected) = place.asked(&endpoint.command.trim_start_matches("curl "));
+            let (status, rejected) = place.asked(endpoint.command.trim_start_matches("curl "));
             assert_eq!((status, &rejected["code"]), (400, &json!("LGR-1010")), "{rejected}");
             place.sign("acquire", &["Turtlebot4/cmd_vel"]);
-            let (status, held) = place.asked(&endpoint.command.trim_start_matches("curl "));
+            let (status, held) = place.asked(endpoint.command.trim_start_matches("curl "));
             assert!([403, 409].contains(&status) && keys(&held).contains("id"), "{status} {held}");
             continue;
         }
