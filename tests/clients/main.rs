@@ -8,7 +8,7 @@
 //!
 //! The interpreter is `$LEDGERD_TEST_PYTHON`, as `./test` prepares it.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::panic, clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing, reason = "tests")]
 
 mod console;
 mod languages;
