@@ -20,10 +20,6 @@ const PAUSE_MAX: Duration = Duration::from_secs(10);
 const GATHERED_FOR: Duration = Duration::from_millis(200);
 /// So long after its `not_after`, by this node's clock, no block takes a transaction any more, microseconds.
 const PAST: u64 = 10_000_000;
-/// The rules since which the ledger takes refusals.
-const SINCE_RULES: u32 = 3;
-
-const _: () = assert!(SINCE_RULES <= Rules::NEWEST.number());
 
 /// The task that tells the ledger.
 pub(crate) struct Refusing {
@@ -87,7 +83,7 @@ impl Refusing {
 
     fn begin(&self) -> Option<Waiting> {
         let has_room = self.space.check(|| false).is_ok();
-        if !has_room || self.author.ledger.rules().number() < SINCE_RULES {
+        if !has_room {
             return None;
         }
         let told = self.denials.gathered().take()?;

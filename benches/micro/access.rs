@@ -112,7 +112,7 @@ impl Fleet {
             made: Arc::default(),
             state,
             directory,
-            meter: Meter::default(),
+            meter: Meter::of_query(),
             holders: Vec::new(),
         };
         for owner in 0..OWNERS {

@@ -6,7 +6,6 @@ use crate::actions::{
     task_list, tasks, together,
 };
 use crate::policy::decider::Decider;
-use crate::records::sharing;
 use crate::rules::{Rule, Table};
 use bytes::Bytes;
 use ledger::{Chaincode, Context, Foretold, Quorum, Revocation};
@@ -127,9 +126,6 @@ const FUNCTIONS: [&str; 47] = [
     "task",
     "tasks",
 ];
-
-/// The rules since which voters certify what executing a block gave.
-const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
 const READS: [&str; 21] = [
@@ -252,31 +248,31 @@ impl Chaincode for AccessControl {
         match function {
             "set" => publish::set(ctx, decider, args),
             "acquire" => acquire::acquire(ctx, decider, args),
-            "acquire_all" if sharing::known(ctx) => together::acquire_all(ctx, decider, args),
+            "acquire_all" => together::acquire_all(ctx, decider, args),
             "renew" => renew::renew(ctx, decider, args),
-            "take" if sharing::known(ctx) => acquire::take(ctx, decider, args),
-            "delegate" if sharing::known(ctx) => delegate::delegate(ctx, decider, args),
-            "handover" if sharing::known(ctx) => delegate::handover(ctx, decider, args),
-            "recall" if sharing::known(ctx) => delegate::recall(ctx, decider, args),
-            "confirm" if sharing::known(ctx) => confirm::confirm(ctx, decider, args),
-            "stop" if sharing::known(ctx) => emergency::stop(ctx, decider, args),
-            "resume" if sharing::known(ctx) => emergency::resume(ctx, decider, args),
-            "line" if sharing::known(ctx) => show::line(ctx, decider, args),
-            "latest" if sharing::known(ctx) => show::latest(ctx, args),
-            "submit" if sharing::known(ctx) => tasks::submit(ctx, decider, args),
-            "progress" if sharing::known(ctx) => tasks::progress(ctx, decider, args),
-            "fail" if sharing::known(ctx) => tasks::fail(ctx, args),
-            "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
-            "report_side_door" if sharing::known(ctx) => side_door::report(ctx, args),
-            "reader" if sharing::known(ctx) => confidential::reader(ctx, decider, args),
-            "readers" if sharing::known(ctx) => confidential::readers(ctx, decider, args),
-            "share" if sharing::known(ctx) => confidential::share(ctx, decider, args),
-            "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
-            "task" if sharing::known(ctx) => task_list::task(ctx, args),
-            "can" if sharing::known(ctx) => can::can(ctx, decider, args),
-            "could" if sharing::known(ctx) => can::could(ctx, decider, args),
-            "check" if sharing::known(ctx) => can::check(ctx, decider, args),
-            "diff" if sharing::known(ctx) => can::diff(ctx, decider, args),
+            "take" => acquire::take(ctx, decider, args),
+            "delegate" => delegate::delegate(ctx, decider, args),
+            "handover" => delegate::handover(ctx, decider, args),
+            "recall" => delegate::recall(ctx, decider, args),
+            "confirm" => confirm::confirm(ctx, decider, args),
+            "stop" => emergency::stop(ctx, decider, args),
+            "resume" => emergency::resume(ctx, decider, args),
+            "line" => show::line(ctx, decider, args),
+            "latest" => show::latest(ctx, args),
+            "submit" => tasks::submit(ctx, decider, args),
+            "progress" => tasks::progress(ctx, decider, args),
+            "fail" => tasks::fail(ctx, args),
+            "cancel" => tasks::cancel(ctx, decider, args),
+            "report_side_door" => side_door::report(ctx, args),
+            "reader" => confidential::reader(ctx, decider, args),
+            "readers" => confidential::readers(ctx, decider, args),
+            "share" => confidential::share(ctx, decider, args),
+            "tasks" => task_list::tasks(ctx, args),
+            "task" => task_list::task(ctx, args),
+            "can" => can::can(ctx, decider, args),
+            "could" => can::could(ctx, decider, args),
+            "check" => can::check(decider, args),
+            "diff" => can::diff(ctx, decider, args),
             "release" => release::release(ctx, decider, args),
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),
@@ -286,17 +282,17 @@ impl Chaincode for AccessControl {
             "remove" => robots::remove(ctx, args),
             "robots" => show::robots(ctx, decider, args),
             "robot" => show::robot(ctx, decider, args),
-            "declare" if ctx.rules().number() >= DECLARED_SINCE => show::declare(ctx, decider, args),
+            "declare" => show::declare(ctx, decider, args),
             "service" => show::service(ctx, decider, args),
             "grants" => hold::list(ctx, decider, args),
             "policy" => policies::change(ctx, decider, args),
             "policies" => policies::list(ctx, args),
-            "policy_approvals" if sharing::known(ctx) => policy_rules::show(ctx, args),
-            "policy_history" if sharing::known(ctx) => policy_sets::history(ctx, args),
-            "policy_proposal" if sharing::known(ctx) => policy_proposals::show(ctx, args),
-            "policy_proposals" if sharing::known(ctx) => policy_proposals::list(ctx, args),
-            "policy_set" if sharing::known(ctx) => policy_sets::show(ctx, args),
-            policy_rules::SET if sharing::known(ctx) => policy_rules::set(ctx, args),
+            "policy_approvals" => policy_rules::show(ctx, args),
+            "policy_history" => policy_sets::history(ctx, args),
+            "policy_proposal" => policy_proposals::show(ctx, args),
+            "policy_proposals" => policy_proposals::list(ctx, args),
+            "policy_set" => policy_sets::show(ctx, args),
+            policy_rules::SET => policy_rules::set(ctx, args),
             _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
                 .next(did_you_mean(function, FUNCTIONS, ""))),
         }

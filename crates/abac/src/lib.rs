@@ -61,6 +61,6 @@ pub use ledger_contract::{
     RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Share, Sharing, SideDoor, Stopped, Submitted, Task,
     TaskSpec, TaskState, TaskTold, Told, Wrapped,
 };
-pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
+pub use policy::defaults::{DEFAULT_POLICY, SCHEMA};
 pub use policy::limits::POLICY_BYTES_MAX;
 pub use rules::{Claim, Decision, Rule, Situation, contend, precedence};

@@ -12,7 +12,6 @@ pub(crate) mod proposed;
 pub(crate) mod reader;
 pub(crate) mod robot;
 pub(crate) mod service;
-pub(crate) mod sharing;
 pub(crate) mod side_door;
 pub(crate) mod stopped;
 pub(crate) mod store;

@@ -148,8 +148,7 @@ impl Keeper {
         Ok(match askers.entry(robot.to_owned()) {
             Entry::Occupied(known) => Arc::clone(known.get()),
             Entry::Vacant(place) => {
-                let (gateway, stored) = (Arc::clone(&self.gateway), Arc::clone(&self.context.msps));
-                let asker = Asker::new(gateway, robot, stored, self.known.as_ref())?;
+                let asker = Asker::new(Arc::clone(&self.gateway), robot, self.known.as_ref())?;
                 Arc::clone(place.insert(Arc::new(asker)))
             }
         })

@@ -11,7 +11,7 @@ use crate::policy::texts;
 use crate::records::grant::{self, Giver, HOLDERS_MAX, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
-use crate::records::{line, sharing, store};
+use crate::records::{line, store};
 use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use bytes::Bytes;
@@ -61,14 +61,13 @@ pub(crate) struct Passed {
 }
 
 impl Passed {
-    /// As it was passed to that grant, for another certificate of its holder. Since rules 3 it is held as long as before.
-    fn on(ctx: &Context<'_>, holding: &Holding) -> Self {
-        let since = if sharing::known(ctx) { Some(holding.held_since()) } else { holding.since };
+    /// As it was passed to that grant, for another certificate of its holder. It is held as long as before.
+    fn on(holding: &Holding) -> Self {
         Self {
             givers: holding.givers.clone(),
             may_delegate: holding.grant.may_delegate,
             ends_by: holding.ends_by,
-            since,
+            since: Some(holding.held_since()),
             follows: None,
             preempts: false,
         }
@@ -82,7 +81,7 @@ pub(crate) fn acquire(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     let args = Arguments::new(USAGE, args, 1, 2)?;
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
-    let options = options(ctx, &target, args)?;
+    let options = options(&target, args)?;
     let (room, permit) = may_acquire(ctx, decider, &principal, &target, options.priority)?;
     let waits = match &room {
         Room::Own(_) => false,
@@ -110,7 +109,7 @@ pub(crate) fn settle(
             return renew::renewed(ctx, decider, target, *own, &permit, options.lease_ms);
         }
         // Another certificate of the same person: whoever holds the old one must be fenced off.
-        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority, Passed::on(ctx, &own)),
+        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority, Passed::on(&own)),
         Room::After { ended, priority } => {
             (ended.into_iter().map(|holding| (holding, Reason::Preempted)).collect(), priority, Passed::default())
         }
@@ -267,12 +266,12 @@ pub(crate) fn give(
 }
 
 /// The wishes of the caller besides the service.
-fn options(ctx: &Context<'_>, target: &Target, args: Arguments<'_>) -> Result<AcquireOptions, Rejection> {
+fn options(target: &Target, args: Arguments<'_>) -> Result<AcquireOptions, Rejection> {
     if !args.has(1) {
         return Ok(AcquireOptions::default());
     }
     let text = args.text(1, "LEASE_MS|OPTIONS_JSON")?;
-    if !text.starts_with('{') || !sharing::known(ctx) {
+    if !text.starts_with('{') {
         return Ok(AcquireOptions { lease_ms: Some(lease(target, args, 1)?), ..AcquireOptions::default() });
     }
     let options: AcquireOptions = serde_json::from_str(text).map_err(|fault| {

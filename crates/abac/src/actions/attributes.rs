@@ -1,10 +1,8 @@
-//! Attributes that owners give to robots and services: what they may be, and how they change. Since rules 3.
+//! Attributes that owners give to robots and services: what they may be, and how they change.
 //!
 //! A decision looks at all attributes of a robot and of one of its services, so their bytes are bounded together.
 
 use crate::arguments::shown;
-use crate::records::sharing;
-use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Attribute, AttributeChanges, Attributes};
 use std::collections::BTreeSet;
@@ -21,18 +19,6 @@ const TEXT_BYTES_MAX: usize = 256;
 const SET_MAX: usize = 64;
 /// Bytes that a number counts as.
 const NUMBER_BYTES: usize = 8;
-
-/// Refuses what names attributes under rules that do not know them. To those it is an unknown field, so this is to be
-/// asked as soon as the argument is read.
-pub(super) fn check_known(ctx: &Context<'_>, named: bool) -> Result<(), Rejection> {
-    if !named || sharing::known(ctx) {
-        return Ok(());
-    }
-    Err(Rejection::new(Code::BadArgument, "attributes of robots need newer rules of execution")
-        .found(format!("rules {}", ctx.rules()))
-        .wanted(format!("rules {} or newer", sharing::RULES))
-        .next("activate them first: ledgerctl network rules"))
-}
 
 /// The attributes of a description, checked; none if it names none.
 pub(super) fn described(attributes: Option<Attributes>, bytes_max: usize) -> Result<Attributes, Rejection> {

@@ -70,9 +70,9 @@ pub(crate) fn could(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
 }
 
 /// `check TEXT`: the faults of a policy with their places; none if it is acceptable.
-pub(crate) fn check(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn check(decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("check TEXT", args, 1, 1)?;
-    store::json(&decider.diagnose(ctx, args.document(0, "TEXT", ASK_BYTES_MAX)?))
+    store::json(&decider.diagnose(args.document(0, "TEXT", ASK_BYTES_MAX)?))
 }
 
 fn read(args: Arguments<'_>) -> Result<Ask, Rejection> {
@@ -133,7 +133,7 @@ impl Case {
         let explain = |object: Object<'_>| {
             let question = || Hash::of(&[&principal.fingerprint.0, object.action().as_bytes()]);
             ctx.charge_steps(&robot.organisation, self.steps.saturating_mul(EXPLAINED_STEPS), question);
-            decider.explain(ctx, principal, object, &self.texts, self.time)
+            decider.explain(principal, object, &self.texts, self.time)
         };
         let mut deciding = Vec::new();
         let mut permits = |why: Explanation| {
@@ -269,5 +269,5 @@ fn needed(target: &Target, action: Action) -> Vec<Action> {
 /// The policies of a question; the built-in one if there are none.
 fn given(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Result<Texts, Rejection> {
     let texts = policy_sets::checked(ctx, decider, policies)?;
-    Ok(if texts.is_empty() { texts::built_in(ctx) } else { texts })
+    Ok(if texts.is_empty() { texts::built_in() } else { texts })
 }

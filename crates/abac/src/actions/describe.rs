@@ -5,13 +5,13 @@ use crate::arguments::{Arguments, shown};
 use crate::policy::decider::Decider;
 use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Service;
-use crate::records::{sharing, store};
+use crate::records::store;
 use crate::rules::{self, terms};
 use ledger::Context;
 use ledger_base::hash::Hash;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Capabilities, Mode, RobotSpec, ServiceSpec, Sharing, is_called};
+use ledger_contract::{RobotSpec, ServiceSpec, Sharing, is_called};
 use std::collections::BTreeSet;
 
 /// Longest required attribute with its value, in bytes.
@@ -41,14 +41,11 @@ const _: () = assert!(LEASE_MS_MIN < LEASE_MS_DEFAULT && LEASE_MS_DEFAULT < LEAS
 const _: () = assert!(LEASE_MS_MAX_DEFAULT < LEASE_MS_MAX && AGE_MS_DEFAULT < AGE_MS_MAX);
 
 /// Reads a description from one argument.
-pub(crate) fn read_spec(ctx: &Context<'_>, args: Arguments<'_>, index: usize) -> Result<RobotSpec, Rejection> {
+pub(crate) fn read_spec(args: Arguments<'_>, index: usize) -> Result<RobotSpec, Rejection> {
     let text = args.document(index, "ROBOT_JSON", SPEC_BYTES_MAX)?;
-    let spec: RobotSpec = serde_json::from_str(text).map_err(|fault| {
+    serde_json::from_str(text).map_err(|fault| {
         args.bad(index, "ROBOT_JSON", fault.to_string(), "JSON of a robot: name, attribute_required, services")
-    })?;
-    let of_service = spec.services.iter().any(|service| service.attributes.is_some());
-    attributes::check_known(ctx, of_service || spec.attributes.is_some())?;
-    Ok(spec)
+    })
 }
 
 /// Checks a description and fills in what it leaves out. Without another word a robot trusts whom it trusted before.
@@ -59,7 +56,7 @@ pub(crate) fn describe(
     spec: RobotSpec,
     before: Option<&Robot>,
 ) -> Result<Robot, Rejection> {
-    let services = check_services(ctx, decider, &spec.name, spec.services)?;
+    let services = check_services(decider, &spec.name, spec.services)?;
     let trusted = match (spec.trusted, before) {
         (Some(trusted), _) => check_trusted(ctx, trusted)?,
         (None, Some(robot)) => robot.trusted.clone(),
@@ -78,9 +75,9 @@ pub(crate) fn describe(
 }
 
 /// Checks everything that an owner describes and fills in the defaults.
-pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceSpec) -> Result<Service, Rejection> {
+pub(crate) fn check_service(decider: &Decider, spec: ServiceSpec) -> Result<Service, Rejection> {
     check_topic(&spec.topic)?;
-    check_type(ctx, &spec.type_name)?;
+    check_type(&spec.type_name)?;
     let topic = &spec.topic;
     let within = |field: &str, value: u64, min: u64, max: u64| {
         if (min..=max).contains(&value) {
@@ -107,7 +104,7 @@ pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceS
         }
     }
     let mode = spec.mode.unwrap_or_else(|| rules::default_mode(spec.direction));
-    check_sharing(ctx, decider, &mode, &spec.sharing, topic)?;
+    terms::check(decider.rules.chosen(&mode)?, &spec.sharing, topic)?;
     check_confidential(&spec.sharing, &spec.type_name, topic)?;
     let attributes = attributes::described(spec.attributes, attributes::OF_SERVICE_BYTES_MAX)?;
     Ok(Service {
@@ -122,23 +119,6 @@ pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceS
         sharing: spec.sharing,
         attributes,
     })
-}
-
-fn check_sharing(
-    ctx: &Context<'_>,
-    decider: &Decider,
-    mode: &Mode,
-    sharing: &Sharing,
-    topic: &str,
-) -> Result<(), Rejection> {
-    let rule = decider.rules.chosen(mode)?;
-    if !sharing::known(ctx) && (!sharing.is_default() || Capabilities::of_mode(mode).is_none()) {
-        return Err(Rejection::new(Code::BadArgument, format!("service {topic} needs newer rules of execution"))
-            .found(format!("rules {}", ctx.rules()))
-            .wanted(format!("rules {} or newer", sharing::RULES))
-            .next("activate them first: ledgerctl network rules"));
-    }
-    terms::check(rule, sharing, topic)
 }
 
 /// Calls and their replies are two services that share keys in no way yet: neither is confidential.
@@ -174,18 +154,13 @@ pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
     Ok(format!("{key}={value}"))
 }
 
-fn check_services(
-    ctx: &Context<'_>,
-    decider: &Decider,
-    robot: &str,
-    specs: Vec<ServiceSpec>,
-) -> Result<Vec<Service>, Rejection> {
+fn check_services(decider: &Decider, robot: &str, specs: Vec<ServiceSpec>) -> Result<Vec<Service>, Rejection> {
     if !(1..=SERVICES_MAX).contains(&specs.len()) {
         return Err(Rejection::new(Code::BadArgument, format!("robot {robot} has no usable number of services"))
             .found(format!("{} services", specs.len()))
             .wanted(format!("1 to {SERVICES_MAX}")));
     }
-    let services = specs.into_iter().map(|spec| check_service(ctx, decider, spec)).collect::<Result<Vec<_>, _>>()?;
+    let services = specs.into_iter().map(|spec| check_service(decider, spec)).collect::<Result<Vec<_>, _>>()?;
     let mut topics = BTreeSet::new();
     for service in &services {
         if !topics.insert(&service.topic) {
@@ -233,12 +208,12 @@ pub(crate) fn check_topic(topic: &str) -> Result<(), Rejection> {
         .wanted("a leading slash and names of letters, digits and \"_\" between slashes, e.g. /cmd_vel"))
 }
 
-/// Types of messages; since rules 3 also those of calls.
-fn check_type(ctx: &Context<'_>, type_name: &str) -> Result<(), Rejection> {
+/// Types of messages, and those of calls.
+fn check_type(type_name: &str) -> Result<(), Rejection> {
     let parts: Vec<&str> = type_name.split('/').collect();
     if type_name.len() <= TOPIC_BYTES_MAX
         && let [package, kind, name] = parts.as_slice()
-        && (*kind == "msg" || is_called(type_name) && sharing::known(ctx))
+        && (*kind == "msg" || is_called(type_name))
         && is_ros_name(package)
         && is_ros_name(name)
     {

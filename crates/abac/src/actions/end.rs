@@ -9,9 +9,9 @@ use crate::policy::decider::{self, Decider};
 use crate::policy::texts;
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
-use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
+use crate::records::robot::{self, Robot};
 use crate::records::service::Target;
-use crate::records::{policy_set, proposed, reader, sharing, side_door, store, used};
+use crate::records::{policy_set, proposed, reader, side_door, store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_base::rejection::Rejection;
@@ -25,7 +25,7 @@ const EVENTS_OF_ONE: usize = 64;
 
 /// Is there no room for the events of one more end or turn? The rest is done by the following blocks.
 pub(crate) fn is_full(ctx: &Context<'_>) -> bool {
-    sharing::known(ctx) && ctx.events_left() < EVENTS_OF_ONE
+    ctx.events_left() < EVENTS_OF_ONE
 }
 
 /// Removes a grant, and tells the world why.
@@ -147,8 +147,7 @@ pub(crate) fn identity_revoked(
 ) -> Result<(), Rejection> {
     let prefix = store::certificate_prefix(&revoked.issuer, &revoked.serial);
     let mut ending = Vec::new();
-    let most = if robot::has_quotas(ctx) { usize::MAX } else { ROBOTS_MAX * SERVICES_MAX };
-    for (key, _) in ctx.range(&prefix, most) {
+    for (key, _) in ctx.range(&prefix, usize::MAX) {
         if let Some((service, holder)) = store::parse_certificate_key(&key, &prefix)
             && let Some(holding) = store::read::<Holding>(ctx, &store::grant_key(service, holder))?
             && holding.ending.is_none()
@@ -157,19 +156,15 @@ pub(crate) fn identity_revoked(
         }
     }
     end_all(ctx, ending)?;
-    if sharing::known(ctx) {
-        proposed::revoked(ctx, &revoked.issuer, &revoked.serial)?;
-        reader::note_revocation(ctx)?;
-        reader::revoked(ctx, &revoked.issuer, &revoked.serial)?;
-    }
+    proposed::revoked(ctx, &revoked.issuer, &revoked.serial)?;
+    reader::note_revocation(ctx)?;
+    reader::revoked(ctx, &revoked.issuer, &revoked.serial)?;
     queue::revoked(ctx, decider, &revoked.issuer, &revoked.serial)
 }
 
 /// Ends the rights of all whom an authority has certified.
 pub(crate) fn authority_lost(ctx: &mut Context<'_>, decider: &Decider, issuer: &[u8; 32]) -> Result<(), Rejection> {
-    if sharing::known(ctx) {
-        reader::note_revocation(ctx)?;
-    }
+    reader::note_revocation(ctx)?;
     for serial in store::serials(ctx, issuer) {
         identity_revoked(ctx, decider, &Revocation { issuer: *issuer, serial })?;
     }
@@ -182,11 +177,9 @@ pub(crate) fn organisation_removed(
     decider: &Decider,
     organisation: &str,
 ) -> Result<(), Rejection> {
-    if sharing::known(ctx) {
-        reader::note_revocation(ctx)?;
-        policy_set::forget_all(ctx, organisation)?;
-        texts::forget(ctx, organisation)?;
-    }
+    reader::note_revocation(ctx)?;
+    policy_set::forget_all(ctx, organisation)?;
+    texts::forget(ctx, organisation)?;
     let (mut ending, mut told) = (Vec::new(), 0);
     for robot in robot::all(ctx)? {
         if robot.organisation == organisation {
@@ -197,8 +190,7 @@ pub(crate) fn organisation_removed(
             }
             continue;
         }
-        let services = if sharing::known(ctx) { robot.services.as_slice() } else { &[] };
-        for service in services {
+        for service in &robot.services {
             reader::members_left(ctx, &robot.service_id(service), organisation)?;
         }
         for target in Target::all_of(&robot) {
@@ -218,19 +210,10 @@ pub(crate) fn policies_changed(
     decider: &Decider,
     organisation: &str,
 ) -> Result<Vec<Released>, Rejection> {
-    if robot::has_quotas(ctx) {
-        for name in robot::names_of(ctx, organisation)? {
-            undecided::mark(ctx, organisation, &name);
-        }
-        return undecided::begin(ctx, decider, organisation);
+    for name in robot::names_of(ctx, organisation) {
+        undecided::mark(ctx, organisation, &name);
     }
-    let mut ending = Vec::new();
-    for robot in robot::all(ctx)?.iter().filter(|robot| robot.organisation == organisation) {
-        for target in Target::all_of(robot) {
-            ending.extend(unfit(ctx, decider, true, &target)?);
-        }
-    }
-    end_all(ctx, ending)
+    undecided::begin(ctx, decider, organisation)
 }
 
 /// Ends the grants that a changed robot no longer offers, permits or has room for.

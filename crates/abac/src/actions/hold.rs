@@ -6,30 +6,24 @@ use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
-use crate::records::{robot, store};
+use crate::records::store;
 use crate::timestamp::rfc3339;
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Grant;
 
-/// `grants [SERVICE]`, `grants PAGE_JSON`: the live grants of one service or of all.
+/// `grants [SERVICE|PAGE_JSON]`: the live grants of one service or of all.
 pub(crate) fn list(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    if let Some(paging) = Paging::of(ctx, "grants", args)? {
-        let read = |key: &[u8], value: &[u8]| shown(ctx, decider, store::parse(key, value)?);
-        return paging.answer(&paging.page(ctx, b"grant/", read)?);
+    let of_one = args.first().is_some_and(|argument| !argument.starts_with(b"{"));
+    let given = Arguments::new("grants [SERVICE|PAGE_JSON]", args, 0, 1)?;
+    if of_one {
+        let target = service::resolve(ctx, given.text(0, "SERVICE")?)?;
+        return store::json(&live(ctx, decider, &target)?);
     }
-    let args = Arguments::new("grants [SERVICE]", args, 0, 1)?;
-    let targets = if args.has(0) {
-        vec![service::resolve(ctx, args.text(0, "SERVICE")?)?]
-    } else {
-        robot::all(ctx)?.iter().flat_map(Target::all_of).collect()
-    };
-    let mut grants = Vec::new();
-    for target in &targets {
-        grants.extend(live(ctx, decider, target)?);
-    }
-    store::json(&grants)
+    let paging = Paging::of("grants", args)?;
+    let read = |key: &[u8], value: &[u8]| shown(ctx, decider, store::parse(key, value)?);
+    paging.answer(&paging.page(ctx, b"grant/", read)?)
 }
 
 /// The live grants of a service, as they are listed.

@@ -4,18 +4,16 @@ use super::{end, policy_proposals, policy_rules, policy_sets, reachable, robots}
 use crate::arguments::{Arguments, shown};
 use crate::policy::Texts;
 use crate::policy::decider::Decider;
-use crate::policy::defaults::Defaults;
+use crate::policy::defaults::DEFAULT_POLICY;
 use crate::policy::limits::POLICY_BYTES_MAX;
-use crate::policy::texts::{self, DEFAULT_ID, POLICIES_MAX, own};
-use crate::records::{robot, sharing, store};
+use crate::policy::texts::{self, DEFAULT_ID, own};
+use crate::records::store;
 use bytes::Bytes;
 use ledger::msp::quota_reached;
 use ledger::{Context, Paging, Quorum};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyEntry};
 
-/// Most policies that `policies` lists as a transaction, which it was before rules 3.
-const LISTED_MAX: usize = 4096;
 /// Longest id of a policy, in bytes.
 pub(super) const ID_BYTES_MAX: usize = 64;
 /// Longest argument that is read as a policy at all, in bytes; the limit of a policy itself is smaller and says so.
@@ -41,7 +39,7 @@ pub(super) struct Made {
 /// `policy VERB …`: by an admin, for the robots of their organisation.
 pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     match args {
-        [verb, rest @ ..] if sharing::known(ctx) => match verb.as_ref() {
+        [verb, rest @ ..] => match verb.as_ref() {
             b"apply" => policy_sets::apply(ctx, decider, rest),
             b"propose" => policy_proposals::propose(ctx, decider, rest),
             b"approve" => policy_proposals::approve(ctx, rest),
@@ -56,7 +54,7 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
 /// `policy put ID TEXT`, `policy remove ID`: the set in force with one policy changed.
 fn change_one(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let (args, means_it) = match args {
-        [given @ .., last] if given.len() > 1 && sharing::known(ctx) && last == MEANT => (given, true),
+        [given @ .., last] if given.len() > 1 && last == MEANT => (given, true),
         _ => (args, false),
     };
     let args = Arguments::new(USAGE, args, 2, 3)?;
@@ -92,12 +90,9 @@ fn change_one(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Resul
         }
         (verb, _) => return Err(args.bad(0, "put or remove", shown(verb), "put with ID and TEXT, or remove with ID")),
     };
-    let mut made = Made { by: caller.id(), ..Made::default() };
-    if sharing::known(ctx) {
-        policy_rules::check_alone(ctx, caller)?;
-        reachable::check(ctx, decider, organisation, &set, means_it)?;
-        made.rule = policy_rules::own(ctx, organisation)?;
-    }
+    policy_rules::check_alone(ctx, caller)?;
+    reachable::check(ctx, decider, organisation, &set, means_it)?;
+    let made = Made { by: caller.id(), rule: policy_rules::own(ctx, organisation)?, ..Made::default() };
     replace(ctx, decider, organisation, &set, (id, change), made)
 }
 
@@ -113,17 +108,14 @@ pub(super) fn replace(
 ) -> Result<Bytes, Rejection> {
     let before = own(ctx, organisation)?;
     texts::check(ctx, organisation, &before);
-    let newest = if sharing::known(ctx) { policy_sets::newest(ctx, organisation, &before)? } else { 0 };
     let kept = |id: &str| set.iter().any(|(known, _)| known == id);
     for (gone, _) in before.iter().filter(|(id, _)| !kept(id)) {
         ctx.delete(&store::policy_key(organisation, gone));
     }
-    let mut put = false;
     for (id, text) in set.iter().filter(|policy| !before.contains(policy)) {
         ctx.put(&store::policy_key(organisation, id), text.as_bytes().to_vec());
-        put = true;
     }
-    let version = texts::changed(ctx, organisation, set, (newest, put))?;
+    let version = texts::changed(ctx, organisation, set)?;
     let change = PolicyChange {
         organisation: organisation.to_owned(),
         id: id.to_owned(),
@@ -131,12 +123,10 @@ pub(super) fn replace(
         default_in_force: set.is_empty(),
         ended: end::policies_changed(ctx, decider, organisation)?,
         version,
-        by: if version == 0 { String::new() } else { made.by.clone() },
+        by: made.by.clone(),
         message: made.message.clone(),
     };
-    if version > 0 {
-        policy_sets::record(ctx, organisation, version, set, made)?;
-    }
+    policy_sets::record(ctx, organisation, version, set, made)?;
     let change = store::json(&change)?;
     ctx.emit("policy", organisation, change.clone());
     Ok(change)
@@ -144,39 +134,26 @@ pub(super) fn replace(
 
 /// Refuses more policies than an organisation may have.
 pub(super) fn check_number(ctx: &mut Context<'_>, organisation: &str, wanted: usize) -> Result<(), Rejection> {
-    if robot::has_quotas(ctx) {
-        let most = robots::quotas(ctx, organisation)?.policies;
-        if wanted as u64 > most {
-            let free = "put several rules into one policy, or remove one";
-            return Err(quota_reached(organisation, "policies", most, free));
-        }
-    } else if wanted > POLICIES_MAX {
-        return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has too many policies"))
-            .found(format!("{POLICIES_MAX} policies"))
-            .wanted(format!("at most {POLICIES_MAX}"))
-            .next("put several rules into one policy, or remove one"));
+    let most = robots::quotas(ctx, organisation)?.policies;
+    if wanted as u64 <= most {
+        return Ok(());
     }
-    Ok(())
+    Err(quota_reached(organisation, "policies", most, "put several rules into one policy, or remove one"))
 }
 
 /// `policies [PAGE_JSON]`: those of every organisation, and the built-in one.
 pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    if let Some(paging) = Paging::of(ctx, "policies", args)? {
-        let mut page = paging.page(ctx, b"policy/", |key, value| Ok(entry(key, value)))?;
-        if paging.after.is_none() {
-            page.items.insert(0, built_in(ctx));
-        }
-        return paging.answer(&page);
+    Arguments::new("policies [PAGE_JSON]", args, 0, 1)?;
+    let paging = Paging::of("policies", args)?;
+    let mut page = paging.page(ctx, b"policy/", |key, value| Ok(entry(key, value)))?;
+    if paging.after.is_none() {
+        page.items.insert(0, built_in());
     }
-    Arguments::new("policies", args, 0, 0)?;
-    let mut entries = vec![built_in(ctx)];
-    entries.extend(ctx.range(b"policy/", LISTED_MAX).iter().filter_map(|(key, value)| entry(key, value)));
-    store::json(&entries)
+    paging.answer(&page)
 }
 
-fn built_in(ctx: &Context<'_>) -> PolicyEntry {
-    let text = Defaults::of(ctx.rules()).policy.to_owned();
-    PolicyEntry { organisation: String::new(), id: DEFAULT_ID.to_owned(), text }
+fn built_in() -> PolicyEntry {
+    PolicyEntry { organisation: String::new(), id: DEFAULT_ID.to_owned(), text: DEFAULT_POLICY.to_owned() }
 }
 
 fn entry(key: &[u8], text: &[u8]) -> Option<PolicyEntry> {

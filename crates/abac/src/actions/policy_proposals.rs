@@ -182,9 +182,8 @@ pub(super) fn enact(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
 
 /// `policy_proposals [PAGE_JSON]`
 pub(crate) fn list(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let Some(paging) = Paging::of(ctx, "policy_proposals", args)? else {
-        return Err(Rejection::new(Code::QueryOnly, "policy_proposals is a query").wanted("no transaction"));
-    };
+    Arguments::new("policy_proposals [PAGE_JSON]", args, 0, 1)?;
+    let paging = Paging::of("policy_proposals", args)?;
     let page = paging.page(ctx, store::PROPOSED, |key, value| store::parse::<Proposed>(key, value).map(Some))?;
     let items: Vec<PolicyProposal> = page.items.iter().map(|proposed| told(ctx, proposed)).collect::<Result<_, _>>()?;
     paging.answer(&ledger::Page { items, next: page.next })
@@ -206,9 +205,8 @@ fn approval(ctx: &Context<'_>) -> Result<Approval, Rejection> {
 
 /// Refuses a proposal that was made from another set than the one in force.
 fn check_base(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<(), Rejection> {
-    let in_force = texts::own(ctx, &proposed.organisation)?;
-    let newest = policy_sets::newest(ctx, &proposed.organisation, &in_force)?;
-    policy_sets::check_base(&proposed.organisation, proposed.base, newest)
+    let in_force = texts::version(ctx, &proposed.organisation)?.number;
+    policy_sets::check_base(&proposed.organisation, proposed.base, in_force)
 }
 
 fn find(ctx: &Context<'_>, args: Arguments<'_>) -> Result<Proposed, Rejection> {

@@ -82,7 +82,7 @@ pub(super) fn read(
         return Err(args.bad(0, "SET_JSON", found, &format!("at most {MESSAGE_BYTES_MAX} bytes")));
     }
     let in_force = texts::own(ctx, organisation)?;
-    let base = newest(ctx, organisation, &in_force)?;
+    let base = texts::version(ctx, organisation)?.number;
     check_base(organisation, made_from.unwrap_or(base), base)?;
     let own_rule = policy_rules::own(ctx, organisation)?;
     let (policies, restored_rule) = match (policies, restores) {
@@ -151,18 +151,6 @@ pub(super) fn checked(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyTe
     }
     texts.sort();
     Ok(texts)
-}
-
-/// The number of the set in force. Policies from before sets were numbered become the first one.
-pub(super) fn newest(ctx: &mut Context<'_>, organisation: &str, in_force: &Texts) -> Result<u64, Rejection> {
-    let number = texts::version(ctx, organisation)?.number;
-    if number > 0 || in_force.is_empty() {
-        return Ok(number);
-    }
-    if policy_set::of(ctx, organisation, 1)?.is_none() {
-        record(ctx, organisation, 1, in_force, Made::default())?;
-    }
-    Ok(1)
 }
 
 /// Keeps a set that is in force now.

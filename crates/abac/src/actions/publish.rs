@@ -12,7 +12,7 @@ use crate::records::grant::{self, Holding};
 use crate::records::last::{self, Last};
 use crate::records::principal::Principal;
 use crate::records::service::Target;
-use crate::records::{sharing, store};
+use crate::records::store;
 use bytes::Bytes;
 use ledger::{Context, Foretold};
 use ledger_base::rejection::{Code, Rejection};
@@ -34,7 +34,7 @@ const USAGE: &str = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
 pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new(USAGE, args, 4, 3 + MESSAGES_PER_CALL_MAX)?;
     let (epoch, first_seq) = (args.number(1, "EPOCH")?, args.number(2, "FIRST_SEQ")?);
-    let (count, envelope) = check_payloads(ctx, args)?;
+    let (count, envelope) = check_payloads(args)?;
     let last_seq = first_seq
         .checked_add(count - 1)
         .filter(|last| *last < u64::MAX)
@@ -205,10 +205,10 @@ pub(crate) fn next_sequence(
 
 /// Checks that every payload starts as CDR does, or is an envelope under the same content key as the others; returns how many they
 /// are, and that key.
-fn check_payloads(ctx: &Context<'_>, args: Arguments<'_>) -> Result<(u64, Option<u64>), Rejection> {
+fn check_payloads(args: Arguments<'_>) -> Result<(u64, Option<u64>), Rejection> {
     let payloads = args.rest(3);
     let key = |payload: &Bytes| Envelope::parse(payload).map(|envelope| envelope.key);
-    if let Some(first) = payloads.first().and_then(key).filter(|_| sharing::known(ctx)) {
+    if let Some(first) = payloads.first().and_then(key) {
         return match payloads.iter().position(|payload| key(payload) != Some(first)) {
             None => Ok((payloads.len() as u64, Some(first))),
             Some(other) => {

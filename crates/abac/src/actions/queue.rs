@@ -13,7 +13,7 @@ use crate::records::grant::{HOLDERS_MAX, Holding};
 use crate::records::line::{self, Waiting};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
-use crate::records::{last, pending, sharing, store, task};
+use crate::records::{last, pending, store, task};
 use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use ledger::Context;
@@ -130,9 +130,7 @@ pub(crate) fn granted(
     target: &Target,
     contender: &str,
 ) -> Result<(), Rejection> {
-    if sharing::known(ctx) {
-        pending::remove(ctx, &target.id, contender)?;
-    }
+    pending::remove(ctx, &target.id, contender)?;
     if line::of(ctx, &target.id, contender)?.is_some() {
         line::remove(ctx, &target.id, contender)?;
         tell(ctx, decider, target)?;
@@ -212,7 +210,7 @@ pub(crate) fn look_now(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejec
     let nobody = |ctx: &Context<'_>| {
         line::is_empty(ctx, service) && task::open(ctx, service, 1).is_empty() && pending::is_empty(ctx, service)
     };
-    if sharing::known(ctx) && !nobody(ctx) {
+    if !nobody(ctx) {
         line::look_by(ctx, service, ctx.block_time())?;
     }
     Ok(())
@@ -220,7 +218,7 @@ pub(crate) fn look_now(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejec
 
 /// The settings of the service have changed.
 pub(crate) fn settings_changed(ctx: &mut Context<'_>, target: &Target) -> Result<(), Rejection> {
-    if sharing::known(ctx) && Terms::of(&target.service.sharing).idle_release_us.is_some() {
+    if Terms::of(&target.service.sharing).idle_release_us.is_some() {
         line::look_by(ctx, &target.id, ctx.block_time())?;
     }
     look_now(ctx, &target.id)
@@ -228,9 +226,6 @@ pub(crate) fn settings_changed(ctx: &mut Context<'_>, target: &Target) -> Result
 
 /// When a service is to be looked at next (block time, microseconds).
 pub(crate) fn next_look(ctx: &Context<'_>) -> Option<u64> {
-    if !sharing::known(ctx) {
-        return None;
-    }
     line::next_looks(ctx, 1).first().map(|(time, _)| *time)
 }
 

@@ -57,8 +57,8 @@ pub(super) fn cut_off(
     organisation: &str,
     set: &Texts,
 ) -> Result<Vec<String>, Rejection> {
-    let names = robot::names_of(ctx, organisation)?;
-    let set = if set.is_empty() { texts::built_in(ctx) } else { set.clone() };
+    let names = robot::names_of(ctx, organisation);
+    let set = if set.is_empty() { texts::built_in() } else { set.clone() };
     let mut robots = unreachable(ctx, decider, (organisation, names), &set)?;
     if !robots.is_empty() {
         let in_force = texts::in_force(ctx, organisation)?;
@@ -74,8 +74,7 @@ fn unreachable(
     (organisation, names): (&str, Vec<String>),
     set: &Texts,
 ) -> Result<Vec<String>, Rejection> {
-    // A set of older rules may be larger than any may be now; it denies everything as it is.
-    let Ok(steps) = limits::steps_of_all(set) else { return Ok(Vec::new()) };
+    let steps = limits::steps_of_all(set)?;
     let most = (STEPS_MAX / steps.max(1)).min(QUESTIONS_MAX);
     let mut robots = Vec::new();
     for name in names {

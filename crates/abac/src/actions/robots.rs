@@ -4,7 +4,7 @@ use super::{describe, end, queue, show};
 use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
-use crate::records::robot::{self, ROBOTS_MAX, Robot};
+use crate::records::robot::{self, Robot};
 use crate::records::service::Target;
 use crate::records::{reader, side_door, store};
 use bytes::Bytes;
@@ -23,7 +23,7 @@ pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let admin = admin(ctx, "register robots")?;
     let mut assets = Vec::new();
     for index in 0..args.rest(0).len() {
-        let spec = describe::read_spec(ctx, args, index)?;
+        let spec = describe::read_spec(args, index)?;
         if let Some(existing) = registered(ctx, &spec.name)? {
             let owned = check_owner(&existing, admin);
             owned.map_err(|refused| refused.next("choose another name for your robot"))?;
@@ -72,7 +72,7 @@ pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Hold
         queue::look_now(ctx, &id)?;
         ending.extend(grant::live(ctx, &id)?.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
     }
-    robot::remove(ctx, robot)?;
+    robot::remove(ctx, robot);
     side_door::forget(ctx, robot, None);
     reader::forget(ctx, robot, None)?;
     Ok(ending)
@@ -91,12 +91,8 @@ pub(crate) fn put(
     before: Option<&Robot>,
     mut robot: Robot,
 ) -> Result<Vec<Released>, Rejection> {
-    if before.is_none() && robot::has_quotas(ctx) {
+    if before.is_none() {
         check_quota(ctx, &robot.organisation)?;
-    } else if before.is_none() && ctx.range(b"robot/", ROBOTS_MAX).len() >= ROBOTS_MAX {
-        return Err(Rejection::new(Code::LimitExceeded, "the network has no room for another robot")
-            .found(format!("{ROBOTS_MAX} robots"))
-            .wanted(format!("at most {ROBOTS_MAX}")));
     }
     robot::write(ctx, &mut robot)?;
     tell(ctx, &robot, if before.is_some() { "updated" } else { "registered" })?;
@@ -106,13 +102,13 @@ pub(crate) fn put(
 /// Refuses one more robot of an organisation beyond its quota.
 fn check_quota(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
     let most = quotas(ctx, organisation)?.robots;
-    if (robot::names_of(ctx, organisation)?.len() as u64) < most {
+    if (robot::names_of(ctx, organisation).len() as u64) < most {
         return Ok(());
     }
     Err(quota_reached(organisation, "robots", most, "remove a robot that nobody uses: ledgerctl robot remove NAME"))
 }
 
-/// The quotas of an organisation, since rules 3.
+/// The quotas of an organisation.
 pub(crate) fn quotas(ctx: &mut Context<'_>, organisation: &str) -> Result<Quotas, Rejection> {
     let quotas = ctx.call("msp", "quotas", &[Bytes::copy_from_slice(organisation.as_bytes())])?;
     store::parse(b"msp quotas", &quotas)

@@ -83,7 +83,6 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
     let bad = |found: String| args.bad(1, "SETTINGS_JSON", found, wanted);
     let settings: RobotSettings = serde_json::from_str(args.document(1, "SETTINGS_JSON", SETTINGS_BYTES_MAX)?)
         .map_err(|fault| bad(fault.to_string()))?;
-    attributes::check_known(ctx, settings.attributes.is_some())?;
     if settings == RobotSettings::default() {
         return Err(bad("nothing to change".to_owned()));
     }
@@ -107,7 +106,7 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
             if let (Some(changes), false) = (&settings.attributes, topic.is_empty()) {
                 attributes::change(&mut service.attributes, changes, attributes::OF_SERVICE_BYTES_MAX)?;
             }
-            *service = describe::check_service(ctx, decider, apply(&settings, service.clone())?)?;
+            *service = describe::check_service(decider, apply(&settings, service.clone())?)?;
         }
     }
     if let (Some(changes), true) = (&settings.attributes, topic.is_empty()) {
@@ -128,7 +127,7 @@ pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     let admin = robots::admin(ctx, "change robots")?;
     let mut changes = Vec::new();
     for index in 0..args.rest(0).len() {
-        let spec = describe::read_spec(ctx, args, index)?;
+        let spec = describe::read_spec(args, index)?;
         let before = robots::registered(ctx, &spec.name)?;
         if let Some(robot) = &before {
             robots::check_owner(robot, admin)?;

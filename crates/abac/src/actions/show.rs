@@ -6,7 +6,7 @@ use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Target};
-use crate::records::{grant, last, line, pending, sharing, side_door, stopped, store};
+use crate::records::{grant, last, line, pending, side_door, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_base::rejection::Rejection;
@@ -17,14 +17,10 @@ const LATEST_MAX: usize = 64;
 
 /// `robots [PAGE_JSON]`
 pub(crate) fn robots(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    if let Some(paging) = Paging::of(ctx, "robots", args)? {
-        let read = |key: &[u8], value: &[u8]| asset(ctx, decider, &store::parse(key, value)?).map(Some);
-        return paging.answer(&paging.page(ctx, b"robot/", read)?);
-    }
-    Arguments::new("robots", args, 0, 0)?;
-    let assets =
-        robot::all(ctx)?.iter().map(|robot| asset(ctx, decider, robot)).collect::<Result<Vec<_>, Rejection>>()?;
-    store::json(&assets)
+    Arguments::new("robots [PAGE_JSON]", args, 0, 1)?;
+    let paging = Paging::of("robots", args)?;
+    let read = |key: &[u8], value: &[u8]| asset(ctx, decider, &store::parse(key, value)?).map(Some);
+    paging.answer(&paging.page(ctx, b"robot/", read)?)
 }
 
 /// `robot NAME`
@@ -34,7 +30,7 @@ pub(crate) fn robot(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Res
 }
 
 /// `declare ROBOT`: writes the robot's record once more, so that voters certify this block, and with it the answer. So a
-/// reader that believes no single node learns how the robot stands. Since rules 3.
+/// reader that believes no single node learns how the robot stands.
 pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("declare ROBOT", args, 1, 1)?;
     let robot = robot::find(ctx, args.text(0, "ROBOT")?)?;
@@ -43,7 +39,7 @@ pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     for service in &robot.services {
         grants.extend(hold::live(ctx, decider, &Target::of(&robot, service))?);
     }
-    let told = described(ctx, decider, &robot, true)?;
+    let told = asset(ctx, decider, &robot)?;
     let tasks = task_list::running(ctx, &grants)?;
     store::json(&Declaration { robot: told, grants, tasks })
 }
@@ -51,7 +47,7 @@ pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
 /// `service SERVICE`
 pub(crate) fn service(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("service SERVICE", args, 1, 1)?;
-    store::json(&state(ctx, decider, service::resolve(ctx, args.text(0, "SERVICE")?)?, ctx.is_query())?)
+    store::json(&state(ctx, decider, service::resolve(ctx, args.text(0, "SERVICE")?)?)?)
 }
 
 /// `line SERVICE`: who holds a service, and who waits for it.
@@ -74,19 +70,11 @@ pub(crate) fn latest(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejecti
 }
 
 /// A robot as clients see it.
-///
-/// Capabilities are told to those who ask. The answer of an older transaction lacks them: it is part of snapshots, which every
-/// version of the program must make alike.
 pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Result<RobotAsset, Rejection> {
-    described(ctx, decider, robot, ctx.is_query())
-}
-
-/// A robot as clients see it, with the consequences of its services' rules or without.
-fn described(ctx: &Context<'_>, decider: &Decider, robot: &Robot, capable: bool) -> Result<RobotAsset, Rejection> {
     let services = robot
         .services
         .iter()
-        .map(|service| state(ctx, decider, Target::of(robot, service), capable))
+        .map(|service| state(ctx, decider, Target::of(robot, service)))
         .collect::<Result<Vec<_>, Rejection>>()?;
     let topics = |direction| {
         let of_direction = services.iter().filter(|service| service.direction == direction);
@@ -104,19 +92,19 @@ fn described(ctx: &Context<'_>, decider: &Decider, robot: &Robot, capable: bool)
         trusted: robot.trusted.clone(),
         services,
         attributes: robot.attributes.clone(),
-        stopped: if sharing::known(ctx) { stopped::of(ctx, &robot.name)? } else { None },
+        stopped: stopped::of(ctx, &robot.name)?,
     })
 }
 
 /// A service with who holds it now.
-fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) -> Result<ServiceState, Rejection> {
+fn state(ctx: &Context<'_>, decider: &Decider, target: Target) -> Result<ServiceState, Rejection> {
     let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
-    let capabilities = if capable { Some(decider.rules.capabilities(&target)?.into()) } else { None };
+    let capabilities = Some(decider.rules.capabilities(&target)?.into());
     let epoch = grant::newest_epoch(ctx, &target.id)?;
     let readers = Target::of_readers(&target.robot, &target.service);
     let readers = readers.map_or(Ok(Vec::new()), |places| grant::live(ctx, &places.id))?;
-    let waiting = if sharing::known(ctx) { line::all(ctx, &target.id)?.len() as u64 } else { 0 };
-    let side_door = if sharing::known(ctx) { side_door::of(ctx, &target.id)? } else { None };
+    let waiting = line::all(ctx, &target.id)?.len() as u64;
+    let side_door = side_door::of(ctx, &target.id)?;
     let Target { robot, service, id } = target;
     Ok(ServiceState {
         service: id,

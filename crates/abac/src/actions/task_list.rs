@@ -9,9 +9,6 @@ use ledger::{Context, Paging};
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Grant, NEXT_MAX, RunningTask, Task};
 
-/// Most tasks of an answer that has no pages.
-const LISTED_MAX: usize = 256;
-
 /// A task with its points.
 pub(crate) fn whole(ctx: &Context<'_>, kept: Kept) -> Result<Task, Rejection> {
     let points = task::points(ctx, kept.task.id)?;
@@ -27,12 +24,9 @@ pub(crate) fn task(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
 /// `tasks [PAGE_JSON]`: all that are kept, the oldest first, without their points.
 pub(crate) fn tasks(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let read = |key: &[u8], value: &[u8]| store::parse::<Kept>(key, value).map(|kept| kept.task);
-    if let Some(paging) = Paging::of(ctx, "tasks", args)? {
-        return paging.answer(&paging.page(ctx, store::TASK, |key, value| read(key, value).map(Some))?);
-    }
-    Arguments::new("tasks", args, 0, 0)?;
-    let kept = ctx.range(store::TASK, LISTED_MAX);
-    store::json(&kept.iter().map(|(key, value)| read(key, value)).collect::<Result<Vec<_>, _>>()?)
+    Arguments::new("tasks [PAGE_JSON]", args, 0, 1)?;
+    let paging = Paging::of("tasks", args)?;
+    paging.answer(&paging.page(ctx, store::TASK, |key, value| read(key, value).map(Some))?)
 }
 
 /// The tasks that these grants serve.

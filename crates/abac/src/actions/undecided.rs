@@ -1,4 +1,4 @@
-//! Deciding again about the grants on the robots of an organisation whose policies or robots have changed, since rules 3.
+//! Deciding again about the grants on the robots of an organisation whose policies or robots have changed.
 //!
 //! There may be very many, and a decision may take many steps. So a call decides about as many as [`IN_CALL`] steps allow,
 //! and every following block about some more, until none is left. Meanwhile nobody uses a grant that the new policies deny:
@@ -9,7 +9,7 @@ use crate::policy::decider::{self, Decider};
 use crate::policy::limits::STEPS_MAX;
 use crate::policy::texts;
 use crate::records::grant::{self, Holding};
-use crate::records::robot::{self, Robot};
+use crate::records::robot::Robot;
 use crate::records::service::Target;
 use crate::records::store;
 use bytes::Bytes;
@@ -28,9 +28,6 @@ const GRANTS_MAX: u64 = 256;
 
 /// Takes it more than a call does to decide again about the grants on a robot?
 pub(crate) fn are_many(ctx: &Context<'_>, robot: &Robot) -> Result<bool, Rejection> {
-    if !robot::has_quotas(ctx) {
-        return Ok(false);
-    }
     let most = IN_CALL / of_one(ctx, &robot.organisation)?;
     let most = usize::try_from(most).unwrap_or(usize::MAX);
     Ok(ctx.range(&store::grants_of_robot(&robot.name), most.saturating_add(1)).len() > most)
@@ -38,7 +35,7 @@ pub(crate) fn are_many(ctx: &Context<'_>, robot: &Robot) -> Result<bool, Rejecti
 
 /// Steps to decide about one grant.
 pub(crate) fn of_one(ctx: &Context<'_>, organisation: &str) -> Result<u64, Rejection> {
-    let steps = texts::version(ctx, organisation)?.steps.unwrap_or(STEPS_MAX);
+    let steps = texts::version(ctx, organisation)?.steps;
     Ok(steps.saturating_mul(DECISIONS).max(1))
 }
 
@@ -70,12 +67,12 @@ pub(crate) fn go_on(ctx: &mut Context<'_>, decider: &Decider) -> Result<(), Reje
 /// Are grants on the robot of this service still to be decided again?
 pub(crate) fn is_marked(ctx: &Context<'_>, target: &Target) -> bool {
     let Robot { organisation, name, .. } = &*target.robot;
-    robot::has_quotas(ctx) && ctx.get(&store::undecided_key(organisation, name)).is_some()
+    ctx.get(&store::undecided_key(organisation, name)).is_some()
 }
 
 /// Is anything left to be decided?
 pub(crate) fn is_left(ctx: &Context<'_>) -> bool {
-    robot::has_quotas(ctx) && !ctx.range(store::UNDECIDED, 1).is_empty()
+    !ctx.range(store::UNDECIDED, 1).is_empty()
 }
 
 /// The organisations of which something is left, in order.

@@ -332,7 +332,7 @@ mod tests {
             replace(ctx, &holding(5), &holding(9)).unwrap();
             assert_eq!(ctx.range(b"due/", 9).len(), 1);
             remove(ctx, &holding(9));
-            assert_eq!(ctx.range(b"", 9).len(), 3, "the robot, and what finds it by its owner");
+            assert_eq!(ctx.range(b"", 9).len(), 2, "the robot, and what finds it by its owner");
         })
         .unwrap();
     }

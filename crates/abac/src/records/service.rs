@@ -4,7 +4,7 @@
 //! They are acquired, waited for and ended like the service itself.
 
 use super::robot::{self, Robot};
-use super::{sharing, store};
+use super::store;
 use crate::arguments::shown;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};
@@ -26,10 +26,10 @@ pub(crate) struct Service {
     pub(crate) lease_ms: u64,
     pub(crate) lease_ms_max: u64,
     pub(crate) stop_hex: Option<String>,
-    /// The settings of its rule; since rules 3.
+    /// The settings of its rule.
     #[serde(default, skip_serializing_if = "Sharing::is_default")]
     pub(crate) sharing: Sharing,
-    /// Facts for policies besides those of the robot; since rules 3.
+    /// Facts for policies besides those of the robot.
     #[serde(default, skip_serializing_if = "Attributes::is_empty")]
     pub(crate) attributes: Attributes,
 }
@@ -116,7 +116,7 @@ pub(crate) fn split(id: &str) -> (&str, &str) {
 pub(crate) fn resolve(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
     let (name, topic) = split(id);
     let robot = robot::find(ctx, name)?;
-    if let Some(topic) = read_from(topic).filter(|_| sharing::known(ctx))
+    if let Some(topic) = read_from(topic)
         && let Some(service) = robot.services.iter().find(|service| service.topic == topic)
     {
         return Target::of_readers(&robot, service).ok_or_else(|| unlimited(&robot.service_id(service)));

@@ -86,7 +86,6 @@ pub(crate) struct Fleet {
     pub(crate) events: Vec<Event>,
     /// The writes of each block.
     pub(crate) writes: Vec<WriteSet>,
-    pub(crate) rules: Rules,
     /// The next call comes in the block of the one before.
     pub(crate) joins: bool,
     /// Counts what the calls of the newest block use.
@@ -157,23 +156,19 @@ pub(crate) fn bytes(args: &[&str]) -> Vec<Bytes> {
 impl Fleet {
     /// A network of Org1 and Org2 without robots.
     pub(crate) fn empty() -> Self {
-        Self::empty_under(Rules::NEWEST)
-    }
-
-    fn empty_under(rules: Rules) -> Self {
-        let mut fleet = Self::under(rules, AccessControl::new().unwrap());
+        let mut fleet = Self::of(AccessControl::new().unwrap());
         fleet.forget();
         fleet
     }
 
     /// A network of Org1 and Org2 without robots, with this chaincode.
     pub(crate) fn with(abac: AccessControl) -> Self {
-        let mut fleet = Self::under(Rules::NEWEST, abac);
+        let mut fleet = Self::of(abac);
         fleet.install();
         fleet
     }
 
-    fn under(rules: Rules, abac: AccessControl) -> Self {
+    fn of(abac: AccessControl) -> Self {
         Self {
             abac: Arc::new(abac),
             members: Arc::new(Members(
@@ -189,20 +184,14 @@ impl Fleet {
             transaction: Hash::ZERO,
             events: vec![],
             writes: vec![],
-            rules,
             joins: false,
-            meter: Meter::default(),
+            meter: Meter::of_query(),
         }
     }
 
     /// The network of the paper: Org2 registered its three robots.
     pub(crate) fn of_the_paper() -> Self {
-        Self::of_the_paper_under(Rules::NEWEST)
-    }
-
-    /// The same under other rules.
-    pub(crate) fn of_the_paper_under(rules: Rules) -> Self {
-        let mut fleet = Self::empty_under(rules);
+        let mut fleet = Self::empty();
         let (turtlebot, husky) = (robot("Turtlebot4", "exclusive"), robot("Husky", "exclusive"));
         fleet.ok(&owner(), "setup", &[&turtlebot, &husky, OPTITRACK]);
         fleet
@@ -361,7 +350,7 @@ impl Fleet {
             registry: &self.registry,
             submitter,
             network: Hash::ZERO,
-            rules: self.rules,
+            rules: Rules::NEWEST,
             height: self.height,
             time: self.time,
             transaction: self.transaction,
@@ -382,7 +371,7 @@ impl Fleet {
         if begins {
             self.height += 1;
             self.time += 1000;
-            self.meter = Meter::of_block(self.rules);
+            self.meter = Meter::of_block();
         }
         let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
         if begins {

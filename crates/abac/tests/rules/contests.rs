@@ -1,4 +1,4 @@
-//! The part of the story about who wins; since rules 3.
+//! The part of the story about who wins.
 
 use crate::story::{BOSS, COMMANDS, FARHAD, MESSAGE, NODE1, OWNER, SALMA};
 use crate::teller::{SECOND, Teller};

@@ -23,7 +23,7 @@ pub use revocation::{RevokeIdentity, RevokedIdentity};
 pub(super) use certificates::{adopt, record, verified};
 pub(super) use holder::holder;
 use list::shown;
-pub(super) use list::{enrolled, executed, list};
+pub(super) use list::{enrolled, list};
 pub(super) use registrar::{registrars, set as set_registrar};
 pub(super) use registration::{cancel, register};
 pub(super) use revocation::revoke;
@@ -38,8 +38,6 @@ use ledger_storage::state::StateRead;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Most registered names of one organisation.
-pub const IDENTITIES_MAX: u64 = 10_000;
 /// Most certificates of one name that are kept; beyond it those that have expired are forgotten.
 pub const CERTIFICATES_MAX: usize = 64;
 /// Longest life of a one-time secret, in microseconds of block time: a year.

@@ -3,10 +3,11 @@
 //! These records say what is wanted. The leader compares them with the members in fact and orders the changes that lead
 //! there one by one. So a change of members is signed, on the ledger, and survives a change of the leader.
 
-use super::action::Action;
+use super::SET_NODE_ROLE;
 use super::address::check_address;
 use super::allowance;
 use super::caller::{admin, node, object};
+use super::own_call::own_call;
 use super::proposals::{Decision, decide};
 use super::rules::Speaks;
 use super::store::{self, MEMBERS_KEY, NEXT_NODE, NODES, json, node_key};
@@ -21,8 +22,6 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// Most nodes of one organisation before rules 3, so that none can fill the network with its own.
-pub const NODES_PER_ORGANISATION_MAX: usize = NODES_MAX / 2;
 /// Most records of nodes that were removed; beyond it the oldest is forgotten.
 const REMOVED_MAX: usize = 256;
 /// Most records there can be.
@@ -160,7 +159,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
             .found(format!("{:?}", name.chars().take(80).collect::<String>()))
             .wanted(format!("{:?}", caller.name)));
     }
-    check_address(ctx.rules(), &join.address)?;
+    check_address(&join.address)?;
     let nodes = all(ctx)?;
     let live = || nodes.iter().filter(|node| node.role != NodeRole::Removed);
     let own = |node: &&NodeRecord| node.organisation == caller.organisation && node.name == caller.name;
@@ -214,7 +213,7 @@ fn check_room<'a>(
     Ok(())
 }
 
-/// Argument of `set_node_role`: the node by id, or by organisation and name.
+/// Argument of `set_node_role`: the node by id, or by organisation and name. A proposal names all three.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetNodeRole {
@@ -231,6 +230,14 @@ pub struct SetNodeRole {
     pub role: NodeRole,
 }
 
+impl SetNodeRole {
+    /// The wish for a role of this node.
+    fn of(node: &NodeRecord, role: NodeRole) -> Self {
+        let (organisation, name) = (Some(node.organisation.clone()), Some(node.name.clone()));
+        Self { id: Some(node.id), organisation, name, role }
+    }
+}
+
 /// `set_node_role {id | organisation, name; role}`: an organisation takes votes from its own nodes and removes them
 /// alone; everything else concerns all and needs their approval.
 pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
@@ -243,12 +250,15 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     let nodes = all(ctx)?;
     let node = match (&set.id, &set.organisation, &set.name) {
         (Some(id), None, None) => nodes.iter().find(|node| node.id == *id),
+        (Some(id), Some(organisation), Some(name)) => {
+            nodes.iter().find(|node| node.id == *id && node.organisation == *organisation && node.name == *name)
+        }
         (None, Some(organisation), Some(name)) => nodes
             .iter()
             .rfind(|node| node.organisation == *organisation && node.name == *name && node.role != NodeRole::Removed),
         _ => {
             return Err(Rejection::new(Code::BadArgument, "msp set_node_role names no node")
-                .wanted("either id, or organisation and name"));
+                .wanted("id, or organisation and name, or all three"));
         }
     };
     let Some(node) = node else { return Err(no_such_node(&nodes)) };
@@ -260,8 +270,7 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
         put_role(ctx, node, set.role)?;
         return json(&Decision::done(None));
     };
-    let action = Action::SetNodeRole { id: node.id, node: node.full_name(), role: set.role };
-    json(&decide(ctx, caller, action)?)
+    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &SetNodeRole::of(node, set.role))?)?)
 }
 
 /// Removes the nodes of an organisation that leaves.

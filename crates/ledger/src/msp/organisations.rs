@@ -2,10 +2,11 @@
 
 mod lost;
 
-use super::action::Action;
+use super::REMOVE_ORGANISATION;
 use super::allowance;
 use super::caller::{admin, object, text};
 use super::nodes;
+use super::own_call::own_call;
 use super::proposals::{self, decide};
 use super::store::{self, ORGANISATIONS, former_key, json, organisation_key};
 use super::{invitations, quorums, quotas};
@@ -141,7 +142,7 @@ pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation
     store::write(ctx, &organisation_key(&organisation.name), organisation)?;
     let described = json(&describe(organisation)?)?;
     ctx.emit("organisation_updated", &organisation.name, described.clone());
-    if let Some(before) = before.filter(|_| ctx.rules().ends_rights_of_lost_authorities()) {
+    if let Some(before) = before {
         for issuer in lost(&before, organisation)? {
             proposals::forget_approvals(ctx, |approval| approval.issuer.0 == issuer)?;
             ctx.tell_authority_lost(&issuer)?;
@@ -189,12 +190,13 @@ pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
 /// Argument of `remove_organisation`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct RemoveOrganisation {
-    pub(super) name: String,
+pub struct RemoveOrganisation {
+    /// Its name.
+    pub name: String,
 }
 
 /// `remove_organisation {name}`: needs approval. Its nodes become removed, the rights of its members end in this block, and its
-/// certificates count no longer behind this transaction; before rules 3, from the next block on.
+/// certificates count no longer behind this transaction.
 pub(super) fn remove(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let remove: RemoveOrganisation = object("remove_organisation", argument, "{\"name\": NAME}")?;
     if ctx.approved_by().is_some() {
@@ -202,7 +204,7 @@ pub(super) fn remove(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     }
     let caller = admin(ctx, "remove organisations")?;
     check_removable(ctx, &remove.name)?;
-    json(&decide(ctx, caller, Action::RemoveOrganisation { name: remove.name })?)
+    json(&decide(ctx, caller, own_call(REMOVE_ORGANISATION, &remove)?)?)
 }
 
 /// Does what was approved.
@@ -211,13 +213,11 @@ fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection>
     nodes::remove_all_of(ctx, name)?;
     store::write(ctx, &former_key(name), &organisation)?;
     ctx.delete(organisation_key(name).as_bytes());
-    if ctx.rules().proposes_calls() {
-        proposals::forget_approvals(ctx, |approval| approval.organisation == name)?;
-        invitations::forget_organisation(ctx, name)?;
-        quorums::forget_organisation(ctx, name)?;
-        allowance::forget(ctx, name);
-        quotas::forget_organisation(ctx, name);
-    }
+    proposals::forget_approvals(ctx, |approval| approval.organisation == name)?;
+    invitations::forget_organisation(ctx, name)?;
+    quorums::forget_organisation(ctx, name)?;
+    allowance::forget(ctx, name);
+    quotas::forget_organisation(ctx, name);
     let answer = json(&describe(&organisation)?)?;
     ctx.emit("organisation_removed", name, answer.clone());
     ctx.tell_organisation_removed(name)?;

@@ -3,9 +3,9 @@
 //! A function begins with the quorum of its chaincode's table. Another one is set by a proposal, which needs the quorum
 //! that the function has then: nobody makes it easier than it is to decide.
 
-use super::action::Action;
 use super::caller::{admin, object};
 use super::organisations;
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::store::{self, QUORUMS, json, quorum_key};
 use super::{NAME, SET_QUORUM};
@@ -63,17 +63,14 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
     json(&quorums)
 }
 
-/// The quorum that a proposed action needs now. A function that newer rules have taken away needs what most do; its call is
+/// The quorum that a proposed call needs now. A function that newer rules have taken away needs what most do; its call is
 /// then refused.
-pub(super) fn of(ctx: &Context<'_>, action: &Action) -> Result<Quorum, Rejection> {
-    if !ctx.rules().proposes_calls() {
-        return Ok(Quorum::Majority);
-    }
-    let Call { chaincode, function, args } = action.call()?;
+pub(super) fn of(ctx: &Context<'_>, call: &Call) -> Result<Quorum, Rejection> {
+    let Call { chaincode, function, args } = call;
     let changed = ((chaincode.as_str(), function.as_str()) == (NAME, SET_QUORUM)).then_some(args.first()).flatten();
     let (chaincode, function) = match changed.map(argument).transpose()? {
         Some(set) => (set.chaincode, set.function),
-        None => (chaincode, function),
+        None => (chaincode.clone(), function.clone()),
     };
     if let Some(set) = store::read(ctx, &quorum_key(&chaincode, &function))? {
         return Ok(set);
@@ -90,8 +87,7 @@ pub(super) fn set(ctx: &mut Context<'_>, given: &Bytes) -> Result<Bytes, Rejecti
     }
     let caller = admin(ctx, "change a quorum")?;
     check(ctx, &set)?;
-    let call = Call { chaincode: NAME.to_owned(), function: SET_QUORUM.to_owned(), args: vec![json(&set)?] };
-    json(&decide(ctx, caller, Action::Call(call))?)
+    json(&decide(ctx, caller, own_call(SET_QUORUM, &set)?)?)
 }
 
 /// Rules that count admins of an organisation end when it leaves: nobody could fulfil them.

@@ -1,6 +1,5 @@
 //! The wishes of admins about whole sets of policies: to apply one, to bring an older one back, and to have others agree to one.
 
-use super::contest::SINCE;
 use super::{Call, Client};
 use crate::clock::{EPOCH, SECOND};
 use crate::people::People;
@@ -146,7 +145,7 @@ impl World {
     /// The wish of an admin of this kind, if there is one now.
     pub(super) fn govern(&mut self, number: usize) -> Option<Call> {
         let percent = if self.clients[number].person == CHIEF { 100 } else { 40 };
-        if !self.governs_now() || !self.random.governance.percent(percent) {
+        if !self.plan.governs || !self.random.governance.percent(percent) {
             return None;
         }
         let organisation = self.clients[number].person.split('/').next().unwrap_or_default().to_owned();
@@ -161,12 +160,6 @@ impl World {
             81..=84 => Call::ProposeRule { quorum: random.pick(&NETWORK_RULES).copied().unwrap_or("none") },
             _ => return Some(self.publish(&organisation)),
         })
-    }
-
-    /// Can admins govern so by the rules of the next block?
-    pub(crate) fn governs_now(&self) -> bool {
-        let next = self.blocks.len() as u64 + 1;
-        self.plan.governs && self.invariants.rules_by_height.number_at(next) >= SINCE
     }
 
     /// In the end an admin of the owner wants one policy that permits everybody who is trusted, and no rule of its own.

@@ -162,7 +162,7 @@ export type NetworkResponse = Message<"ledgerd.v1.NetworkResponse"> & {
   carries: string[];
 
   /**
-   * The number of the rules by which blocks are executed now. From 3 on a long transaction may be signed by its id.
+   * The number of the rules by which blocks are executed now.
    *
    * @generated from field: uint32 rules = 7;
    */

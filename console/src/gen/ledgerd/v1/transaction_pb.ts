@@ -30,7 +30,7 @@ export type Transaction = Message<"ledgerd.v1.Transaction"> & {
 
   /**
    * The creator's signature over the ASCII text "ledgerd transaction v1", one zero byte, then body. A body of more than
-   * 4096 bytes may be signed by its id instead, from rules 3 on: over "ledgerd transaction id v1", one zero byte, then id.
+   * 4096 bytes may be signed by its id instead: over "ledgerd transaction id v1", one zero byte, then id.
    * Ed25519: 64 bytes (RFC 8032, verified as ZIP 215 says). ECDSA P-256 with SHA-256: ASN.1 DER of (r, s) with s in
    * the lower half of the group order.
    *
