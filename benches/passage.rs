@@ -25,8 +25,8 @@ use std::time::Duration;
 use stream::{Party, run};
 use tokio::runtime::Builder;
 
-/// Bytes of an image, and images a second.
-const STREAMS: [(usize, f64); 3] = [(300_000, 30.0), (1_000_000, 30.0), (4_000_000, 10.0)];
+/// Bytes of an image, and images a second; last, messages as small as commands, as often as a fast controller sends them.
+const STREAMS: [(usize, f64); 4] = [(300_000, 30.0), (1_000_000, 30.0), (4_000_000, 10.0), (48, 1_000.0)];
 /// Turns that each link takes at each size.
 const TURNS: u32 = 3;
 /// From whom, to whom.

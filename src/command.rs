@@ -1,13 +1,15 @@
 //! The command line of `ledgerd`.
 
-use crate::admin::{Admin, PagePapers};
-use crate::ca::operator;
-use crate::config::{Config, Fault, OfBridge};
-use crate::host::NodeBuilder;
-use crate::instance::Ended;
-use crate::{backup, demo, dev, join, memory, recover, setup, telemetry, verify};
+use crate::clients::monitoring::{Admin, PageCredentials};
+use crate::node::NodeBuilder;
+use crate::node::supervise::until_stopped;
+use crate::process::config::{Config, Fault, OfBridge};
+use crate::process::terminal::{eprint_line, print_line, stop_signal};
+use crate::process::{memory, telemetry};
+use crate::tools::ca_commands;
+use crate::tools::{backup, demo, dev, join, recover, setup, verify};
 use clap::{CommandFactory, Parser, Subcommand};
-use futures::{FutureExt, Stream, StreamExt, future, stream};
+use futures::{Stream, stream};
 use ledger_api::report;
 use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_traces::Tracer;
@@ -62,10 +64,10 @@ enum Command {
     /// Writes a file with which gates and light clients begin anew after a recovery: they believe this node then.
     Checkpoint(recover::CheckpointOptions),
     /// Makes a one-time secret for an admin, at a node that carries the CA: a way back for an admin who is locked out.
-    AdminSecret(operator::AdminSecret),
+    AdminSecret(ca_commands::AdminSecret),
     /// Copies, restores or gives up the CA that a node carries.
     #[command(subcommand)]
-    Ca(operator::Ca),
+    Ca(ca_commands::Ca),
     /// Joins a ROS 2 graph to the ledger through a remote gateway.
     Bridge(WithConfig),
     /// Checks the chain of a stopped node or of an archive: every hash, every signature, every verdict executed again.
@@ -121,7 +123,17 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
             return if error.use_stderr() { ExitCode::from(64) } else { ExitCode::SUCCESS };
         }
     };
-    match execute(arguments.command, &builder) {
+    exit_code(execute(arguments.command, &builder))
+}
+
+/// Runs a program of its own beside the command line, such as an experiment on [`crate::demo`]: a rejection goes to
+/// standard error, and decides the exit code.
+pub fn run_program(body: impl Future<Output = Result<(), Rejection>>) -> ExitCode {
+    exit_code(block_on(body))
+}
+
+fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(rejection) => {
             eprint_line(&report(&rejection));
@@ -191,7 +203,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::AdminSecret(command) => {
             let config = load(&command.config)?;
-            command.run(&config, crate::clock::wall()).map(|text| print_line(&text))
+            command.run(&config, crate::process::clock::wall()).map(|text| print_line(&text))
         }
         Command::Ca(command) => {
             let config = load(command.config())?;
@@ -223,7 +235,7 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
         let _page = match program.admin.listen.as_str() {
             "" => None,
             address => {
-                let papers = PagePapers::OfFiles(program.admin.clone());
+                let papers = PageCredentials::OfFiles(program.admin.clone());
                 Some(Admin::serve(address, Arc::new(sight.clone()), papers).await?)
             }
         };
@@ -240,65 +252,6 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
         });
         ros_bridge::run(config.traced(tracer.clone()), changes, stop_signal(), &sight).await
     })
-}
-
-/// Waits for a signal to stop, or for the node to end; ends the node in order either way. Meanwhile it takes over changed
-/// configurations, as [`crate::Node::reload`] does.
-pub(crate) async fn until_stopped(
-    node: crate::Node,
-    stop: impl Future<Output = ()>,
-    changes: impl Stream<Item = Config>,
-) -> Result<(), Rejection> {
-    let reload = changes.for_each(async |config| node.reload(&config));
-    let outcome = tokio::select! {
-        () = stop => Ok(()),
-        ended = node.ended() => Err(ended),
-        () = reload.then(|()| future::pending()) => Ok(()),
-    };
-    node.stop().await;
-    match outcome {
-        Ok(()) => Ok(()),
-        Err(Ended::Failed(reason)) => Err(reason),
-        Err(Ended::StartAgain) => Err(start_again()),
-    }
-}
-
-/// Puts this program anew in the place of this process: nothing of the old state is left in memory or in use.
-fn start_again() -> Rejection {
-    use std::os::unix::process::CommandExt;
-    let failed = |error: std::io::Error| {
-        Rejection::new(Code::Internal, format!("the node has to start again and cannot by itself: {error}"))
-            .next("start it again")
-    };
-    match std::env::current_exe() {
-        Ok(program) => failed(std::process::Command::new(program).args(std::env::args_os().skip(1)).exec()),
-        Err(error) => failed(error),
-    }
-}
-
-/// Catches SIGINT and SIGTERM from now on; the future ends when one of them comes. Called before a node starts, so that
-/// it ends in order whenever it is asked to. Must be called inside a tokio runtime.
-pub(crate) fn stop_signal() -> impl Future<Output = ()> {
-    use tokio::signal::unix::{Signal, SignalKind, signal};
-    let listen = |kind| {
-        let listening = signal(kind);
-        listening
-            .inspect_err(|error| tracing::warn!(%error, signal = kind.as_raw_value(), "cannot wait for this signal"))
-            .ok()
-    };
-    async fn received(signal: Option<Signal>) {
-        match signal {
-            Some(mut signal) => drop(signal.recv().await),
-            None => std::future::pending().await,
-        }
-    }
-    let (terminate, interrupt) = (listen(SignalKind::terminate()), listen(SignalKind::interrupt()));
-    async move {
-        tokio::select! {
-            () = received(terminate) => {}
-            () = received(interrupt) => {}
-        }
-    }
 }
 
 /// A configuration, read again after each SIGHUP. Must be called inside a tokio runtime.
@@ -351,16 +304,4 @@ fn block_on_with(workers: usize, body: impl Future<Output = Result<(), Rejection
         .build()
         .map_err(|error| Rejection::new(Code::Internal, format!("cannot start the runtime: {error}")))?
         .block_on(body)
-}
-
-/// Prints a line; that the reader has gone away is not our failure.
-pub(crate) fn print_line(text: &str) {
-    use std::io::Write;
-    let _closed = writeln!(std::io::stdout(), "{text}");
-}
-
-/// Prints a line on standard error.
-pub(crate) fn eprint_line(text: &str) {
-    use std::io::Write;
-    let _closed = writeln!(std::io::stderr(), "{text}");
 }

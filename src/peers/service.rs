@@ -1,9 +1,10 @@
 //! The service that other nodes call.
 
-use super::{Member, Peers};
-use crate::catch_up::{Reader, Source};
-use crate::host::Caller;
-use crate::memory;
+use super::connections::Peers;
+use crate::ordering::directory::Member;
+use crate::peers::sync::{Reader, Source};
+use crate::process::caller::Caller;
+use crate::process::memory;
 use ledger_api::v1::peer_server::Peer;
 use ledger_api::v1::{self, PeerClosed, PeerFrame};
 use ledger_identity::Role;

@@ -8,24 +8,14 @@
 //!
 //! The interpreter is `$LEDGERD_TEST_PYTHON`, as `./test` prepares it.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 #![expect(clippy::indexing_slicing, reason = "tests")]
-
-#[expect(
-    dead_code,
-    unused_imports,
-    clippy::print_stderr,
-    clippy::print_stdout,
-    reason = "shared with the tests of nodes"
-)]
-#[path = "../support/mod.rs"]
-mod support;
-#[path = "../support/two_networks.rs"]
-mod two_networks;
 
 mod console;
 mod languages;
 mod python;
+
+use ledgerd_support::{self as support, two_networks};
 
 use std::path::Path;
 use support::programs::{python, ran, repository};

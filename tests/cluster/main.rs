@@ -26,12 +26,6 @@
     reason = "tests"
 )]
 
-#[path = "../support/own_network.rs"]
-mod own_network;
-#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
-#[path = "../support/mod.rs"]
-mod support;
-
 mod audit;
 mod cluster;
 mod damage;
@@ -44,7 +38,14 @@ mod pauses;
 mod site;
 mod upgrade;
 
-/// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`.
+use ledgerd_support as support;
+use testkit::own_network;
+
+/// Times the usual number of faults in `./test --long`.
+const ROUNDS_LONG: u64 = 4;
+
+/// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`, else more in `./test --long` than in `./test`.
 fn rounds() -> u64 {
-    std::env::var("LEDGERD_TEST_ROUNDS").map_or(1, |rounds| rounds.parse().expect("a number of rounds"))
+    let usual = if std::env::var_os("LEDGERD_TEST_LONG").is_some() { ROUNDS_LONG } else { 1 };
+    std::env::var("LEDGERD_TEST_ROUNDS").map_or(usual, |rounds| rounds.parse().expect("a number of rounds"))
 }

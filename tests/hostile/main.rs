@@ -19,13 +19,8 @@
     clippy::indexing_slicing,
     clippy::print_stdout,
     clippy::print_stderr,
-    unreachable_pub,
     reason = "tests"
 )]
-
-#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
-#[path = "../support/mod.rs"]
-mod support;
 
 mod crowd;
 mod greedy;
@@ -33,3 +28,5 @@ mod liars;
 mod nonsense;
 mod pretenders;
 mod target;
+
+use ledgerd_support as support;

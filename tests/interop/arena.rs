@@ -1,4 +1,4 @@
-//! `ledgerd demo --arena` on a small course: real nodes, bridges and DDS, a simulated robot.
+//! The example `arena` on a small course: real nodes, bridges and DDS, a simulated robot.
 
 use crate::network;
 use crate::support::{programs, wait};
@@ -10,9 +10,9 @@ use std::process::{Command, Stdio};
 const IN_TURNS: [&str; 6] = ["A1", "A2", "A3", "B1", "B2", "B3"];
 const INTERRUPTED: [&str; 6] = ["A1", "B1", "B2", "B3", "A2", "A3"];
 
-fn demo(arguments: &[&str]) -> Command {
-    let mut command = programs::node();
-    command.args(["demo", "--arena", "--scale", "0.3"]).args(arguments);
+fn arena(arguments: &[&str]) -> Command {
+    let mut command = Command::new(programs::ledgerd().with_file_name("arena"));
+    command.env("LEDGERD_LOG_FORMAT", "text").args(["--scale", "0.3"]).args(arguments);
     command
 }
 
@@ -23,7 +23,7 @@ fn the_arena_judges_its_claims_and_leaves_pictures_a_page_and_numbers() {
     }
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path().join("arena");
-    let played = demo(&["--json", "--out", out.to_str().unwrap()]).output().unwrap();
+    let played = arena(&["--json", "--out", out.to_str().unwrap()]).output().unwrap();
     let (line, story) = (String::from_utf8(played.stdout).unwrap(), String::from_utf8(played.stderr).unwrap());
     let result: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}\n{story}"));
     assert_eq!(line.lines().count(), 1, "{line}");
@@ -47,8 +47,6 @@ fn the_arena_judges_its_claims_and_leaves_pictures_a_page_and_numbers() {
     assert!(result["runs"]["delayed"]["feedback_ms"]["p50"].as_f64().unwrap() > 250.0, "{line}");
 
     for name in ["overview", "trajectory", "orientation", "frequency", "latency", "latency-frequency"] {
-        let png = std::fs::read(out.join(format!("{name}.png"))).unwrap();
-        assert!(png.starts_with(b"\x89PNG") && png.len() > 5_000, "{name}.png has {} bytes", png.len());
         assert!(std::fs::read_to_string(out.join(format!("{name}.svg"))).unwrap().contains("</svg>"), "{name}.svg");
     }
     assert!(std::fs::read_to_string(out.join("index.html")).unwrap().contains("const runs = [{"));
@@ -65,7 +63,7 @@ fn an_interrupted_arena_leaves_no_process_and_no_file() {
     let (out, temporary) = (directory.path().join("arena"), directory.path().join("tmp"));
     std::fs::create_dir(&temporary).unwrap();
     let mut played =
-        demo(&["--out", out.to_str().unwrap()]).env("TMPDIR", &temporary).stderr(Stdio::piped()).spawn().unwrap();
+        arena(&["--out", out.to_str().unwrap()]).env("TMPDIR", &temporary).stderr(Stdio::piped()).spawn().unwrap();
     let is_empty = |path: &Path| std::fs::read_dir(path).unwrap().next().is_none();
     let mut story = std::io::BufRead::lines(std::io::BufReader::new(played.stderr.take().unwrap()));
     let driving = story.by_ref().map(Result::unwrap).any(|line| line.contains("Salma's task"));

@@ -2,6 +2,7 @@
 
 use crate::network;
 use crate::python::Python;
+use crate::support::programs::repository;
 use crate::world::{self, Process, World, default_route};
 use bytes::Bytes;
 use serde_json::Value;
@@ -14,7 +15,7 @@ const ROVER: &str = "Rover/cmd_vel";
 async fn lied_to() -> (World, Python) {
     let world = World::start("/cmd_vel", TWIST).await;
     let [home, data, lie] = ["home", "net", "lie"].map(|name| world.path(name));
-    let repository = env!("CARGO_MANIFEST_DIR");
+    let repository = repository().to_str().unwrap();
     let arguments = [&home, &data, &lie].map(|path| path.to_str().unwrap());
     let mut liar = Python::start("lying_node.py", &[arguments[0], arguments[1], arguments[2], repository]);
     let port = liar.line().expect("the liar tells its port");

@@ -7,7 +7,6 @@
     clippy::indexing_slicing,
     clippy::print_stdout,
     clippy::print_stderr,
-    unreachable_pub,
     reason = "tests"
 )]
 
@@ -24,14 +23,9 @@ mod latched;
 mod liar;
 mod loops;
 mod lost_graph;
-#[path = "../support/own_network.rs"]
-mod network;
 mod nodes_die;
 mod parameters;
 mod passing;
-mod peer;
-mod python;
-mod rclpy;
 mod readers;
 mod readme;
 mod real_ros;
@@ -42,14 +36,14 @@ mod sharing;
 mod side_door;
 mod sros2;
 mod stop_early;
-#[path = "../support/mod.rs"]
-#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
-mod support;
 mod tasks;
 mod telling;
 mod traces;
 mod watched;
 mod world;
+
+use ledgerd_support as support;
+use testkit::{own_network as network, peer, python, rclpy};
 
 use ledger_api::Client;
 use python::Python;

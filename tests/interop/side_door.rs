@@ -156,7 +156,7 @@ fn a_killed_bridge_leaves_the_graphs_of_cyclonedds_and_fast_dds_within_seconds()
             // What was said before may still come.
             while robot.line().unwrap_or_else(|| panic!("it never leaves the graph of {peer:?}")) != "left" {}
             // RustDDS alone takes 50 s.
-            assert!(killed.elapsed() < Duration::from_secs(25), "{peer:?}: {:?}", killed.elapsed());
+            assert!(killed.elapsed() < Duration::from_secs(40), "{peer:?}: {:?}", killed.elapsed());
             assert!(robot.finish());
         }
     });

@@ -12,13 +12,6 @@
     reason = "tests"
 )]
 
-#[path = "../support/own_network.rs"]
-mod own_network;
-#[path = "../support/mod.rs"]
-mod support;
-#[path = "../support/two_networks.rs"]
-mod two_networks;
-
 mod admin;
 mod audit;
 mod backup;
@@ -69,3 +62,6 @@ mod transcripts;
 mod two_nodes;
 mod verify;
 mod witness;
+
+use ledgerd_support::{self as support, two_networks};
+use testkit::own_network;

@@ -1,7 +1,7 @@
 //! docs/output.md against the JSON that `ledgerctl` prints. Every command of that page is run. Each printed field is documented,
 //! and each documented field was printed, unless it stands there with a `?`.
 //!
-//! After a change: `LEDGERD_TRANSCRIPTS=write cargo test --test node output` writes the lists of fields anew, then read the
+//! After a change: `LEDGERD_TRANSCRIPTS=write ./test node::output` writes the lists of fields anew, then read the
 //! difference; names in the table of meanings are written by hand.
 
 mod alone;
@@ -9,6 +9,7 @@ mod together;
 
 use crate::own_network;
 use crate::support::Ctl;
+use crate::support::programs::repository;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -24,7 +25,7 @@ const FOREIGN: [&str; 4] = ["message", "payload", "response", "feedback"];
 const KEYED: [&str; 4] = ["attributes", "refused", "executed", "required"];
 
 fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("docs/output.md")
+    repository().join("docs/output.md")
 }
 
 /// The paths of all fields of a value.

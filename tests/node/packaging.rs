@@ -55,6 +55,16 @@ fn systemd_finds_each_unit_hardened() {
 }
 
 #[test]
+fn a_program_with_the_switches_of_deliberate_bugs_is_no_release() {
+    // .ci/run and packaging/deb/build look at releases; this program must be found out.
+    for program in [programs::ledgerd(), programs::ledgerctl()] {
+        let looked = Command::new(repository().join("packaging/check-release")).arg(program).output().unwrap();
+        let told = String::from_utf8_lossy(&looked.stderr);
+        assert!(!looked.status.success() && told.contains("has the switches of the deliberate bugs"), "{told}");
+    }
+}
+
+#[test]
 fn no_revocation_list_is_taken_for_a_certificate_near_its_end() {
     let read = |name: &str| fs::read_to_string(repository().join("packaging").join(name)).unwrap();
     let alerts = read("prometheus/alerts.yml");

@@ -1,4 +1,4 @@
-//! docs/commands.md is what the programs say about themselves. `LEDGERD_REFERENCE=write cargo test --test node reference` makes it
+//! docs/commands.md is what the programs say about themselves. `LEDGERD_REFERENCE=write ./test node::reference` makes it
 //! anew; then read the difference.
 
 use crate::support::programs;
@@ -63,10 +63,7 @@ fn the_page_about_commands_is_what_the_programs_say() {
     let headings =
         |text: &str| text.lines().filter(|line| line.starts_with('#')).map(str::to_owned).collect::<BTreeSet<_>>();
     assert_eq!(headings(&found), headings(&page), "left: {PAGE}; right: the programs");
-    assert!(
-        found == page,
-        "{PAGE} is not what the programs say: LEDGERD_REFERENCE=write cargo test --test node reference"
-    );
+    assert!(found == page, "{PAGE} is not what the programs say: LEDGERD_REFERENCE=write ./test node::reference");
     println!("{described} commands are described");
 }
 

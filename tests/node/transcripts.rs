@@ -2,15 +2,16 @@
 //!
 //! The file is for reading. Each line `who$ ledgerctl …` is run as that person on one network for playing, in this
 //! order. Below it stands its output, with its exit code if that is not 0. Words that differ from run to run have a
-//! name in capitals. After a change of words: `LEDGERD_TRANSCRIPTS=write cargo test --test node transcripts`, then read
+//! name in capitals. After a change of words: `LEDGERD_TRANSCRIPTS=write ./test node::transcripts`, then read
 //! the difference.
 
+use crate::support::programs::repository;
 use crate::support::{Ctl, Dev};
 use std::fs;
 use std::path::PathBuf;
 
 fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/transcripts/wrong_input.txt")
+    repository().join("tests/transcripts/wrong_input.txt")
 }
 
 /// A step of the transcript: the prompt line, and what is expected below it.

@@ -1,12 +1,12 @@
 //! ARCHITECTURE.md is one page, and its map names what is there.
 
-use crate::sources::{files, manifests, read, root};
+use crate::sources::{files, is_of_tests, manifests, read, root};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Longest map, in lines. Reasons belong into docs/decisions.
-const LINES_MAX: usize = 110;
+const LINES_MAX: usize = 112;
 
 /// Longest decision, in lines.
 const DECISION_LINES_MAX: usize = 40;
@@ -39,10 +39,11 @@ fn cell<'a>(row: &[&'a str], column: usize) -> &'a str {
     row.get(column).copied().unwrap_or_else(|| panic!("{row:?} has no column {column}"))
 }
 
-/// Each crate of the workspace as the map names it (`src` is the node), with the names of those that it is built from.
+/// Each crate of the workspace as the map names it (`src` is the node), apart from packages of tests alone, with the names of those that it is built from.
 fn workspace() -> BTreeMap<String, BTreeSet<String>> {
     let manifests: Vec<(String, Table)> = manifests()
         .iter()
+        .filter(|path| !is_of_tests(path))
         .map(|path| {
             let place = path.parent().and_then(|place| place.strip_prefix(root()).ok()).unwrap_or(Path::new(""));
             let place = if place == Path::new("") { Path::new("src") } else { place };

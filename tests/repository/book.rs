@@ -1,5 +1,5 @@
 //! The book: docs/SUMMARY.md lists every page once, the pictures are readable by day and by night, and what is made from the
-//! sources is up to date. `LEDGERD_REFERENCE=write cargo test --test repository book` makes it anew.
+//! sources is up to date. `LEDGERD_REFERENCE=write ./test repository::book` makes it anew.
 
 use crate::sources::{files, read, root};
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,7 +29,7 @@ fn made(path: &Path, wanted: &str) {
         std::fs::write(path, wanted).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         return;
     }
-    let why = "make it anew: LEDGERD_REFERENCE=write cargo test --test repository book";
+    let why = "make it anew: LEDGERD_REFERENCE=write ./test repository::book";
     assert!(read(path) == wanted, "{} is not what the sources say; {why}", path.display());
 }
 

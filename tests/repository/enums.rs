@@ -3,10 +3,12 @@
 use crate::sources::{files, read, root};
 
 /// The crates that a client program links.
-const CRATES: [&str; 4] = ["api", "contract", "identity", "rejection"];
+const CRATES: [&str; 4] = ["api", "base", "contract", "identity"];
 
 /// Enums that are matched without a wildcard on purpose: whoever adds a variant must look at each match.
-const EXHAUSTIVE: [&str; 11] = [
+const EXHAUSTIVE: [&str; 12] = [
+    // Each deliberate bug is tried.
+    "Mutation",
     // What to do about a refusal, and the exit code.
     "Class",
     // Rights.

@@ -42,7 +42,7 @@ fn what_must_hold_is_stated_as_an_invariant() {
 fn a_node_ends_with_a_broken_invariant_and_with_a_thread_that_it_cannot_do_without() {
     assert!(read(&root().join("src/command.rs")).contains("ledger_base::invariant::end_process();"), "in `run`, first");
     for (file, threads) in
-        [("src/orderer.rs", ["order", "execute"]), ("src/housekeeping.rs", ["store", "housekeeping"])]
+        [("src/ordering/orderer.rs", ["order", "execute"]), ("src/storage/housekeeping.rs", ["store", "housekeeping"])]
     {
         let text = read(&root().join(file));
         for thread in threads {

@@ -5,6 +5,7 @@
 mod access;
 mod architecture;
 mod book;
+mod circles;
 mod clients;
 mod codes;
 mod documents;

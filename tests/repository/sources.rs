@@ -11,7 +11,9 @@ const NAMES: [&str; 6] = ["utils", "util", "types", "helpers", "common", "consta
 
 /// The top of the repository.
 pub(crate) fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    // The folder of this package is `tests/repository`.
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    package.ancestors().nth(2).unwrap_or(package)
 }
 
 /// The text of a file of the repository.
@@ -39,6 +41,12 @@ pub(crate) fn files(directory: &Path, ending: &str) -> Vec<PathBuf> {
 /// The manifest of every crate of this workspace.
 pub(crate) fn manifests() -> Vec<PathBuf> {
     files(root(), "Cargo.toml")
+}
+
+/// Is this the manifest of a package of tests alone? The simulation is more: a program, too.
+pub(crate) fn is_of_tests(manifest: &Path) -> bool {
+    let inside = manifest.strip_prefix(root()).unwrap_or(manifest);
+    inside.iter().any(|part| part == "tests") && !inside.starts_with("tests/sim")
 }
 
 /// The text of a Rust file without the tests at its end.

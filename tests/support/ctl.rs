@@ -20,8 +20,11 @@ pub struct Ctl {
 /// The output of one run.
 #[derive(Debug)]
 pub struct Ran {
+    /// Its standard output.
     pub stdout: String,
+    /// Its standard error.
     pub stderr: String,
+    /// Its exit code, or -1 after a signal.
     pub code: i32,
     line: String,
 }

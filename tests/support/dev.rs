@@ -7,9 +7,11 @@ use tempfile::TempDir;
 
 /// A running network for playing, in a home of its own.
 pub struct Dev {
+    /// The program.
     pub process: Process,
     /// The output of `--json`.
     pub facts: Value,
+    /// The home directory of its contexts.
     pub home: TempDir,
 }
 

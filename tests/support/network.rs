@@ -14,11 +14,12 @@ use ledgerd::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, fou
 use rustls_pki_types::CertificateDer;
 use serde_json::json;
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{SystemTime, UNIX_EPOCH};
 use tempfile::TempDir;
 
@@ -33,26 +34,46 @@ pub fn now() -> u64 {
 /// An address that nobody uses. The port lies below those that the system gives to outgoing connections, so that it
 /// is still free when a node that was killed comes back.
 pub fn free_address() -> String {
-    const FIRST: u16 = 12_000;
-    const COUNT: u16 = 18_000;
     static NEXT: AtomicU16 = AtomicU16::new(0);
-    let start = (std::process::id() as u16).wrapping_mul(257);
-    for _ in 0..COUNT {
-        let step = start.wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed));
-        let address = format!("127.0.0.1:{}", FIRST + step % COUNT);
+    let first = first_port();
+    for _ in 0..PORTS {
+        let address = format!("127.0.0.1:{}", first + NEXT.fetch_add(1, Ordering::Relaxed) % PORTS);
         if TcpListener::bind(&address).is_ok() {
             return address;
         }
     }
-    panic!("no free port on 127.0.0.1");
+    panic!("no free port on 127.0.0.1 from {first} on");
+}
+
+/// The ports of one process.
+const PORTS: u16 = 120;
+
+/// The first of the ports that this process has for itself: tests run in many processes at a time.
+fn first_port() -> u16 {
+    const FIRST: u16 = 12_000;
+    const PROCESSES: u16 = 150;
+    static TAKEN: OnceLock<(u16, File)> = OnceLock::new();
+    let take = |place: u16| {
+        let path = std::env::temp_dir().join(format!("ledgerd-test-ports-{place}"));
+        let file = File::options().create(true).append(true).open(path).ok()?;
+        file.try_lock().ok().map(|()| (place, file))
+    };
+    let (place, _locked) =
+        TAKEN.get_or_init(|| (0..PROCESSES).find_map(take).expect("a block of ports that no other test has"));
+    FIRST + place * PORTS
 }
 
 /// A node's place: directory, address, configuration.
 pub struct NodePlace {
+    /// The name of the node.
     pub name: String,
+    /// The organisation that runs it.
     pub organisation: String,
+    /// Its data directory.
     pub data: PathBuf,
+    /// Its address, with the port.
     pub address: String,
+    /// Its configuration file.
     pub config: PathBuf,
     logs: PathBuf,
 }
@@ -101,9 +122,13 @@ impl NodePlace {
 /// A node that is to be founded.
 #[derive(Clone)]
 pub struct NodeWish {
+    /// The name of the node.
     pub name: String,
+    /// The organisation that runs it.
     pub organisation: String,
+    /// A voter, or a learner.
     pub voter: bool,
+    /// Its address, with the port.
     pub address: String,
 }
 
@@ -124,7 +149,9 @@ impl NodeWish {
 
 /// The paper's organisations on nodes in a temporary directory: Org1 with the users, Org2 which owns the robots.
 pub struct Fleet {
+    /// Its nodes.
     pub nodes: Vec<NodePlace>,
+    /// The keys and certificates of its founding.
     pub founded: Founded,
     // Last: removed after everything else.
     directory: TempDir,

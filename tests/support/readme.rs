@@ -24,7 +24,7 @@ pub fn block(heading: &str) -> Vec<String> {
 
 /// The first block of commands in a section of a document.
 pub fn console(document: &str, heading: &str) -> Vec<String> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(document);
+    let path = programs::repository().join(document);
     let text = std::fs::read_to_string(path).expect("the document");
     let section = text.split_once(&format!("\n{heading}\n")).unwrap_or_else(|| panic!("no section {heading:?}")).1;
     let block = section.split_once("```console\n").and_then(|(_, rest)| rest.split_once("\n```")).expect("a block").0;

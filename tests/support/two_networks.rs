@@ -1,6 +1,6 @@
 //! Two networks of one node each behind one listener, in the process of the test.
 
-use crate::support::network::now;
+use crate::network::now;
 use ledger_api::Context;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;

@@ -8,6 +8,9 @@
 //!     in_flight   transactions without a verdict yet; survives the connection
 //!     fresh       which of them no node has seen
 //!     clock       the node's clock
+//!     uplink      the connection in use, with its services
+//!     retry       when to try again
+//!   pending       the future verdict on a transaction
 //!   reads         queries, status, blocks
 //!   believing     answers that need no trust in a node
 //!   identities    the registry of the own organisation
@@ -24,14 +27,18 @@ mod identities;
 mod in_flight;
 mod leadership;
 mod learning;
+mod pending;
 mod reads;
+mod retry;
 mod session;
+mod uplink;
 
 pub use believing::{Certified, read_checkpoint};
 pub use events::{EventStream, Subscription};
 pub use identities::{Registered, SECRET_LIFE};
-pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Pending};
+pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX};
 pub use leadership::Leadership;
+pub use pending::Pending;
 pub use reads::Answer;
 
 use crate::connect::Credentials;
@@ -201,7 +208,7 @@ impl Client {
     /// As [`Client::invoke`].
     pub async fn submit(&self, transaction: Transaction) -> Result<Committed, Rejection> {
         let room = self.session.in_flight.room(&transaction).await?;
-        self.session.send(&transaction, room, Patience::Call).await
+        Pending::send(&self.session, &transaction, room, Patience::Call).await
     }
 
     /// Submits a transaction at once and answers with its future verdict, which need not be awaited. If too much is in
@@ -209,7 +216,7 @@ impl Client {
     /// other than by [`Client::submit`]: this is for commands, and by then there is a newer one.
     pub fn submit_nowait(&self, transaction: &Transaction) -> Pending {
         match self.session.in_flight.room_now(transaction) {
-            Ok(room) => self.session.send(transaction, room, Patience::Command),
+            Ok(room) => Pending::send(&self.session, transaction, room, Patience::Command),
             Err(refused) => Pending::refused(refused),
         }
     }

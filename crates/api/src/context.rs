@@ -25,12 +25,14 @@ mod renewal;
 pub use home::home;
 pub use known::{ADDRESS_BYTES_MAX, KNOWN_NODES_MAX, KnownNode, Memory};
 pub use pending::PendingEnrolment;
-pub use renewal::{RenewalRule, Renewed, WARNING_DAYS, warning_due};
+pub use renewal::{RenewalRule, WARNING_DAYS, renewal_due, warning_due};
+
+pub(crate) use files::{bad_file, unwritable};
+pub(crate) use home::renewing;
 
 use crate::connect::{self, Credentials};
 use crate::tls::{ServerTrust, TlsIdentity, Trusted};
 use crate::v1;
-use files::bad_file;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;

@@ -1,5 +1,7 @@
 //! Enrolment: a one-time secret becomes a certificate, with a key that never leaves this machine.
 
+use crate::certification::{CONNECT_MAX, DOORS_MAX, request};
+use crate::clock::now;
 use crate::connect::{Connection, explain_clock};
 use crate::context::{CONTEXT_NAME_BYTES_MAX, Context, Memory, RenewalRule, msps_of};
 use crate::report::accepted;
@@ -13,19 +15,10 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
-use rcgen::{
-    CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ECDSA_P384_SHA384, PKCS_ED25519,
-};
 use ring::rand::SystemRandom;
 use rustls::ClientConfig;
-use rustls_pki_types::{CertificateDer, PrivatePkcs8KeyDer};
+use rustls_pki_types::CertificateDer;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
-
-/// Most nodes to which an enrolment is taken, one after another, until one carries the CA.
-pub(crate) const DOORS_MAX: usize = 8;
-/// How long connecting may take.
-pub(crate) const CONNECT_MAX: Duration = Duration::from_secs(3);
 
 /// First contact with a node, whose CA is known by its fingerprint only.
 #[derive(Clone, Debug)]
@@ -270,27 +263,4 @@ fn context_name(name: &str) -> String {
         }
     }
     if made.is_empty() { "imported".to_owned() } else { made }
-}
-
-/// The machine's clock, microseconds since the UNIX epoch.
-pub(crate) fn now() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_micros()).unwrap_or(u64::MAX)
-}
-
-/// A certificate signing request (PKCS #10) in DER.
-pub(crate) fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> {
-    let fault =
-        |error: rcgen::Error| Rejection::new(Code::Internal, format!("no signing request can be made: {error}"));
-    let algorithm = match key.kind() {
-        KeyKind::Ed25519 => &PKCS_ED25519,
-        KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
-        KeyKind::P384 => &PKCS_ECDSA_P384_SHA384,
-    };
-    let pair = KeyPair::from_pkcs8_der_and_sign_algo(&PrivatePkcs8KeyDer::from(key.to_pkcs8_der()), algorithm);
-    let mut parameters = CertificateParams::default();
-    parameters.distinguished_name = DistinguishedName::new();
-    parameters.distinguished_name.push(DnType::CommonName, name);
-    let request = parameters.serialize_request(&pair.map_err(fault)?).map_err(fault)?;
-    Ok(Bytes::copy_from_slice(request.der()))
 }

@@ -22,7 +22,9 @@
 //! # }
 //! ```
 
+mod certification;
 mod client;
+mod clock;
 mod connect;
 pub mod context;
 mod enrol;
@@ -38,10 +40,10 @@ pub use client::{
     Pending, Registered, SECRET_LIFE, Subscription, read_checkpoint,
 };
 pub use connect::Credentials;
-pub use context::{Context, home};
+pub use context::{Context, home, renewal_due};
 pub use enrol::Enrolment;
 pub use passphrase::passphrase;
-pub use renew::{Renewal, renewal_due};
+pub use renew::{Renewal, Renewed};
 pub use report::{ERROR_DOMAIN, accepted, from_status, report, to_status};
 
 /// Types generated from `proto/ledgerd/v1`.

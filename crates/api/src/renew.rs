@@ -1,7 +1,12 @@
 //! Renewal: the next certificate before the present one runs out, proved by the present one.
 
+mod stored;
+
+pub use stored::Renewed;
+
+use crate::certification::{CONNECT_MAX, DOORS_MAX, request};
+use crate::clock::now;
 use crate::connect::{Connection, Credentials};
-use crate::enrol::{CONNECT_MAX, DOORS_MAX, request};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
 use crate::v1::enrolment_client::EnrolmentClient;
@@ -14,12 +19,6 @@ use ledger_identity::msp::Msps;
 use ring::rand::SystemRandom;
 use rustls_pki_types::CertificateDer;
 use std::sync::Arc;
-
-/// When a certificate of this validity shall be renewed: two thirds through it. The last third is for nodes that are
-/// away and for people who look into it. All in microseconds since the UNIX epoch.
-pub fn renewal_due(not_before: u64, not_after: u64) -> u64 {
-    not_after.saturating_sub(not_after.saturating_sub(not_before) / 3)
-}
 
 /// A key that was made here for the next certificate of an identity.
 pub struct Renewal {
@@ -104,7 +103,7 @@ impl Renewal {
     /// # Errors
     /// [`Code::Untrusted`] if it is something else.
     pub fn finish(&self, certificate: &[u8], msps: &Msps) -> Result<TlsIdentity, Rejection> {
-        self.finish_at(certificate, msps, crate::enrol::now())
+        self.finish_at(certificate, msps, now())
     }
 
     /// As [`Renewal::finish`], by a clock that need not be this machine's: microseconds since the UNIX epoch.

@@ -15,18 +15,21 @@
 //! client_config(None, ServerTrust::Fingerprint) first contact: any node below the CA with this fingerprint
 //! ```
 
+mod client;
 mod identity;
 mod name;
 mod refusal;
 mod server;
 mod trust;
+mod verifier;
 
+pub(crate) use client::unverified_config;
+pub use client::{client_config, client_config_expecting};
 pub use identity::{Own, TlsError, TlsIdentity};
 pub use name::{named_network, server_name};
 pub use refusal::{Refusal, refusal};
 pub use server::server_config;
-pub(crate) use trust::unverified_config;
-pub use trust::{ServerTrust, TrustSource, Trusted, client_config, client_config_expecting, client_identity};
+pub use trust::{ServerTrust, TrustSource, Trusted, client_identity};
 
 use rustls::SupportedProtocolVersion;
 use rustls::crypto::{CryptoProvider, ring};

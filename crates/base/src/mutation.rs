@@ -1,8 +1,11 @@
 //! Deliberate bugs, to check that the simulation (`tests/sim`) would notice them. Each is a fault that a change could
 //! bring in without any unit test failing.
 //!
-//! Without the feature `mutations`, which nothing but that check turns on, [`active`] is a constant `false` and the
-//! compiler takes the bugs out.
+//! The switches are compiled in where debug assertions of this crate are on: in a development build, and in the profile `tests`
+//! of `./test`. In a release [`active`] is a constant `false` and the compiler takes the bugs out; `packaging/check-release` looks
+//! at a program for the switches.
+
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 /// A deliberate bug.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,49 +109,30 @@ pub enum Mutation {
     ShareWithAnybody,
 }
 
-/// Is this bug turned on?
-#[cfg(not(feature = "mutations"))]
-pub const fn active(_mutation: Mutation) -> bool {
-    false
+/// Are the switches in this build?
+pub const COMPILED_IN: bool = cfg!(debug_assertions);
+
+static ACTIVE: AtomicU8 = AtomicU8::new(0);
+static WALL_CLOCK: AtomicU64 = AtomicU64::new(0);
+
+/// Is this bug turned on? A constant where the switches are not compiled in.
+#[inline]
+pub fn active(mutation: Mutation) -> bool {
+    COMPILED_IN && ACTIVE.load(Ordering::Relaxed) == mutation as u8
 }
 
-#[cfg(feature = "mutations")]
-mod switch {
-    use super::Mutation;
-    use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
-
-    static ACTIVE: AtomicU8 = AtomicU8::new(0);
-    static WALL_CLOCK: AtomicU64 = AtomicU64::new(0);
-
-    /// Is this bug turned on?
-    pub fn active(mutation: Mutation) -> bool {
-        ACTIVE.load(Ordering::Relaxed) == mutation as u8
-    }
-
-    /// Turns a bug on in the whole process, and any other off.
-    pub fn turn_on(mutation: Option<Mutation>) {
-        ACTIVE.store(mutation.map_or(0, |mutation| mutation as u8), Ordering::Relaxed);
-    }
-
-    /// Sets the clock of [`Mutation::WallClockLease`], microseconds since the UNIX epoch.
-    pub fn set_wall_clock(now: u64) {
-        WALL_CLOCK.store(now, Ordering::Relaxed);
-    }
-
-    /// The clock of [`Mutation::WallClockLease`].
-    pub fn wall_clock() -> u64 {
-        WALL_CLOCK.load(Ordering::Relaxed)
-    }
+/// Turns a bug on in the whole process, and any other off. No effect where the switches are not compiled in.
+pub fn turn_on(mutation: Option<Mutation>) {
+    ACTIVE.store(mutation.map_or(0, |mutation| mutation as u8), Ordering::Relaxed);
 }
 
-#[cfg(feature = "mutations")]
-pub use switch::{active, set_wall_clock, turn_on, wall_clock};
+/// Sets the clock of [`Mutation::WallClockLease`], microseconds since the UNIX epoch.
+pub fn set_wall_clock(now: u64) {
+    WALL_CLOCK.store(now, Ordering::Relaxed);
+}
 
 /// The clock by which a lease is measured: block time.
+#[inline]
 pub fn lease_clock(block_time: u64) -> u64 {
-    #[cfg(feature = "mutations")]
-    if active(Mutation::WallClockLease) {
-        return wall_clock();
-    }
-    block_time
+    if active(Mutation::WallClockLease) { WALL_CLOCK.load(Ordering::Relaxed) } else { block_time }
 }

@@ -1,15 +1,14 @@
 //! The table of commands.
 
-use crate::argument::destination::{self, Destination};
 use crate::command::{
     audit, bridge, ca, can, chaincode, completions, console, context, denials, doctor, emergency, enroll, explain,
     grant, identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, top,
     watch, whoami,
 };
 use crate::failure::Failure;
-use crate::output::{Format, Output};
-use crate::upkeep::Upkeep;
-use clap::{Parser, Subcommand};
+use crate::global::Global;
+use crate::output::Output;
+use clap::{CommandFactory, Parser, Subcommand};
 use ledger_base::rejection::{Code, Rejection};
 
 /// The command line of a permissioned ledger for ROS 2 fleets.
@@ -32,29 +31,6 @@ pub(crate) struct Cli {
     pub(crate) global: Global,
     #[command(subcommand)]
     command: Command,
-}
-
-/// Options of every command.
-#[derive(Debug, clap::Args)]
-pub(crate) struct Global {
-    /// Act as this context; otherwise LEDGERCTL_CONTEXT, otherwise the one of `context use`
-    #[arg(long, global = true, value_name = "NAME", help_heading = "For every command")]
-    pub(crate) context: Option<String>,
-    /// table for people; json for programs: one object or array on one line, errors and warnings as one object each on standard
-    /// error; csv for tables of numbers
-    #[arg(short, long, global = true, value_parser = destination::Reader, default_value = "table", value_name = "table|json|csv")]
-    #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
-    pub(crate) output: Destination,
-    /// Upkeep of the context beside the command
-    #[arg(skip)]
-    pub(crate) upkeep: Upkeep,
-}
-
-impl Global {
-    /// How results are written.
-    pub(crate) fn format(&self) -> Format {
-        self.output.format()
-    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -175,11 +151,11 @@ impl Cli {
             Command::Prove(command) => command.run(global, output).await,
             Command::Ledger(command) => command.run(output),
             Command::Explain(command) => command.run(output),
-            Command::Man(command) => return command.run(),
+            Command::Man(command) => return command.run(Self::command()),
             // For a shell, which shows whatever it is told.
             Command::Completions(command) => return command.run(output),
         };
-        global.upkeep.finish(global).await;
+        global.upkeep.finish(global.format(), || crate::context::selected(global)).await;
         outcome
     }
 }
@@ -188,7 +164,6 @@ impl Cli {
 #[expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     /// Every command that has no subcommands, with its path.
     fn leaves(command: &clap::Command, path: &str, found: &mut Vec<(String, clap::Command)>) {

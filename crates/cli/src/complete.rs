@@ -5,8 +5,7 @@
 
 mod names;
 
-use crate::cli::Cli;
-use clap::{Arg, Command, CommandFactory};
+use clap::{Arg, Command};
 use clap_complete::CompleteEnv;
 use clap_complete::engine::ArgValueCandidates;
 use names::Names;
@@ -14,14 +13,10 @@ use names::Names;
 /// Set by the script of a shell, to its name.
 pub(crate) const VARIABLE: &str = "LEDGERCTL_COMPLETE";
 
-/// Answers a shell and ends the process, if one asks.
-pub(crate) fn answer() {
-    CompleteEnv::with_factory(command).var(VARIABLE).complete();
-}
-
-/// The table of commands, whose arguments know the names that they stand for.
-pub(crate) fn command() -> Command {
-    named(Cli::command(), "")
+/// Answers a shell and ends the process, if one asks. The arguments in the table of commands then know the names that they stand
+/// for.
+pub(crate) fn answer(commands: impl Fn() -> Command) {
+    CompleteEnv::with_factory(|| named(commands(), "")).var(VARIABLE).complete();
 }
 
 fn named(command: Command, group: &str) -> Command {
@@ -56,6 +51,8 @@ fn names_of(group: &str, command: &str, arg: &Arg) -> Option<Names> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::cli::Cli;
+    use clap::CommandFactory;
 
     fn of(path: &[&str], id: &str) -> Option<Names> {
         let mut command = Cli::command();

@@ -1,6 +1,6 @@
 //! Which context we act as: `--context`, else `LEDGERCTL_CONTEXT`, else the one of `context use`.
 
-use crate::cli::Global;
+use crate::global::Global;
 use ledger_api::Context;
 pub(crate) use ledger_api::home;
 use ledger_base::rejection::Rejection;

@@ -1,6 +1,7 @@
 //! Why a command ended early, how that is told, and with which exit code.
 
-use crate::output::Format;
+use crate::format::Format;
+use crate::printable::printable_lines;
 use clap::error::{ContextKind, ContextValue};
 use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
@@ -86,7 +87,7 @@ fn render(rejection: &Rejection, format: Format) -> String {
         r#try: &rejection.next,
     };
     match format {
-        Format::Table | Format::Csv => crate::output::printable_lines(&ledger_api::report(rejection)),
+        Format::Table | Format::Csv => printable_lines(&ledger_api::report(rejection)),
         Format::Json => serde_json::to_string(&report).unwrap_or_else(|_| rejection.to_string()),
     }
 }

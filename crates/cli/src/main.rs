@@ -11,20 +11,24 @@ mod complete;
 mod confirm;
 mod context;
 mod failure;
+mod format;
+mod global;
 mod health;
 mod json;
+mod nodes;
 mod output;
+mod printable;
 mod recording;
 mod session;
 mod time;
 mod upkeep;
 mod words;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    complete::answer();
+    complete::answer(cli::Cli::command);
     match cli::Cli::try_parse() {
         Ok(cli) => {
             let format = cli.global.format();

@@ -7,26 +7,18 @@ mod csv;
 mod screen;
 mod tree;
 
+pub(crate) use crate::format::Format;
+pub(crate) use crate::printable::{printable, printable_lines};
+
 use crate::failure::Failure;
+use crate::printable::{harmless, harmless_json};
 use csv::Sheet;
 use serde::Serialize;
-use std::borrow::Cow;
 use std::io::{self, Write};
 use tree::Tree;
 
 /// The version of the JSON. A new field does not change it; a field that goes or means something else does.
 pub(crate) const JSON_VERSION: u32 = 1;
-
-/// How results are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Format {
-    /// Tables and sentences for people.
-    Table,
-    /// One JSON object or array on one line for programs; errors as one JSON object on standard error.
-    Json,
-    /// Comma-separated values with a line of headings; errors as for people.
-    Csv,
-}
 
 /// Facts that can be told to people.
 pub(crate) trait Facts: Serialize {
@@ -173,52 +165,6 @@ fn row(out: &mut dyn Write, cells: &[String], widths: &[usize], indent: usize) -
     Ok(())
 }
 
-/// The text without anything that a terminal would obey, or that shows nothing and turns or hides what stands beside it.
-/// Names and messages come from other organisations.
-pub(crate) fn printable(text: &str) -> Cow<'_, str> {
-    if text.chars().any(deceives) {
-        text.chars().flat_map(|c| if deceives(c) { c.escape_default().collect() } else { vec![c] }).collect()
-    } else {
-        Cow::Borrowed(text)
-    }
-}
-
-/// Control characters, and those of Unicode that are invisible or change the direction of the text.
-fn deceives(c: char) -> bool {
-    c.is_control()
-        || matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}')
-        || matches!(c, '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
-}
-
-/// A result for people: whatever forgot [`printable`], its lines and tabs stay.
-fn harmless(text: &str) -> String {
-    text.split_inclusive(['\n', '\t'])
-        .flat_map(|part| {
-            let end = part.len() - usize::from(part.ends_with(['\n', '\t']));
-            let (words, end) = part.split_at(end);
-            [printable(words), Cow::Borrowed(end)]
-        })
-        .collect()
-}
-
-/// JSON that says the same and has no character that a terminal would obey: they stand in strings only.
-fn harmless_json(json: &str) -> String {
-    let mut made = String::with_capacity(json.len());
-    for c in json.chars() {
-        if deceives(c) {
-            c.encode_utf16(&mut [0; 2]).iter().for_each(|unit| made.push_str(&format!("\\u{unit:04x}")));
-        } else {
-            made.push(c);
-        }
-    }
-    made
-}
-
-/// [`printable`] line by line.
-pub(crate) fn printable_lines(text: &str) -> String {
-    text.lines().map(printable).collect::<Vec<_>>().join("\n")
-}
-
 /// `KEY=VALUE, KEY=VALUE` of attributes, or `none`.
 pub(crate) fn attributes<'a>(attributes: impl IntoIterator<Item = (&'a String, &'a String)>) -> String {
     let list: Vec<_> = attributes.into_iter().map(|(key, value)| format!("{key}={value}")).collect();
@@ -229,6 +175,7 @@ pub(crate) fn attributes<'a>(attributes: impl IntoIterator<Item = (&'a String, &
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::printable::deceives;
 
     fn written(table: &Table, indent: usize) -> String {
         let mut out = Vec::new();

@@ -1,7 +1,7 @@
 //! A connection as the selected context.
 
-use crate::cli::Global;
 use crate::context;
+use crate::global::Global;
 use bytes::Bytes;
 use ledger_api::{Client, Committed, Context};
 use ledger_base::hash::Hash;

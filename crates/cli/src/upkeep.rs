@@ -3,11 +3,11 @@
 //! None of it keeps a command waiting: it begins when the command is connected, goes on beside it, and has a moment
 //! more when the command is done.
 
-use crate::cli::Global;
 use crate::output::{Format, warn};
-use crate::{context, time};
-use ledger_api::context::{RenewalRule, Renewed, warning_due};
-use ledger_api::{Client, Context};
+use crate::time;
+use ledger_api::context::{RenewalRule, warning_due};
+use ledger_api::{Client, Context, Renewed};
+use ledger_base::rejection::Rejection;
 use std::cell::RefCell;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -34,15 +34,15 @@ impl Upkeep {
         }
     }
 
-    /// Ends with the command. One that was not connected looks at the certificate all the same.
-    pub(crate) async fn finish(&self, global: &Global) {
+    /// Ends with the command. One that was not connected looks at the certificate of the selected context all the same.
+    pub(crate) async fn finish(&self, format: Format, selected: impl FnOnce() -> Result<Context, Rejection>) {
         let begun = self.begun.borrow_mut().take();
         let done = match begun {
             Some(begun) => timeout(RENEWAL_MAX, begun).await.is_ok(),
             None => false,
         };
-        if !done && let Ok(context) = context::selected(global) {
-            warn_of_end(global.format(), &context, time::now(), None);
+        if !done && let Ok(context) = selected() {
+            warn_of_end(format, &context, time::now(), None);
         }
     }
 }

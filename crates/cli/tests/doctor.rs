@@ -1,11 +1,8 @@
 //! The findings of `ledgerctl doctor` on a machine without a node. Each finding is provoked. tests/node/doctor.rs provokes the others.
 
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
-#![expect(dead_code, reason = "the machine is shared with the transcripts")]
 
-mod machine;
-
-use machine::{Machine, closed_address, transcript};
+use crate::machine::{Machine, closed_address, transcript};
 use serde_json::Value;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -118,8 +115,10 @@ fn settings_of_a_bridge_are_looked_at_with_every_fault() {
 fn apart(machine: &Machine, spaces: &str, line: &str) -> Vec<Value> {
     let is_root = Command::new("unshare").args([spaces, "true"]).stderr(Stdio::null()).status().unwrap().success();
     let flags = if is_root { spaces.to_owned() } else { spaces.replace('-', "-r") };
+    let program = testkit::program("ledgerctl");
+    let program = program.to_str().unwrap();
     let mut command = Command::new("unshare");
-    command.args([&flags, "sh", "-c", line, env!("CARGO_BIN_EXE_ledgerctl")]);
+    command.args([&flags, "sh", "-c", line, program]);
     command.env("LEDGERD_HOME", machine.home.path()).env_remove("LEDGERCTL_CONTEXT").env_remove("ROS_DOMAIN_ID");
     told(&mut command)
 }

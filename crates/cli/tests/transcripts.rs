@@ -2,9 +2,7 @@
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-mod machine;
-
-use machine::{Machine, closed_address, transcript};
+use crate::machine::{Machine, closed_address, transcript};
 use std::process::Stdio;
 
 const FINGERPRINT: &str = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08";

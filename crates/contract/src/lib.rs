@@ -40,12 +40,12 @@ pub use confidential::{
     Envelope, KeyPlace, Keyed, NONCE_BYTES, READERS_MAX, READING_KEY_BYTES, Reader, ReaderTold, Readers, Share,
     WRAPPED_BYTES, Wrapped,
 };
-pub use confirmation::{Confirmation, Pending};
+pub use confirmation::Confirmation;
 pub use delegation::{Delegated, PassOptions};
 pub use emergency::{Emergency, EmergencyAnswer, Stopped};
 pub use grant::{Grant, POLICIES_TOLD_MAX, Reason, Released};
 pub use limits::Limits;
-pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
+pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Pending, Place};
 pub use message::{Latest, MessageEvent, Permitted, Published};
 pub use policy::{
     PolicyApproval, PolicyApprovals, PolicyChange, PolicyDigest, PolicyDraft, PolicyEntry, PolicyNeed, PolicyProposal,

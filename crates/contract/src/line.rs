@@ -1,6 +1,5 @@
 //! The line of a service: what a contender asks for, how it is answered, and what is told about who waits.
 
-use crate::confirmation::Pending;
 use crate::grant::Grant;
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
@@ -59,6 +58,23 @@ pub struct Place {
     /// The task that waits there, if it is one; a contender may have several places then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<u64>,
+}
+
+/// A contender that waits to be confirmed; also the payload of the events `pending` and `confirmed`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pending {
+    /// The service.
+    pub service: String,
+    /// The contender, e.g. `Org1/Salma`.
+    pub contender: String,
+    /// Those who have confirmed it.
+    pub confirmed: Vec<String>,
+    /// How many must.
+    pub wanted: u64,
+    /// The organisation whose policies say who may: its admins, and whom they permit `confirm`.
+    pub owner: String,
+    /// Until when confirmations are waited for, and count (block time, microseconds).
+    pub until: u64,
 }
 
 words! {

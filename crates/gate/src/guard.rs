@@ -5,14 +5,16 @@
 //! a flood of events must not put off a stop. Then come answers, [`Guard::asks_at`], revocations and events, in this order.
 
 mod act;
+mod block;
 mod held;
 mod questions;
 
 #[cfg(test)]
 mod tests;
 
-pub use self::act::{Act, Block, Told};
-use self::{act::changes, held::Held, questions::Questions};
+pub use self::act::Act;
+pub use self::block::{Block, Told};
+use self::{block::changes, held::Held, questions::Questions};
 use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
 

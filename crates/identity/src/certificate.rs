@@ -8,7 +8,6 @@ mod attributes;
 pub use attributes::{ATTRIBUTES_BYTES_MAX, ATTRIBUTES_MAX, ATTRIBUTES_OID, encode_attributes};
 
 use crate::identity::{IdentityError, Role, check_name, check_validity, printable};
-use crate::msp::Usage;
 use std::collections::BTreeMap;
 use x509_parser::certificate::X509Certificate;
 use x509_parser::error::X509Error;
@@ -25,6 +24,15 @@ const SERIAL_BYTES_MAX: usize = 21;
 
 /// Most values of one kind (CN, OU) that a subject may hold.
 const SUBJECT_VALUES_MAX: usize = 16;
+
+/// The use of a certificate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Usage {
+    /// To sign transactions and to call others.
+    Client,
+    /// To be called: the TLS server's side.
+    Server,
+}
 
 /// The content of a certificate; nothing of it is verified.
 #[derive(Clone, Debug)]

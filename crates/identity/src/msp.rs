@@ -6,6 +6,8 @@
 
 mod path;
 
+pub use crate::certificate::Usage;
+
 use crate::certificate::{Certificate, at_most, malformed};
 use crate::identity::{Identity, IdentityError, check_name, printable};
 use crate::key::PublicKey;
@@ -24,15 +26,6 @@ pub const INTERMEDIATES_MAX: usize = 8;
 
 /// Most certificates that may come along with a certificate, its issuers and their root.
 pub const PRESENTED_MAX: usize = 4;
-
-/// The use of a certificate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Usage {
-    /// To sign transactions and to call others.
-    Client,
-    /// To be called: the TLS server's side.
-    Server,
-}
 
 /// The authorities of one organisation.
 #[derive(Clone, Debug)]

@@ -6,10 +6,11 @@
 mod approval;
 mod budget;
 mod context;
+mod invocation;
 mod registry;
 
-pub(crate) use approval::quorum_of;
 pub use approval::{ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, NotAQuorum, Quorum};
+pub(crate) use approval::{MSP, quorum_of};
 pub use budget::{BLOCK_BUDGET, CALL_BUDGET, Meter, QUERY_BUDGET, Usage};
 pub use context::{Context, Environment};
 pub use registry::Registry;

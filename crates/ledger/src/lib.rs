@@ -49,6 +49,7 @@ pub mod evidence;
 mod execution;
 mod facts;
 mod foretold;
+mod founding;
 mod identities;
 mod large;
 pub mod members;

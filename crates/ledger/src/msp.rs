@@ -63,12 +63,16 @@
 mod addition;
 mod address;
 mod allowance;
+mod arguments;
 mod attestations;
+mod authorities;
 mod caller;
 mod carriers;
 mod identities;
 mod invitations;
+mod join_node;
 mod joins;
+mod node_roles;
 mod nodes;
 mod organisations;
 mod own_call;
@@ -78,14 +82,17 @@ mod quotas;
 mod read;
 mod recovery;
 mod refusals;
+mod removal;
 mod revocation_lists;
 mod revocations;
 mod rules;
+mod set_quorum;
 mod store;
 
 pub use addition::AddOrganisation;
 pub use address::never_dialled;
 pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
+pub use arguments::{ActivateRules, InviteOrganisation, RemoveOrganisation, SetNodeRole};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, Copied, UncarryCa, carriers};
 pub use identities::{
@@ -94,12 +101,11 @@ pub use identities::{
     RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use, identity,
     issued,
 };
-pub use invitations::{
-    CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
-};
+pub use invitations::{CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, JoinOrganisation};
+pub use join_node::JoinNode;
 pub use joins::{JOINS_MAX, JOINS_TIME};
-pub use nodes::{JoinNode, NodeRecord, NodeRole, Nodes, SetNodeRole, desired};
-pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation, RemoveOrganisation};
+pub use nodes::{NodeRecord, NodeRole, Nodes, Speaks, desired};
+pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{
     Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,
 };
@@ -112,7 +118,7 @@ pub use revocation_lists::{
     ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
 };
 pub use revocations::RevocationRecord;
-pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
+pub use rules::{RulesOverview, SpokenBy};
 
 pub(crate) use read::{activations, members_record, organisations_in};
 pub(crate) use recovery::note as note_recovery;
@@ -121,7 +127,7 @@ pub(crate) use store::{
     LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, end_of, revoked_key,
 };
 
-use crate::chaincode::{Chaincode, Context, Foretold, Quorum};
+use crate::chaincode::{Chaincode, Context, Foretold, MSP, Quorum};
 use crate::members::Membership;
 use crate::network::Genesis;
 use bytes::Bytes;
@@ -131,7 +137,7 @@ use ledger_storage::state::WriteSet;
 use store::{full, json};
 
 /// Name of the chaincode.
-pub const NAME: &str = "msp";
+pub const NAME: &str = MSP;
 
 const ACTIVATE_RULES: &str = "activate_rules";
 const ADD_ORGANISATION: &str = "add_organisation";
@@ -344,14 +350,14 @@ impl Chaincode for MspChaincode {
             ("invitations", []) => invitations::list(ctx),
             ("cancel_invitation", [cancel]) => invitations::cancel(ctx, cancel),
             ("nodes", []) => nodes::list(ctx),
-            ("join_node", [join]) => nodes::join(ctx, join),
-            (SET_NODE_ROLE, [role]) => nodes::set_role(ctx, role),
+            ("join_node", [join]) => join_node::join(ctx, join),
+            (SET_NODE_ROLE, [role]) => node_roles::set_role(ctx, role),
             ("organisations", []) => json(&organisations::names(ctx)?),
             ("organisation", [name]) => organisations::show(ctx, name),
             (INVITE_ORGANISATION, [invite]) => invitations::invite(ctx, invite),
             ("join_organisation", [join]) => invitations::join(ctx, join),
-            ("update_organisation", [update]) => organisations::update(ctx, update),
-            (REMOVE_ORGANISATION, [remove]) => organisations::remove(ctx, remove),
+            ("update_organisation", [update]) => authorities::update(ctx, update),
+            (REMOVE_ORGANISATION, [remove]) => removal::remove(ctx, remove),
             ("rules", []) => rules::show(ctx),
             ("speak", [speaks]) => rules::speak(ctx, speaks),
             (TELL_REFUSALS, [told]) => refusals::tell(ctx, told),
@@ -359,7 +365,7 @@ impl Chaincode for MspChaincode {
             (ALLOW_NODES, [allow]) => allowance::allow(ctx, allow),
             ("proposals", [] | [_]) => proposals::list(ctx, args),
             ("quorums", []) => quorums::list(ctx),
-            (SET_QUORUM, [quorum]) => quorums::set(ctx, quorum),
+            (SET_QUORUM, [quorum]) => set_quorum::set(ctx, quorum),
             ("quotas", [organisation]) => quotas::show(ctx, organisation),
             (SET_QUOTA, [quota]) => quotas::set(ctx, quota),
             ("propose", [call]) => proposals::propose(ctx, call),

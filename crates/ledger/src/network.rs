@@ -1,8 +1,5 @@
 //! The genesis of a network: what all its nodes agree on before the first block.
 
-use crate::chaincode::Registry;
-use crate::facts;
-use crate::msp::{self, MspChaincode};
 use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -10,10 +7,8 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::IdentityError;
 use ledger_identity::msp::Msp;
 use ledger_identity::units::Units;
-use ledger_light::Governance;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 /// Most bytes of a genesis document.
 pub const GENESIS_BYTES_MAX: usize = 1024 * 1024;
@@ -151,18 +146,6 @@ impl Genesis {
     /// As [`Genesis::from_bytes`].
     pub fn network_of(bytes: &[u8]) -> Result<Hash, Rejection> {
         Self::from_bytes(bytes).map(|(_, network)| network)
-    }
-
-    /// The members and authorities at the genesis of a network: a reader that pinned the network's name begins there.
-    ///
-    /// # Errors
-    /// As [`Genesis::from_bytes`].
-    pub fn governance(bytes: &[u8]) -> Result<Governance, Rejection> {
-        let (genesis, network) = Self::from_bytes(bytes)?;
-        let mut registry = Registry::default();
-        registry.install(Arc::new(MspChaincode))?;
-        let change = facts::change(0, &msp::found(&genesis)?, &registry);
-        Governance::founded(network, genesis.created, &change)
     }
 
     /// The node of that organisation and name.

@@ -1,9 +1,7 @@
 //! A new leader orders only when it has executed everything that was there before it.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
-mod cluster;
-
-use cluster::Cluster;
+use crate::cluster::Cluster;
 use ledger_raft::Lane;
 
 #[test]

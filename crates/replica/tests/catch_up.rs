@@ -1,9 +1,7 @@
 //! Logs that begin above 1, nodes that are too far behind for them, and nodes that have lost their disk.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
-mod cluster;
-
-use cluster::{Cluster, Faults};
+use crate::cluster::{Cluster, Faults};
 use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane, LogBegin, PeerMessage, Role};
 

@@ -4,17 +4,17 @@
 //!
 //! In every other storm the members follow wishes as the ledger would record them, through the planner.
 //!
-//! `LEDGER_RAFT_SEED=n cargo test -p ledger-replica --test chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
+//! `LEDGER_RAFT_SEED=n ./test replica::chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
 
-mod cluster;
-
-use cluster::{CALM, Cluster, Faults};
+use crate::cluster::{CALM, Cluster, Faults};
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
 use std::collections::BTreeSet;
 use testkit::Random;
 
 const SEEDS: u64 = 60;
+/// Seeds of `./test --long`.
+const SEEDS_LONG: u64 = 600;
 
 /// The events of the storms, over all seeds: a kind that never happened was not tested.
 #[derive(Debug, Default)]
@@ -170,7 +170,8 @@ fn no_storm_breaks_a_promise() {
     let seeds: Vec<u64> = match std::env::var("LEDGER_RAFT_SEED") {
         Ok(seed) => vec![seed.parse().unwrap()],
         Err(_) => {
-            let count = std::env::var("LEDGER_RAFT_SEEDS").map_or(SEEDS, |count| count.parse().unwrap());
+            let usual = if std::env::var_os("LEDGERD_TEST_LONG").is_some() { SEEDS_LONG } else { SEEDS };
+            let count = std::env::var("LEDGER_RAFT_SEEDS").map_or(usual, |count| count.parse().unwrap());
             (0..count).collect()
         }
     };

@@ -1,9 +1,7 @@
 //! Wrong clocks, on small clusters.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
-mod cluster;
-
-use cluster::Cluster;
+use crate::cluster::Cluster;
 use ledger::block::Payload;
 use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane, TIME_AHEAD_MAX};

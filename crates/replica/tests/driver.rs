@@ -2,9 +2,7 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-#[path = "cluster/names.rs"]
-mod names;
-
+use crate::cluster::names::Names;
 use bytes::Bytes;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
@@ -24,7 +22,6 @@ use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::ResultStore;
 use ledger_storage::state::{MemoryState, State};
-use names::Names;
 use std::sync::{Arc, mpsc};
 use testkit::{Ca, User};
 

@@ -1,9 +1,7 @@
 //! The life of members: in as a learner, a voter, the leader, demoted, out, and in again under another id.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
-mod cluster;
-
-use cluster::Cluster;
+use crate::cluster::Cluster;
 use ledger_base::rejection::Code;
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
 

@@ -1,9 +1,7 @@
 //! The promises of ordering, on small clusters without random faults.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
-mod cluster;
-
-use cluster::{ALARM, Cluster, UNIT, transactions};
+use crate::cluster::{ALARM, Cluster, UNIT, transactions};
 use ledger::block::Payload;
 use ledger_base::rejection::Code;
 use ledger_raft::{Change, Input, Lane, MembershipChange, PeerMessage, Role, Transactions};

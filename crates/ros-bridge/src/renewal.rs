@@ -2,8 +2,8 @@
 
 use crate::bridge::context_of;
 use crate::config::Config;
-use ledger_api::context::{RenewalRule, Renewed, warning_due};
-use ledger_api::{Client, renewal_due};
+use ledger_api::context::{RenewalRule, warning_due};
+use ledger_api::{Client, Renewed, renewal_due};
 use ledger_base::rejection::Rejection;
 use std::time::Duration;
 

@@ -2,15 +2,10 @@
 //! `ros2-client` has them beside, as Fast DDS does.
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "../../../tests/support/own_network.rs"]
-mod network;
-#[path = "../../../tests/interop/python.rs"]
-mod python;
-
 use std::time::Duration;
+use testkit::own_network as network;
 
 use ledger_base::hash::Hash;
-use python::Python;
 use ros_bridge::{
     dds::{Caller, Client, Exchange, Number, Participant, Server},
     error::Error,
@@ -21,6 +16,7 @@ use ros2_client::{
     Message, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName,
     ros2::{Duration as DdsDuration, QosPolicies, QosPolicyBuilder, policy},
 };
+use testkit::python::Python;
 
 const DEADLINE: Duration = Duration::from_secs(40);
 /// How long a reply may take before the request is made again.

@@ -1,18 +1,13 @@
 //! The other side is CycloneDDS, the DDS of `rmw_cyclonedds`, in Python.
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-#[path = "../../../tests/support/own_network.rs"]
-mod network;
-#[path = "../../../tests/interop/python.rs"]
-mod python;
-
 use std::{
     process::Command,
     time::{Duration, Instant},
 };
+use testkit::own_network as network;
 
 use ledger_gate::sample::{CDR_LE, Sample};
-use python::Python;
 use ros_bridge::{
     dds::Participant,
     names::{TopicName, TypeName},
@@ -20,6 +15,7 @@ use ros_bridge::{
     queue::Limits,
     reach::{Range, Reach},
 };
+use testkit::python::Python;
 
 const DEADLINE: Duration = Duration::from_secs(30);
 

@@ -1,11 +1,6 @@
 //! Two participants of ours on a network of their own.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-#[path = "support/commands.rs"]
-mod commands;
-#[path = "../../../tests/support/own_network.rs"]
-mod network;
-
 use rustdds::{
     DataReaderStatus, DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, RTPSEntity,
     StatusEvented, Timestamp, TopicKind,
@@ -16,9 +11,10 @@ use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
+use testkit::own_network as network;
 use tokio::sync::watch;
 
-use commands::{DEADLINE, next, numbered, topic, twist};
+use crate::commands::{DEADLINE, next, numbered, topic, twist};
 use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample, XCDR2};
 use ros_bridge::{

@@ -1,14 +1,10 @@
 //! Datagrams made by hand, which a process of the bridge's host sends to its DDS: none of them costs more than it brings.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-#[path = "support/commands.rs"]
-mod commands;
-#[path = "../../../tests/support/own_network.rs"]
-mod network;
-
 use std::{net::UdpSocket, time::Duration};
+use testkit::own_network as network;
 
-use commands::{DEADLINE, next, numbered, topic, twist};
+use crate::commands::{DEADLINE, next, numbered, topic, twist};
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
 use ros_bridge::{
     dds::{Participant, Reader, Writer},

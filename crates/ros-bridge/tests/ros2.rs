@@ -2,13 +2,6 @@
 //! that needs more than that says there that it is skipped, and only what reads the output of `ros2` is tested.
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
-#[path = "../../../tests/support/own_network.rs"]
-mod network;
-#[path = "../../../tests/interop/python.rs"]
-mod python;
-#[path = "../../../tests/interop/rclpy.rs"]
-mod rclpy;
-#[path = "ros2/said.rs"]
 mod said;
 
 use std::{
@@ -16,10 +9,9 @@ use std::{
     process::{Command, Output},
     time::Duration,
 };
+use testkit::own_network as network;
 
 use ledger_gate::sample::{CDR_LE, Sample};
-use python::{Python, source};
-use rclpy::in_domain;
 use ros_bridge::{
     dds::{Participant, Reader, Writer},
     names::{TopicName, TypeName},
@@ -27,6 +19,8 @@ use ros_bridge::{
     queue::Limits,
 };
 use said::{Endpoint, endpoints, rate, under};
+use testkit::python::{Python, source};
+use testkit::rclpy::{self, in_domain};
 
 const DEADLINE: Duration = Duration::from_secs(60);
 const DOMAIN: u16 = 5;

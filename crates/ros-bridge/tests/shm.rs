@@ -291,7 +291,7 @@ fn start_child(topic: &TopicName) -> Child {
 
 fn start(topic: &TopicName, child: &str) -> Child {
     Command::new(env::current_exe().unwrap())
-        .args(["--exact", child])
+        .args(["--exact", &format!("shm::{child}")])
         .env(CHILD_TOPIC, topic.as_str())
         .stdout(std::process::Stdio::null())
         .spawn()

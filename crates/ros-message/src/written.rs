@@ -3,8 +3,7 @@
 //! `1`, `yes` and `left` are texts here: what they mean is for the field that they are written for. So `data: yes` is a text
 //! in a `std_msgs/msg/String` and true in a `std_msgs/msg/Bool`.
 
-use crate::fault::{Fault, quoted};
-use crate::yaml;
+use crate::fault::quoted;
 
 /// A text, a list, or names with values.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,14 +19,6 @@ pub enum Written {
 }
 
 impl Written {
-    /// Reads YAML of one document; JSON is YAML. An empty text is [`Written::Nothing`].
-    ///
-    /// # Errors
-    /// If it is not YAML, names a field twice, or uses what messages have no use for: anchors, aliases and tags.
-    pub fn parse(text: &str) -> Result<Self, Fault> {
-        yaml::parse(text)
-    }
-
     /// Its kind, for people.
     pub(crate) fn shown(&self) -> String {
         match self {

@@ -16,8 +16,18 @@ enum Open {
     Map(Vec<(String, Written)>, Option<String>),
 }
 
+impl Written {
+    /// Reads YAML of one document; JSON is YAML. An empty text is [`Written::Nothing`].
+    ///
+    /// # Errors
+    /// If it is not YAML, names a field twice, or uses what messages have no use for: anchors, aliases and tags.
+    pub fn parse(text: &str) -> Result<Self, Fault> {
+        parse(text)
+    }
+}
+
 /// Reads one document.
-pub(crate) fn parse(text: &str) -> Result<Written, Fault> {
+fn parse(text: &str) -> Result<Written, Fault> {
     if text.len() > TEXT_BYTES_MAX {
         return Err(Fault::new("the text is too long")
             .found(format!("{} bytes", text.len()))

@@ -16,10 +16,10 @@
 
 mod ahead;
 mod check;
-mod error;
 mod files;
 mod first;
 mod index;
+mod lock;
 mod oldest;
 mod read;
 mod recent;
@@ -32,17 +32,17 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use ahead::{Ahead, Marks};
 use files::Files;
+use lock::lock;
 use oldest::{Beginning, Oldest};
 use state::{Staged, State};
-use writer::{Failure, Writer, Written, lock};
+use writer::{Failure, Writer, Written};
 
 use crate::disk::Disk;
 use crate::entry::{Entry, HardState};
 use crate::segment::{ENTRY_BYTES_MAX, HEADER_BYTES, Record, SEGMENT_BYTES_MAX};
 
-pub use crate::segment::Base;
+pub use crate::segment::{Base, StoreError};
 
-pub use error::StoreError;
 pub use first::Finished;
 pub use oldest::check_oldest;
 pub use recovery::{Recovery, TornTail};

@@ -19,12 +19,14 @@
 //! A segment that continues another begins with the hard state and a [`Seal`], which says what that other one holds. So
 //! opening a store reads whole only the newest segment, and the others when they are used.
 
+mod error;
 mod header;
 mod record;
 mod scan;
 mod seal;
 mod window;
 
+pub use error::StoreError;
 pub use header::{
     Base, HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, parse_name, segment_name,
 };

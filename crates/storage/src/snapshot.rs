@@ -19,6 +19,7 @@
 //! refusals, which may differ between versions of the program.
 
 mod build;
+mod content;
 mod file;
 mod install;
 mod items;

@@ -42,7 +42,7 @@ impl Node {
             .unwrap()
     }
 
-    /// `ledgerctl`, if it was built beside this test: `cargo test --workspace` does.
+    /// `ledgerctl`, if it was built beside this test: `./test` does.
     fn ledgerctl(&self, args: &[&str]) -> Option<std::process::Output> {
         let program = PathBuf::from(env!("CARGO_BIN_EXE_inventory")).with_file_name("ledgerctl");
         let context = self.facts["contexts"][0].as_str().unwrap();

@@ -1,6 +1,6 @@
 //! A page with blocks of commands, such as README.md, taken apart.
 
-use std::path::Path;
+use crate::support::programs::repository;
 
 /// The parts of a page that a test needs.
 pub(super) struct Page {
@@ -27,7 +27,7 @@ pub(super) struct Step {
 impl Page {
     /// Reads it.
     pub(super) fn read(name: &str) -> Self {
-        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();
+        let text = std::fs::read_to_string(repository().join(name)).unwrap();
         let (mut blocks, mut files) = (Vec::new(), Vec::new());
         let mut heading = String::new();
         let mut lines = text.lines();

@@ -1,6 +1,7 @@
 //! Runs the commands of a page and compares what they print.
 
 use crate::python::CYCLONE;
+use crate::support::programs;
 use crate::support::wait::eventually;
 use std::collections::BTreeMap;
 use std::fs;
@@ -44,7 +45,7 @@ impl Terminal {
         let programs = directory.path().join("bin");
         fs::create_dir(&programs).unwrap();
         let python = std::env::var("LEDGERD_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/ros2.py");
+        let script = programs::repository().join("tests/interop/ros2.py");
         let ros2 = programs.join("ros2");
         fs::write(&ros2, format!("#!/bin/sh\nexec {python} {} \"$@\"\n", script.display())).unwrap();
         fs::set_permissions(&ros2, fs::Permissions::from_mode(0o755)).unwrap();
@@ -93,8 +94,8 @@ impl Terminal {
     /// A shell whose output is both of a command's.
     fn shell(&self, line: &str) -> Command {
         let mut command = Command::new("bash");
-        let ledgerd = Path::new(env!("CARGO_BIN_EXE_ledgerd"));
-        let ledgerctl = crate::support::programs::ledgerctl();
+        let ledgerd = programs::ledgerd();
+        let ledgerctl = programs::ledgerctl();
         let directories = [self.directory.path().join("bin"), dir(ledgerd), dir(ledgerctl)];
         let path = std::env::join_paths(
             directories.into_iter().chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),

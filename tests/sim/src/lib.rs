@@ -15,7 +15,7 @@
 //! The real parts are `ledger_replica::Replica` with every decision of a node around the engine,
 //! `ledger_storage::block_store::BlockStore`, and `ledger::Ledger` with the chaincodes `msp` and `abac`. The simulated
 //! parts are disks ([`ledger_storage::disk::SimDisk`]), network, clocks, clients, and the threads that drive the
-//! replica (`world`; compare `src/orderer/order.rs`). It is no test of sockets, TLS, gRPC, threads or sled;
+//! replica (`world`; compare `src/ordering/orderer/order.rs`). It is no test of sockets, TLS, gRPC, threads or sled;
 //! tests/cluster does those with real processes.
 //!
 //! | module | what is there |

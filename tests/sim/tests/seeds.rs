@@ -11,6 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
 const SEEDS: u64 = 300;
+/// Seeds of `./test --long`.
+const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.
 const REGRESSIONS: &str = include_str!("../regressions.txt");
 
@@ -48,7 +50,8 @@ fn all(seeds: u64, people: &Arc<People>) -> Coverage {
 #[test]
 fn no_storm_breaks_a_promise_and_every_kind_of_fault_has_happened() {
     let people = Arc::new(People::new());
-    let seeds = std::env::var("LEDGER_SIM_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(SEEDS);
+    let seeds = std::env::var("LEDGER_SIM_SEEDS").ok().and_then(|seeds| seeds.parse().ok());
+    let seeds = seeds.unwrap_or(if std::env::var_os("LEDGERD_TEST_LONG").is_some() { SEEDS_LONG } else { SEEDS });
     let covered = all(seeds, &people);
     eprintln!("{covered}");
     let missing = covered.missing();

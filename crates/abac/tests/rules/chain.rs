@@ -35,7 +35,7 @@ pub(crate) struct Block {
 
 /// Where the chain of a rules number is stored.
 pub(crate) fn path(rules: u32) -> PathBuf {
-    let name = format!("../../tests/fixtures/rules-{rules}.chain");
+    let name = format!("../../../tests/fixtures/rules-{rules}.chain");
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 

@@ -3,7 +3,7 @@
 //! The client begins at the genesis, which the name of the network covers, or at a checkpoint. It follows who governs by
 //! certificates, and believes an answer only if enough voters have signed what executing the call gave.
 
-use super::session::Up;
+use super::uplink::Up;
 use super::{Call, Client};
 use crate::connect::unreachable;
 use crate::report::from_status;

@@ -6,13 +6,14 @@
 
 use super::clock::middle;
 use super::in_flight::Sent;
-use super::session::Up;
+use super::retry::is_final;
+use super::uplink::Up;
 use crate::connect::{Connection, Credentials, Expected, explain, other_network, unreachable};
 use crate::tls::TlsIdentity;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitRequest, SubmitResponse};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
-use ledger_base::rejection::{Class, Code, Rejection};
+use ledger_base::rejection::{Code, Rejection};
 use rustls::ClientConfig;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -168,11 +169,6 @@ async fn moment(at: Option<Instant>) {
         Some(at) => sleep_until(at).await,
         None => std::future::pending().await,
     }
-}
-
-/// Is it a reason that waiting does not cure?
-pub(super) fn is_final(reason: &Rejection) -> bool {
-    reason.code.class() != Class::Unreachable
 }
 
 /// One refusal for those of all nodes: final only if each of them is.

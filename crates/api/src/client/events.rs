@@ -3,9 +3,8 @@
 mod since;
 
 use super::Client;
-use super::dialer::is_final;
-use super::in_flight::RETRY_AFTER;
-use super::session::Up;
+use super::retry::{RETRY_AFTER, is_final};
+use super::uplink::Up;
 use crate::v1;
 use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;

@@ -2,7 +2,7 @@
 //! the organisation's CA.
 
 use super::Client;
-use super::session::Up;
+use super::uplink::Up;
 use crate::report::accepted;
 use crate::v1;
 use bytes::Bytes;

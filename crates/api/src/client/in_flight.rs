@@ -4,9 +4,8 @@
 //! breaks and the next one, which sends all of them again in their order.
 
 use super::Committed;
-use super::dialer::is_final;
 use super::fresh::Fresh;
-use super::session::Session;
+use super::retry::{ATTEMPT_MAX, RETRY_AFTER, is_final};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
 use crate::v1::SubmitResponse;
@@ -16,10 +15,8 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Class, Code, Rejection};
 use std::collections::HashMap;
 use std::collections::hash_map;
-use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
 
@@ -33,11 +30,6 @@ const UNITS: usize = IN_FLIGHT_BYTES_MAX / UNIT_BYTES;
 const UNITS_MIN: usize = UNITS / IN_FLIGHT_MAX;
 const _: () = assert!(UNITS_MIN > 0 && TRANSACTION_BYTES_MAX + UNIT_BYTES <= IN_FLIGHT_BYTES_MAX);
 const _: () = assert!(UNITS <= Semaphore::MAX_PERMITS);
-
-/// After this long without any answer, while one is due, the node counts as stuck, and another one is asked.
-pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
-/// How long a node that said "not now" is left in peace.
-pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
 
 pub(super) type Verdict = Result<Committed, Rejection>;
 type Outgoing = mpsc::UnboundedSender<Sent>;
@@ -395,7 +387,7 @@ impl Entry {
 }
 
 /// The outcome is unknown, and how to learn it.
-fn unknown(id: Hash, attempts: u32, why: &str) -> Rejection {
+pub(super) fn unknown(id: Hash, attempts: u32, why: &str) -> Rejection {
     Rejection::new(Code::Timeout, format!("no verdict came in time; the outcome is unknown, the id is {id}"))
         .found(format!("sent {attempts} times; {why}"))
         .wanted("a verdict")
@@ -405,45 +397,6 @@ fn unknown(id: Hash, attempts: u32, why: &str) -> Rejection {
 fn units(transaction: &Transaction) -> u32 {
     let units = UNITS_MIN.max(transaction.encoded().len() / UNIT_BYTES + 1);
     u32::try_from(units).unwrap_or(u32::MAX)
-}
-
-/// The future verdict on a submitted transaction. It may be dropped: the transaction is on its way.
-#[must_use = "the verdict is in it"]
-pub struct Pending(Wait);
-
-enum Wait {
-    Sent {
-        id: Hash,
-        verdict: oneshot::Receiver<Verdict>,
-        /// The session must not end while somebody waits for it.
-        _session: Arc<Session>,
-    },
-    Refused(Option<Rejection>),
-}
-
-impl Pending {
-    pub(super) fn sent(verdict: oneshot::Receiver<Verdict>, session: Arc<Session>, id: Hash) -> Self {
-        Self(Wait::Sent { id, verdict, _session: session })
-    }
-
-    pub(super) fn refused(refused: Rejection) -> Self {
-        Self(Wait::Refused(Some(refused)))
-    }
-}
-
-impl Future for Pending {
-    type Output = Verdict;
-
-    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Verdict> {
-        match &mut self.0 {
-            Wait::Sent { id, verdict, .. } => Pin::new(verdict)
-                .poll(cx)
-                .map(|verdict| verdict.unwrap_or_else(|_| Err(unknown(*id, 1, "the client was closed")))),
-            Wait::Refused(refused) => Poll::Ready(Err(refused
-                .take()
-                .unwrap_or_else(|| Rejection::new(Code::Internal, "a verdict was asked for twice")))),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! Choosing who leads.
 
 use super::Client;
-use super::in_flight::RETRY_AFTER;
-use super::session::Up;
+use super::retry::RETRY_AFTER;
+use super::uplink::Up;
 use crate::report::accepted;
 use crate::v1;
 use ledger_base::rejection::{Code, Rejection};

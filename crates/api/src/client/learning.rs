@@ -1,7 +1,7 @@
 //! Which nodes a client knows: those it was given, and for a context those that the network has told since.
 
 use super::dialer::{Dialer, Opened};
-use super::session::Up;
+use super::uplink::Up;
 use crate::context::Context;
 use crate::tls::Trusted;
 use crate::v1::{NetworkRequest, NetworkResponse};

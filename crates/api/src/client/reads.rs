@@ -1,9 +1,8 @@
 //! Calls that change nothing, and so may be repeated.
 
 use super::Client;
-use super::dialer::is_final;
-use super::in_flight::{ATTEMPT_MAX, RETRY_AFTER};
-use super::session::Up;
+use super::retry::{ATTEMPT_MAX, RETRY_AFTER, is_final};
+use super::uplink::Up;
 use crate::report::accepted;
 use crate::{pages, v1};
 use bytes::Bytes;

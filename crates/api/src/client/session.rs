@@ -6,27 +6,23 @@
 
 use super::Options;
 use super::clock::{Clock, middle};
-use super::dialer::{Dialer, Opened, is_final};
-use super::in_flight::{Effect, InFlight, Patience, Pending};
+use super::dialer::{Dialer, Opened};
+use super::in_flight::{Effect, InFlight};
 use super::learning::{LOOK_EVERY, Look, Nodes, look_around};
+use super::retry::is_final;
+use super::uplink::Up;
 use crate::connect::{Connection, Credentials};
-use crate::v1::enrolment_client::EnrolmentClient;
-use crate::v1::gateway_client::GatewayClient;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
 use ledger::Rules;
-use ledger::transaction::Transaction;
 use ledger_base::rejection::{Code, Rejection};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
-use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, interval_at, sleep, timeout};
 use tonic::Streaming;
-use tonic::transport::Channel;
 
-/// Largest message that a node may send, in bytes: a full block with its events.
-const MESSAGE_BYTES_MAX: usize = 32 * 1024 * 1024;
 /// How often deadlines and retries are looked at.
 const SWEEP_EVERY: Duration = Duration::from_millis(100);
 /// Pause between rounds over all nodes: doubles from the first to the second.
@@ -60,23 +56,6 @@ struct Link {
     broken: Option<Rejection>,
 }
 
-/// A connection in use, and which one it is.
-#[derive(Clone)]
-pub(super) struct Up {
-    pub(super) number: u64,
-    pub(super) connection: Connection,
-}
-
-impl Up {
-    pub(super) fn gateway(&self) -> GatewayClient<Channel> {
-        GatewayClient::new(self.connection.channel.clone()).max_decoding_message_size(MESSAGE_BYTES_MAX)
-    }
-
-    pub(super) fn enrolment(&self) -> EnrolmentClient<Channel> {
-        EnrolmentClient::new(self.connection.channel.clone()).max_decoding_message_size(MESSAGE_BYTES_MAX)
-    }
-}
-
 impl Session {
     /// Connects to a node and starts the tasks.
     pub(super) async fn start(
@@ -107,16 +86,6 @@ impl Session {
         tokio::spawn(keeper.run(answers));
         tokio::spawn(sweep(Arc::downgrade(&session)));
         Ok(session)
-    }
-
-    /// Sends a transaction for which there is room.
-    pub(super) fn send(
-        self: &Arc<Self>,
-        transaction: &Transaction,
-        room: OwnedSemaphorePermit,
-        patience: Patience,
-    ) -> Pending {
-        Pending::sent(self.in_flight.add(transaction, room, patience), Arc::clone(self), transaction.id())
     }
 
     /// The connection, as soon as there is one.

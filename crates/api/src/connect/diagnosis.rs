@@ -6,6 +6,7 @@
 //! words: refused it stays.
 
 use super::Connection;
+use crate::clock::now;
 use crate::tls::unverified_config;
 use crate::v1::enrolment_client::EnrolmentClient;
 use crate::v1::{NetworkRequest, NetworkResponse};
@@ -43,7 +44,7 @@ pub(crate) async fn explain(refused: Rejection, address: &str, expected: &Expect
     let Ok(Ok(told)) = timeout(patience, ask((address, Some(&expected.network)), patience)).await else {
         return refused;
     };
-    let here = crate::enrol::now();
+    let here = now();
     other_network(address, expected, &told)
         .unwrap_or_else(|| by_the_clock(refused, address, expected, (here, told.clock)))
 }
@@ -58,7 +59,7 @@ pub(crate) async fn explain_clock(
         return refused;
     }
     let Ok(Ok(told)) = timeout(patience, ask((address, network), patience)).await else { return refused };
-    let here = crate::enrol::now();
+    let here = now();
     if here.abs_diff(told.clock) > CLOCK_OFF { clocks_differ(address, here, told.clock) } else { refused }
 }
 

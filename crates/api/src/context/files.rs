@@ -31,7 +31,7 @@ const DIRECTORY_MODE: u32 = 0o700;
 const OTHERS: u32 = 0o077;
 
 /// A file that cannot be used, and what is wrong with it.
-pub(super) fn bad_file(path: &Path, found: impl Into<String>) -> Rejection {
+pub(crate) fn bad_file(path: &Path, found: impl Into<String>) -> Rejection {
     Rejection::new(Code::BadFile, format!("cannot use {}", path.display())).found(found)
 }
 
@@ -173,6 +173,6 @@ fn advised(refused: Rejection) -> Rejection {
 }
 
 /// A failed operation on the files of contexts.
-pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
+pub(crate) fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
     advised(ledger_base::durable::failed("write", path, error))
 }

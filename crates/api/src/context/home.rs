@@ -103,7 +103,7 @@ impl Context {
 }
 
 /// The file that whoever renews the certificate of a context holds locked.
-pub(super) fn renewing(home: &Path, name: &str) -> PathBuf {
+pub(crate) fn renewing(home: &Path, name: &str) -> PathBuf {
     home.join(CONTEXTS).join(format!(".{name}.renewing"))
 }
 

@@ -1,16 +1,10 @@
-//! The servers that a client accepts, and the checks that both sides share.
+//! Which certificates are trusted: those of servers, and those of clients.
 
-use super::identity::{TlsError, TlsIdentity};
 use super::refusal::Refusal;
-use super::{ALPN, VERSIONS, provider};
 use ledger_base::hash::Hash;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, IdentityError, Role};
-use rustls::client::Resumption;
-use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
-use rustls::crypto::{CryptoProvider, verify_tls13_signature};
-use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
-use rustls::{ClientConfig, DigitallySignedStruct, PeerIncompatible, SignatureScheme};
+use rustls::pki_types::CertificateDer;
 use std::fmt;
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -121,61 +115,6 @@ impl fmt::Debug for ServerTrust {
     }
 }
 
-/// The settings of a client that accepts any node that `trust` accepts, with or without a certificate of its own.
-/// The host name that rustls asks for is sent, but not checked.
-///
-/// # Errors
-/// [`TlsError`] if rustls refuses the certificate or key.
-pub fn client_config(identity: Option<TlsIdentity>, trust: ServerTrust) -> Result<ClientConfig, TlsError> {
-    configure(identity, trust, None)
-}
-
-/// The settings of a client that shows nothing and accepts anybody: to hear from a server that was refused what it says
-/// of itself. The answer is good for advice, and for nothing else.
-pub(crate) fn unverified_config() -> Result<ClientConfig, TlsError> {
-    let provider = provider();
-    let builder = ClientConfig::builder_with_provider(Arc::clone(&provider))
-        .with_protocol_versions(VERSIONS)?
-        .dangerous()
-        .with_custom_certificate_verifier(Arc::new(Anybody { provider }));
-    let mut config = builder.with_no_client_auth();
-    config.alpn_protocols = vec![ALPN.to_vec()];
-    config.resumption = Resumption::disabled();
-    Ok(config)
-}
-
-/// As [`client_config`], but accepts only the node `Org1/node1`; or `node1` of any organisation, for first contact.
-///
-/// # Errors
-/// As [`client_config`].
-pub fn client_config_expecting(
-    identity: Option<TlsIdentity>,
-    trust: ServerTrust,
-    node: &str,
-) -> Result<ClientConfig, TlsError> {
-    configure(identity, trust, Some(node.to_owned()))
-}
-
-fn configure(
-    identity: Option<TlsIdentity>,
-    trust: ServerTrust,
-    expected: Option<String>,
-) -> Result<ClientConfig, TlsError> {
-    let provider = provider();
-    let verifier = ServerVerifier { trust, expected, provider: Arc::clone(&provider) };
-    let builder = ClientConfig::builder_with_provider(provider)
-        .with_protocol_versions(VERSIONS)?
-        .dangerous()
-        .with_custom_certificate_verifier(Arc::new(verifier));
-    let mut config = match identity {
-        Some(identity) => builder.with_client_cert_resolver(Arc::new(identity)),
-        None => builder.with_no_client_auth(),
-    };
-    config.alpn_protocols = vec![ALPN.to_vec()];
-    config.resumption = Resumption::disabled();
-    Ok(config)
-}
-
 /// The identity of a connected client from the certificates that it presented (`peer_certificates()` of the
 /// connection), checked anew: for a long connection, ask again. Only the authorities count that its organisation has declared.
 /// `None` if it came without a certificate.
@@ -192,96 +131,4 @@ pub fn client_identity(
         return Err(Refusal::Revoked { id: identity.id() });
     }
     Ok(Some(identity))
-}
-
-/// The client's check of the server.
-#[derive(Debug)]
-struct ServerVerifier {
-    trust: ServerTrust,
-    /// `organisation/name` or only the name of the one node that is accepted.
-    expected: Option<String>,
-    provider: Arc<CryptoProvider>,
-}
-
-impl ServerCertVerifier for ServerVerifier {
-    fn verify_server_cert(
-        &self,
-        own: &CertificateDer<'_>,
-        presented: &[CertificateDer<'_>],
-        _host: &ServerName<'_>,
-        _ocsp_response: &[u8],
-        now: UnixTime,
-    ) -> Result<ServerCertVerified, rustls::Error> {
-        let chain: Vec<_> = std::iter::once(own).chain(presented).cloned().collect();
-        let identity = self.trust.verify(&chain, now.as_secs().saturating_mul(1_000_000))?;
-        match &self.expected {
-            Some(wanted) if *wanted != identity.id() && *wanted != identity.name => {
-                Err(Refusal::OtherNode { found: identity.id(), wanted: wanted.clone() }.into())
-            }
-            _ => Ok(ServerCertVerified::assertion()),
-        }
-    }
-
-    fn verify_tls12_signature(
-        &self,
-        _message: &[u8],
-        _certificate: &CertificateDer<'_>,
-        _signature: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        Err(PeerIncompatible::Tls12NotOfferedOrEnabled.into())
-    }
-
-    fn verify_tls13_signature(
-        &self,
-        message: &[u8],
-        certificate: &CertificateDer<'_>,
-        signature: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        verify_tls13_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
-    }
-
-    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.provider.signature_verification_algorithms.supported_schemes()
-    }
-}
-
-/// Accepts every certificate.
-#[derive(Debug)]
-struct Anybody {
-    provider: Arc<CryptoProvider>,
-}
-
-impl ServerCertVerifier for Anybody {
-    fn verify_server_cert(
-        &self,
-        _own: &CertificateDer<'_>,
-        _presented: &[CertificateDer<'_>],
-        _host: &ServerName<'_>,
-        _ocsp_response: &[u8],
-        _now: UnixTime,
-    ) -> Result<ServerCertVerified, rustls::Error> {
-        Ok(ServerCertVerified::assertion())
-    }
-
-    fn verify_tls12_signature(
-        &self,
-        _message: &[u8],
-        _certificate: &CertificateDer<'_>,
-        _signature: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        Err(PeerIncompatible::Tls12NotOfferedOrEnabled.into())
-    }
-
-    fn verify_tls13_signature(
-        &self,
-        message: &[u8],
-        certificate: &CertificateDer<'_>,
-        signature: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        verify_tls13_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
-    }
-
-    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.provider.signature_verification_algorithms.supported_schemes()
-    }
 }

@@ -12,3 +12,7 @@ mod reading;
 mod renewing;
 mod submitting;
 mod subscribing;
+#[path = "../tls.rs"]
+mod tls;
+#[path = "../wire.rs"]
+mod wire;

@@ -2,8 +2,8 @@
 
 use crate::authority::Authority;
 use crate::fake::Fake;
-use ledger_api::context::{RenewalRule, Renewed};
-use ledger_api::{Client, Context};
+use ledger_api::context::RenewalRule;
+use ledger_api::{Client, Context, Renewed};
 use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

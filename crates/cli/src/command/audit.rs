@@ -4,8 +4,8 @@ mod row;
 
 use crate::argument::moment::{Instant, Moment};
 use crate::argument::number;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Format, Output};
 use crate::session::Session;
 use crate::time;

@@ -4,8 +4,8 @@ mod export_sros2;
 mod keystore;
 mod policy;
 
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::Output;
 use clap::Subcommand;
 

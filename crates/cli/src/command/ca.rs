@@ -2,11 +2,10 @@
 
 mod copy;
 
-use crate::answer;
-use crate::cli::Global;
-use crate::command::network::{current, find, nodes};
 use crate::confirm::confirm;
 use crate::failure::Failure;
+use crate::global::Global;
+use crate::nodes::{carriers, current, find, nodes};
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
@@ -74,11 +73,6 @@ impl Ca {
             Self::Move(command) => command.run(session, output).await,
         }
     }
-}
-
-/// Every node that carries a CA.
-pub(crate) async fn carriers(session: &Session) -> Result<Vec<CarrierRecord>, Rejection> {
-    answer::parse(&session.ask(MSP, "carriers", vec![]).await?, "the nodes that carry a CA")
 }
 
 /// The place where somebody of an organisation enrols, and the fingerprint of the CA behind that node. It is the

@@ -3,8 +3,8 @@
 use crate::answer;
 use crate::argument::policies;
 use crate::argument::when::When;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{self, ABAC, Session};
 use crate::time;

@@ -2,8 +2,8 @@
 
 use crate::answer::Answer;
 use crate::argument::bytes;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output};
 use crate::session::Session;
 use crate::time::moment;

@@ -6,9 +6,9 @@ mod show;
 
 pub(crate) use set::rule;
 
-use crate::cli::Global;
 use crate::context;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use serde::Serialize;
 use std::io::{self, Write};

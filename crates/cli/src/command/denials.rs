@@ -1,8 +1,8 @@
 //! `denials`: what was refused before it was ordered.
 
 use crate::argument::number;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;

@@ -7,8 +7,8 @@ mod peers;
 mod ros;
 
 use crate::argument::domain;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Format, Output, Table};
 use crate::session::Session;
 use crate::{context, time};

@@ -1,8 +1,8 @@
 //! `stop`, `resume`: nobody commands a robot that is stopped, until somebody who may resumes it.
 
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
 use crate::words::Words;

@@ -1,8 +1,8 @@
 //! `enroll`: from a one-time secret to a certificate and a context.
 
-use crate::cli::Global;
 use crate::command::context::rule;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::{context, time};
 use ledger_api::context::{PendingEnrolment, RenewalRule};

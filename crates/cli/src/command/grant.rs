@@ -14,8 +14,8 @@ pub(crate) use self::{
 };
 use crate::answer;
 use crate::argument::span::Milliseconds;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output};
 use crate::session::{self, ABAC, Session};
 use crate::time;

@@ -8,9 +8,9 @@ mod renew;
 
 use crate::argument::attribute::Attribute;
 use crate::argument::span::Milliseconds;
-use crate::cli::Global;
 use crate::command::ca;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{MSP, Session};
 use crate::time;

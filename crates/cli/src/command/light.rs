@@ -1,7 +1,7 @@
 //! `light`: how a robot stands, proved by voters and not by a node.
 
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;

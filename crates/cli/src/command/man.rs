@@ -1,8 +1,7 @@
 //! `man`: the manual pages, for packages.
 
-use crate::cli::Cli;
 use crate::failure::{Failure, unreadable};
-use clap::CommandFactory;
+use clap::Command;
 use std::path::PathBuf;
 
 /// Write the manual pages of all commands into a directory.
@@ -14,8 +13,7 @@ pub(crate) struct Man {
 }
 
 impl Man {
-    pub(crate) fn run(&self) -> Result<(), Failure> {
-        clap_mangen::generate_to(Cli::command(), &self.directory)
-            .map_err(|error| unreadable(&self.directory, &error).into())
+    pub(crate) fn run(&self, commands: Command) -> Result<(), Failure> {
+        clap_mangen::generate_to(commands, &self.directory).map_err(|error| unreadable(&self.directory, &error).into())
     }
 }

@@ -6,12 +6,13 @@ mod diff;
 mod history;
 mod propose;
 mod recorded;
+mod set;
 mod test;
 
 use crate::answer;
 use crate::argument::bytes;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
 use crate::words::Words;

@@ -1,8 +1,8 @@
 //! `prove`: a file that proves a transaction, and checking such a file without a network.
 
 use crate::answer::Answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;

@@ -1,9 +1,9 @@
 //! `readers`: who reads a confidential service.
 
 use crate::answer;
-use crate::cli::Global;
 use crate::command::message::enter;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::words::Words;

@@ -4,8 +4,8 @@ mod show;
 mod submit;
 
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::Output;
 use crate::session::{ABAC, Session};
 use crate::words::Words;

@@ -4,9 +4,9 @@ mod rates;
 mod screen;
 mod view;
 
-use crate::cli::Global;
 use crate::command::network::status::{self, Overview};
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_api::{EventStream, Subscription};

@@ -1,8 +1,8 @@
 //! `watch`: what changes, line by line.
 
 use super::audit::{About, Audit};
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::Output;
 
 /// Print what changes from now on, a line each, until Ctrl-C: grants and their ends, refusals, stops, policies, people, nodes.

@@ -1,7 +1,7 @@
 //! `whoami`: as whom we act.
 
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{ABAC, Session};
 use crate::{context, time};

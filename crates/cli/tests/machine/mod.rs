@@ -72,7 +72,7 @@ impl Machine {
     }
 
     pub(crate) fn command(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerctl"));
+        let mut command = Command::new(testkit::program("ledgerctl"));
         command.args(args).env("LEDGERD_HOME", self.home.path()).env("TZ", "UTC").env_remove("LEDGERCTL_CONTEXT");
         for variable in ["ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS", "RMW_IMPLEMENTATION"] {
             command.env_remove(variable);

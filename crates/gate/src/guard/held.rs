@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use bytes::Bytes;
 
-use super::Act;
+use super::act::Act;
 use crate::gate::{Delivered, Gate, Now, Passed, Refused};
 
 /// Most messages that wait; the oldest make room.

@@ -1,7 +1,6 @@
 //! Functions that need approval: how many must agree before a call is executed, and the approvals that it has.
 
 use super::Chaincode;
-use crate::msp;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -10,6 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
 
+/// The chaincode that keeps proposals: it executes calls that were approved.
+pub(crate) const MSP: &str = "msp";
 /// Most admins of one organisation that a proposal counts, so that none can fill its record.
 pub const ADMINS_PER_ORGANISATION_MAX: usize = 16;
 
@@ -167,7 +168,7 @@ pub(crate) fn quorum_of<'a>(chaincode: &'a dyn Chaincode, function: &str) -> Res
 pub(super) fn check_ordinary(chaincode: &dyn Chaincode, function: &str) -> Result<(), Rejection> {
     let name = chaincode.name();
     let table = chaincode.needs_approval();
-    if name == msp::NAME || table.iter().all(|(needs, _)| *needs != function) {
+    if name == MSP || table.iter().all(|(needs, _)| *needs != function) {
         return Ok(());
     }
     Err(Rejection::new(Code::NeedsApproval, format!("{name} {function} is not called directly: it needs approval"))

@@ -241,13 +241,3 @@ pub(super) fn forget(ctx: &mut Context<'_>, node: &NodeRecord) -> Result<(), Rej
     }
     Ok(())
 }
-
-/// May this node say what the CA of that organisation has issued? Those may that have shown that they carry its key.
-pub(super) fn check_may_issue(ctx: &Context<'_>, caller: &Identity, organisation: &str) -> Result<(), Rejection> {
-    if ctx.get(carrier_key(organisation, &caller.organisation, &caller.name).as_bytes()).is_some() {
-        return Ok(());
-    }
-    Err(Rejection::new(Code::NotAdmin, format!("{} may not issue for {organisation}", caller.id()))
-        .found("a node that does not carry its CA, as far as the ledger knows")
-        .wanted(format!("a node that carries the CA of {organisation}")))
-}

@@ -71,7 +71,6 @@ pub struct IdentityRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub local: Option<LocalSecret>,
     /// Block time at which everything of this name was last revoked, or a secret at a node cancelled, microseconds; 0 = never.
-    /// Before rules 3, also of any other secret that was cancelled.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voided: u64,
     /// Block time at which its attributes were last changed, microseconds; 0 = never.
@@ -92,7 +91,7 @@ pub struct Secret {
     /// The key that has used it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub used: Option<Use>,
-    /// The certificate by which it was made; none before rules 3, and in answers.
+    /// The certificate by which it was made; none in answers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub maker: Option<Maker>,
 }

@@ -6,6 +6,7 @@
 
 use super::INVITE_ORGANISATION;
 use super::address::check_address;
+use super::arguments::InviteOrganisation;
 use super::caller::{admin, check_name, node, object};
 use super::organisations;
 use super::own_call::own_call;
@@ -47,18 +48,6 @@ pub struct Invitation {
 pub struct CancelInvitation {
     /// Name of the organisation that was invited.
     pub name: String,
-}
-
-/// Argument of `invite_organisation`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct InviteOrganisation {
-    /// Its name.
-    pub name: String,
-    /// The public half of an Ed25519 key, 64 hex digits.
-    pub key: Hash,
-    /// Last block time at which it can be answered, microseconds.
-    pub expires: u64,
 }
 
 /// Argument of `join_organisation`: what the newcomer brings, and its signature.

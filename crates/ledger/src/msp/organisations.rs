@@ -1,25 +1,16 @@
 //! The organisations of the network and their authorities.
 
-mod lost;
-
-use super::REMOVE_ORGANISATION;
-use super::allowance;
-use super::caller::{admin, object, text};
-use super::nodes;
-use super::own_call::own_call;
-use super::proposals::{self, decide};
+use super::caller::text;
 use super::store::{self, ORGANISATIONS, former_key, json, organisation_key};
-use super::{invitations, quorums, quotas};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::NAME_BYTES_MAX;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::Msps;
 use ledger_identity::units::Units;
-use ledger_identity::{Identity, NAME_BYTES_MAX};
-use lost::lost;
 use serde::{Deserialize, Serialize};
 
 /// Most organisations of a network.
@@ -136,103 +127,6 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
     store::write(ctx, &organisation_key(name), organisation)
 }
 
-/// Writes an organisation with other authorities. The rights end of those for whom nobody vouches any more.
-pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) -> Result<Bytes, Rejection> {
-    let before = find(ctx, &organisation.name)?;
-    store::write(ctx, &organisation_key(&organisation.name), organisation)?;
-    let described = json(&describe(organisation)?)?;
-    ctx.emit("organisation_updated", &organisation.name, described.clone());
-    if let Some(before) = before {
-        for issuer in lost(&before, organisation)? {
-            proposals::forget_approvals(ctx, |approval| approval.issuer.0 == issuer)?;
-            ctx.tell_authority_lost(&issuer)?;
-        }
-    }
-    Ok(described)
-}
-
-/// Argument of `update_organisation`: the complete new lists.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Update {
-    roots: Vec<String>,
-    #[serde(default)]
-    intermediates: Vec<String>,
-}
-
-/// `update_organisation {roots, intermediates}`: an organisation renews its own authorities; certificates in DER and
-/// hexadecimal, the lists complete.
-pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
-    let wanted = "{\"roots\": [...], \"intermediates\": [...]}, certificates in DER and hexadecimal";
-    let update: Update = object("update_organisation", argument, wanted)?;
-    let caller = admin(ctx, "change the authorities of its organisation")?;
-    let ders = |list: &[String]| {
-        list.iter().map(|text| hex::decode(text).map(Bytes::from)).collect::<Result<Vec<_>, _>>().map_err(|error| {
-            Rejection::new(Code::BadArgument, "a certificate is not usable").found(error.to_string()).wanted(wanted)
-        })
-    };
-    let organisation = FoundingOrganisation {
-        name: caller.organisation.clone(),
-        roots: ders(&update.roots)?,
-        intermediates: ders(&update.intermediates)?,
-        // The words of the organisation stay.
-        units: find(ctx, &caller.organisation)?.and_then(|known| known.units),
-    };
-    if organisation.roots.is_empty() {
-        return Err(Rejection::new(Code::LastOne, format!("{} would have no root", organisation.name))
-            .wanted("at least one root; add the new one before the old one goes"));
-    }
-    let msps = trusted_with(ctx, &organisation)?;
-    check_not_locked_out(ctx, caller, &msps)?;
-    replace(ctx, &organisation)
-}
-
-/// Argument of `remove_organisation`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RemoveOrganisation {
-    /// Its name.
-    pub name: String,
-}
-
-/// `remove_organisation {name}`: needs approval. Its nodes become removed, the rights of its members end in this block, and its
-/// certificates count no longer behind this transaction.
-pub(super) fn remove(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
-    let remove: RemoveOrganisation = object("remove_organisation", argument, "{\"name\": NAME}")?;
-    if ctx.approved_by().is_some() {
-        return execute_remove(ctx, &remove.name);
-    }
-    let caller = admin(ctx, "remove organisations")?;
-    check_removable(ctx, &remove.name)?;
-    json(&decide(ctx, caller, own_call(REMOVE_ORGANISATION, &remove)?)?)
-}
-
-/// Does what was approved.
-fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection> {
-    let organisation = check_removable(ctx, name)?;
-    nodes::remove_all_of(ctx, name)?;
-    store::write(ctx, &former_key(name), &organisation)?;
-    ctx.delete(organisation_key(name).as_bytes());
-    proposals::forget_approvals(ctx, |approval| approval.organisation == name)?;
-    invitations::forget_organisation(ctx, name)?;
-    quorums::forget_organisation(ctx, name)?;
-    allowance::forget(ctx, name);
-    quotas::forget_organisation(ctx, name);
-    let answer = json(&describe(&organisation)?)?;
-    ctx.emit("organisation_removed", name, answer.clone());
-    ctx.tell_organisation_removed(name)?;
-    Ok(answer)
-}
-
-fn check_removable(ctx: &Context<'_>, name: &str) -> Result<FoundingOrganisation, Rejection> {
-    let organisation = find(ctx, name)?.ok_or_else(|| unknown(ctx, name))?;
-    if names(ctx)?.len() == 1 {
-        return Err(Rejection::new(Code::LastOne, format!("{name} is the last organisation"))
-            .wanted("another organisation, which goes on"));
-    }
-    Ok(organisation)
-}
-
 /// All organisations with this one as it shall be: the same checks as when the ledger reads them.
 pub(super) fn trusted_with(ctx: &Context<'_>, organisation: &FoundingOrganisation) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
@@ -243,21 +137,8 @@ pub(super) fn trusted_with(ctx: &Context<'_>, organisation: &FoundingOrganisatio
     Ok(msps)
 }
 
-/// An admin who takes away the authority that vouches for themselves could not undo it.
-fn check_not_locked_out(ctx: &Context<'_>, caller: &Identity, msps: &Msps) -> Result<(), Rejection> {
-    // Before ordering, the ledger may not know the certificate yet; in the block it does.
-    let key = store::known_certificate_key(&Hash(caller.fingerprint));
-    let Some(certificate) = ctx.get(&key) else { return Ok(()) };
-    match msps.verify(&certificate, &[], ctx.block_time()) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(Rejection::new(Code::LastOne, format!("{} would lock itself out", caller.id()))
-            .found(error.to_string())
-            .wanted("authorities that still vouch for the certificate in use")
-            .next("enrol at the new authority first, then remove the old one with the new certificate")),
-    }
-}
-
-fn unknown(ctx: &Context<'_>, name: &str) -> Rejection {
+/// The rejection of a name that no organisation has.
+pub(super) fn unknown(ctx: &Context<'_>, name: &str) -> Rejection {
     Rejection::new(Code::NotFound, "the network has no such organisation")
         .found(format!("{:?}", name.chars().take(80).collect::<String>()))
         .wanted(format!("one of {}", names(ctx).unwrap_or_default().join(", ")))

@@ -3,15 +3,12 @@
 //! A function begins with the quorum of its chaincode's table. Another one is set by a proposal, which needs the quorum
 //! that the function has then: nobody makes it easier than it is to decide.
 
-use super::caller::{admin, object};
-use super::organisations;
-use super::own_call::own_call;
-use super::proposals::decide;
+use super::caller::object;
 use super::store::{self, QUORUMS, json, quorum_key};
 use super::{NAME, SET_QUORUM};
 use crate::chaincode::{Call, Context, Quorum, quorum_of};
 use bytes::Bytes;
-use ledger_base::rejection::{Code, Rejection};
+use ledger_base::rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
 /// Most rules that are read at once; there is at most one for each function.
@@ -79,17 +76,6 @@ pub(super) fn of(ctx: &Context<'_>, call: &Call) -> Result<Quorum, Rejection> {
     Ok(default.unwrap_or(Quorum::Majority))
 }
 
-/// `set_quorum {chaincode, function, quorum?}`
-pub(super) fn set(ctx: &mut Context<'_>, given: &Bytes) -> Result<Bytes, Rejection> {
-    let set = argument(given)?;
-    if ctx.approved_by().is_some() {
-        return change(ctx, &set);
-    }
-    let caller = admin(ctx, "change a quorum")?;
-    check(ctx, &set)?;
-    json(&decide(ctx, caller, own_call(SET_QUORUM, &set)?)?)
-}
-
 /// Rules that count admins of an organisation end when it leaves: nobody could fulfil them.
 pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
     for (key, value) in ctx.range(QUORUMS.as_bytes(), QUORUMS_MAX) {
@@ -101,36 +87,8 @@ pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(
     Ok(())
 }
 
-fn change(ctx: &mut Context<'_>, set: &SetQuorum) -> Result<Bytes, Rejection> {
-    check(ctx, set)?;
-    let key = quorum_key(&set.chaincode, &set.function);
-    match &set.quorum {
-        Some(quorum) => store::write(ctx, &key, quorum)?,
-        None => ctx.delete(key.as_bytes()),
-    }
-    let event = json(set)?;
-    ctx.emit("quorum_changed", &format!("{}/{}", set.chaincode, set.function), event.clone());
-    Ok(event)
-}
-
-fn check(ctx: &Context<'_>, set: &SetQuorum) -> Result<(), Rejection> {
-    quorum_of(ctx.registry().find(&set.chaincode)?, &set.function)?;
-    if (set.chaincode.as_str(), set.function.as_str()) == (NAME, SET_QUORUM) {
-        return Err(Rejection::new(Code::BadArgument, "set_quorum has no quorum of its own")
-            .found("set_quorum for set_quorum")
-            .wanted("another function: changing its quorum needs the quorum that it has")
-            .next("ledgerctl network quorums"));
-    }
-    let Some(Quorum::Admins { of: Some(organisation), .. }) = &set.quorum else { return Ok(()) };
-    if organisations::find(ctx, organisation)?.is_some() {
-        return Ok(());
-    }
-    Err(Rejection::new(Code::NotFound, "the network has no such organisation")
-        .found(format!("{organisation:?}"))
-        .wanted(format!("one of {}", organisations::names(ctx)?.join(", "))))
-}
-
-fn argument(argument: &Bytes) -> Result<SetQuorum, Rejection> {
+/// The argument of `set_quorum`.
+pub(super) fn argument(argument: &Bytes) -> Result<SetQuorum, Rejection> {
     let wanted = "{\"chaincode\": NAME, \"function\": NAME, \"quorum\": \"organisations = majority\"}";
     object(SET_QUORUM, argument, wanted)
 }

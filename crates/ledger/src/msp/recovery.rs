@@ -3,6 +3,7 @@
 //! Nobody signs a change of members. So the node itself says in the context of the change what was done. Executing the change
 //! writes it down: as a record for ever, and as an event.
 
+use super::node_roles;
 use super::nodes::{self, NodeRole};
 use super::store::{self, json, recovery_key};
 use crate::chaincode::Context;
@@ -85,7 +86,7 @@ pub(crate) fn note(ctx: &mut Context<'_>, recovery: &Recovery) -> Result<(), Rej
             _ if node.id == recovery.id => NodeRole::Voter,
             _ => NodeRole::Learner,
         };
-        nodes::put_role(ctx, &node, role)?;
+        node_roles::put_role(ctx, &node, role)?;
     }
     Ok(())
 }

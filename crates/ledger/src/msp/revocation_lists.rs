@@ -15,9 +15,9 @@ pub use follows::LIST_AHEAD_MAX;
 
 use super::caller::{admin, bad, object};
 use super::identities::verified;
-use super::organisations;
 use super::revocations::{Ground, put_revocation};
 use super::store::{self, LISTS, json, list_key, listed_key, stale_key};
+use super::{authorities, organisations};
 use crate::chaincode::{Context, Revocation};
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
@@ -230,7 +230,7 @@ fn forget_intermediates(
     if changed == *organisation {
         return Ok(());
     }
-    organisations::replace(ctx, &changed).map(drop)
+    authorities::replace(ctx, &changed).map(drop)
 }
 
 /// The certificates of an authority that are known to have ended.

@@ -4,11 +4,12 @@
 //! of the organisations approve it and every voter has said that it speaks them. They hold from the next block on, or from
 //! a later one that the proposal names.
 
-use super::ACTIVATE_RULES;
+use super::arguments::ActivateRules;
 use super::caller::{admin, bad, node, object};
-use super::nodes::{self, NodeRecord, NodeRole};
+use super::nodes::{self, NodeRecord, NodeRole, Speaks};
 use super::own_call::own_call;
 use super::proposals::decide;
+use super::ACTIVATE_RULES;
 use super::store::{self, ACTIVATIONS, json};
 use crate::chaincode::Context;
 use crate::rules::Activation;
@@ -18,27 +19,6 @@ use serde::{Deserialize, Serialize};
 
 /// Longest name of a release, in bytes.
 const RELEASE_BYTES_MAX: usize = 64;
-
-/// The rules that a node speaks; argument of `speak`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Speaks {
-    /// Number of the newest rules that it speaks.
-    pub newest: u32,
-    /// The release that it runs, for people.
-    pub release: String,
-}
-
-/// Argument of `activate_rules`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ActivateRules {
-    /// Number of the rules.
-    pub number: u32,
-    /// They hold from this block on at the earliest; the next one if it is left out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub height: Option<u64>,
-}
 
 /// Answer of `rules`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

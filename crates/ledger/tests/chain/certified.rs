@@ -139,7 +139,7 @@ fn a_restart_between_two_certified_blocks_goes_on_from_the_one_before() {
 /// `crates/light` makes the vectors without this crate, and other languages read them.
 #[test]
 fn a_genesis_of_the_vectors_governs_as_they_say() {
-    let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/certified.json");
+    let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tests/fixtures/certified.json");
     let vectors: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     let beginnings = vectors["beginnings"].as_object().unwrap().values();
     let mut founded = 0;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 fn examples() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/python-client")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples/python-client")
 }
 
 fn python(script: &Path) -> Command {
@@ -24,7 +24,7 @@ fn run(command: &mut Command) -> Output {
 
 #[test]
 fn another_language_believes_and_refuses_what_the_vectors_say() {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/light/vectors.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("light/vectors.py");
     // So that the file is there.
     let wanted = vectors();
     let output = run(python(&script).arg(examples()).arg(file()));

@@ -21,7 +21,7 @@
 
 mod catch_up;
 mod drive;
-mod names;
+pub(crate) mod names;
 mod node;
 mod people;
 

@@ -1,9 +1,6 @@
 //! Whole routes, between a real local graph and a ledger that answers what the test says.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-#[path = "../../../../tests/support/own_network.rs"]
-mod network;
-
 mod latched_tests;
 mod limit_tests;
 mod lost_tests;
@@ -25,6 +22,7 @@ use ledger_gate::{
     sample::{CDR_LE, Sample},
 };
 use serde_json::json;
+use testkit::own_network as network;
 
 use super::*;
 use crate::{

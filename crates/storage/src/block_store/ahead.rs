@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::StoreError;
-use super::writer::disk_error;
 use crate::disk::{Disk, DiskFile};
 
 /// How far the active segment is zeroed ahead of the log.
@@ -64,7 +63,7 @@ pub(super) fn spare_name(sequence: u32) -> String {
 impl Spare {
     pub(super) fn create(disk: &dyn Disk, sequence: u32) -> Result<Self, StoreError> {
         let name = spare_name(sequence);
-        let file = disk.create(&name).map_err(|error| disk_error("create", &name, 0, error))?;
+        let file = disk.create(&name).map_err(|error| StoreError::writing("create", &name, 0, error))?;
         Ok(Self { name, file, zeroed: 0 })
     }
 }
@@ -117,7 +116,7 @@ pub(super) fn write_zeros(file: &dyn DiskFile, name: &str, start: u64, end: u64)
     while at < end {
         let count = usize::try_from(end - at).unwrap_or(usize::MAX).min(zeros.len());
         let piece = zeros.get(..count).unwrap_or_default();
-        file.write_at(piece, at).map_err(|error| disk_error("zero", name, end - at, error))?;
+        file.write_at(piece, at).map_err(|error| StoreError::writing("zero", name, end - at, error))?;
         at += count as u64;
     }
     Ok(())

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::{Arc, Mutex};
 
-use super::writer::lock;
+use super::lock::lock;
 use crate::disk::{Disk, DiskFile};
 
 /// How many segments are kept open for reading.

@@ -4,9 +4,10 @@ use std::io::ErrorKind;
 use std::sync::Arc;
 
 use super::files::StoredSegment;
+use super::lock::lock;
 use super::oldest::Beginning;
 use super::state::{Staged, State};
-use super::writer::{Failure, lock};
+use super::writer::Failure;
 use super::{Base, BlockStore, StoreError};
 use crate::entry::HardState;
 use ledger_base::invariant;

@@ -18,7 +18,6 @@ use std::io::{self, ErrorKind};
 use std::sync::Arc;
 
 use super::StoreError;
-use super::writer::disk_error;
 use crate::disk::{Disk, DiskFile};
 use crate::segment::Scan;
 
@@ -79,7 +78,7 @@ impl Oldest {
             Err(error) if error.kind() == ErrorKind::NotFound => self.create(&write),
             file => file.and_then(|file| write(&file)),
         };
-        written.map_err(|error| disk_error("write", FILE, SLOT_BYTES as u64, error))?;
+        written.map_err(|error| StoreError::writing("write", FILE, SLOT_BYTES as u64, error))?;
         (self.noted, self.slot, self.durable) = (Some(place), slot, true);
         Ok(())
     }

@@ -1,12 +1,13 @@
 //! Puts staged records on disk: one write and one `fdatasync` a flush, as long as it fits into the segment.
 
-use std::io::{self, ErrorKind};
+use std::io::ErrorKind;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use super::StoreError;
 use super::ahead::{Ahead, Marks, Spare, write_zeros};
 use super::files::StoredSegment;
+use super::lock::lock;
 use crate::disk::{Disk, DiskFile};
 use crate::entry::{Entry, HardState};
 use crate::segment::{
@@ -290,7 +291,7 @@ impl Writer {
         match result {
             Ok(()) => {}
             Err(error) if error.kind() == ErrorKind::StorageFull => {
-                let full = disk_error("write", &segment.name, end - start, error);
+                let full = StoreError::writing("write", &segment.name, end - start, error);
                 return Err(undo(&segment.name, file.as_ref(), (start, end), full, ahead, marks));
             }
             Err(error) => return Err(Failure::Fatal(StoreError::io("write", &segment.name, error))),
@@ -308,7 +309,7 @@ impl Writer {
             if error.kind() != ErrorKind::StorageFull {
                 return Err(Failure::Fatal(StoreError::io("write", &spare.name, error)));
             }
-            let full = disk_error("write", &spare.name, end, error);
+            let full = StoreError::writing("write", &spare.name, end, error);
             // It has no segment's name, so it is no part of the log; without it there is more room.
             let removed = self.disk.remove(&spare.name);
             removed.map_err(|error| Failure::Fatal(StoreError::io("remove", &spare.name, error)))?;
@@ -348,17 +349,4 @@ fn undo(
         Ok(()) => Failure::Undone(full),
         Err(error) => Failure::Fatal(error),
     }
-}
-
-/// An error while writing: a full disk is told apart.
-pub(super) fn disk_error(operation: &'static str, file: &str, wanted_bytes: u64, error: io::Error) -> StoreError {
-    if error.kind() == ErrorKind::StorageFull {
-        return StoreError::DiskFull { operation, file: file.to_owned(), wanted_bytes };
-    }
-    StoreError::io(operation, file, error)
-}
-
-/// Locks what no panic can leave half-changed: every critical section only assigns.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,6 +1,7 @@
 //! One file of results: its bytes, and reading them.
 
-use super::index::{self, Item, PAGE_BYTES};
+use super::RESULTS_FILE_BYTES_MAX;
+use super::index::{self, Item, PAGE_BYTES, POSITION_BITS};
 use super::stored::StoredResult;
 use crate::disk::DiskFile;
 use crate::segment::Window;
@@ -18,7 +19,8 @@ const VERSION: u32 = 1;
 /// Bytes before the result in a record: its length `u32` LE, then CRC-32C of (height `u64` LE, the result).
 pub(super) const RECORD_HEAD_BYTES: u64 = 8;
 /// A record is not smaller: head, hash and digest.
-pub(super) const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 66;
+const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 66;
+const _: () = assert!(RESULTS_FILE_BYTES_MAX / RECORD_BYTES_MIN < 1 << (u32::BITS - POSITION_BITS));
 
 /// Bytes of the end of a finished file: `LEDGREND`, then, LE, first height `u64`, blocks `u64`, end of the records
 /// `u64`, pages of the index `u32`, marks `u32`. Times of the first and of the last block `u64`, and CRC-32C of the

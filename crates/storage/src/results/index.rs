@@ -1,8 +1,6 @@
 //! Finding a transaction by its id: a set while its file is written, a sorted table at its end afterwards.
 
 use super::Place;
-use super::RESULTS_FILE_BYTES_MAX;
-use super::file::RECORD_BYTES_MIN;
 use crate::disk::DiskFile;
 use ledger_base::hash::Hash;
 use std::collections::BTreeSet;
@@ -15,10 +13,9 @@ const ITEM_BYTES: usize = 12;
 /// Items of a page.
 const PAGE_ITEMS: usize = 340;
 /// An item holds block and position in one number, the position in so many of its bits.
-const POSITION_BITS: u32 = 12;
+pub(super) const POSITION_BITS: u32 = 12;
 /// Most transactions of a block whose places fit into the index.
 pub const INDEXED_TRANSACTIONS_MAX: usize = 1 << POSITION_BITS;
-const _: () = assert!(RESULTS_FILE_BYTES_MAX / RECORD_BYTES_MIN < 1 << (u32::BITS - POSITION_BITS));
 /// Where a page says how many items it has; its CRC follows after zeros.
 const COUNT_AT: usize = PAGE_ITEMS * ITEM_BYTES;
 const CRC_AT: usize = PAGE_BYTES - 4;

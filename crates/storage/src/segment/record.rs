@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-use super::header::{HEADER_BYTES, LogPosition, take};
+use super::header::{LogPosition, SEGMENT_BYTES_MAX, take};
 use super::seal::Seal;
 use crate::entry::{Entry, EntryKind, HardState};
 use ledger_base::mutation::{Mutation, active};
@@ -22,6 +22,8 @@ pub const ENTRY_BYTES_MAX: usize = 16 << 20;
 
 /// Largest record.
 pub const RECORD_BYTES_MAX: usize = RECORD_HEADER_BYTES + ENTRY_FIELDS_BYTES + ENTRY_BYTES_MAX;
+
+const _: () = assert!(SEGMENT_BYTES_MAX + RECORD_BYTES_MAX as u64 <= u32::MAX as u64);
 
 const TYPE_ENTRY: u8 = 1;
 const TYPE_HARD_STATE: u8 = 2;
@@ -189,5 +191,3 @@ fn header_crc(covered: &[u8], salt: u64, offset: u32) -> u32 {
     second.copy_from_slice(&u64::from(offset).to_le_bytes());
     crc32c::crc32c_append(crc32c::crc32c(&seed), covered)
 }
-
-const _: () = assert!(HEADER_BYTES > 0 && RECORD_BYTES_MAX < u32::MAX as usize);

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
+use super::error::StoreError;
 use super::header::{Base, HEADER_BYTES, LogPosition, SegmentHeader, parse_name};
 use super::record::{RECORD_HEADER_BYTES, Record, RecordHeader, decode_record};
 use super::seal::{Contents, Seal};
 use super::window::Window;
-use crate::block_store::StoreError;
 use crate::disk::Disk;
 use crate::entry::HardState;
 

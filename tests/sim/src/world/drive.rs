@@ -38,7 +38,7 @@ impl World {
         self.turn(id, [Event::Input(input)])
     }
 
-    /// One turn of the order thread, as in `src/orderer/order.rs`: what has come in, what is due, the write, execution.
+    /// One turn of the order thread, as in `src/ordering/orderer/order.rs`: what has come in, what is due, the write, execution.
     fn turn(&mut self, id: u64, events: impl IntoIterator<Item = Event>) -> Check {
         for event in events {
             self.step(id, event)?;

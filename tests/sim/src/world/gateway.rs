@@ -1,4 +1,4 @@
-//! The gateway of a node: queries, waiting for heights (`src/gateway/`). The replica makes the decisions.
+//! The gateway of a node: queries, waiting for heights (`src/clients/gateway/`). The replica makes the decisions.
 
 use super::{Event, Timer, World};
 use crate::history::Asks;

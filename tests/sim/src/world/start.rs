@@ -60,7 +60,6 @@ impl World {
         node.damaged = None;
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;
-        #[cfg(feature = "mutations")]
         ledger_base::mutation::set_wall_clock(node.clock.wall(self.now));
         let snapshots = Snapshots::open(Arc::new(node.snapshots.clone()), self.network);
         let snapshots = Arc::new(snapshots.map_err(|fault| does_not_start(id, &fault))?);
@@ -251,7 +250,6 @@ impl World {
 
     /// A node executes a block.
     pub(super) fn executed(&mut self, id: u64, executor: &Executor, entry: &Entry) -> Check {
-        #[cfg(feature = "mutations")]
         if let Some(node) = self.nodes.get(&id) {
             ledger_base::mutation::set_wall_clock(node.clock.wall(self.now));
         }

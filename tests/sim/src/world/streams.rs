@@ -1,4 +1,4 @@
-//! Streams of submissions to a node (`src/gateway/submit.rs`): the replica's desk and turns decide, virtual time passes.
+//! Streams of submissions to a node (`src/clients/gateway/submit.rs`): the replica's desk and turns decide, virtual time passes.
 
 use super::{Timer, World};
 use crate::invariant::{Call as Seen, Check};

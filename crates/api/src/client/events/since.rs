@@ -1,7 +1,7 @@
 //! Where a stream begins, by the word of the node that it is connected to now.
 
 use super::ACCEPT_MAX;
-use crate::client::session::Up;
+use crate::client::uplink::Up;
 use crate::v1;
 use ledger_base::rejection::Rejection;
 use tokio::time::{Instant, timeout};

@@ -3,8 +3,8 @@
 use super::keystore::enclaves;
 use super::policy::{Enclave, governance, path, policy};
 use crate::argument::domain;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, warn};
 use crate::session::{ABAC, Session};
 use crate::time;

@@ -1,9 +1,9 @@
 //! `ca backup`, `ca restore` and `ca move`: the CA of an organisation for the safe, back again, and at another node.
 
-use super::{address, carriers, carry, own_node, reach};
-use crate::command::network::{current, nodes};
+use super::{address, carry, own_node, reach};
 use crate::confirm::confirm;
 use crate::failure::Failure;
+use crate::nodes::{carriers, current, nodes};
 use crate::output::{Facts, Output};
 use crate::session::Session;
 use ledger_api::{Client, passphrase, v1};

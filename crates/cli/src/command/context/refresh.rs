@@ -1,9 +1,9 @@
 //! `context refresh`: learns the nodes and organisations of the network now.
 
 use super::show::{Node, nodes};
-use crate::cli::Global;
 use crate::context;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use ledger_api::Context;

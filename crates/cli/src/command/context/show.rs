@@ -1,7 +1,7 @@
 //! `context show`: one identity on this machine, and what it knows of its network.
 
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::{context, time};
 use ledger_api::context::RenewalRule;

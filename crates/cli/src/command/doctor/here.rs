@@ -2,8 +2,8 @@
 
 use super::acting;
 use super::finding::Finding;
-use crate::cli::Global;
 use crate::context;
+use crate::global::Global;
 use crate::health::{Certificate, size};
 use ledger_api::Context;
 use std::path::Path;

@@ -1,8 +1,8 @@
 //! `confirm`, and the answer to a contender whom others must confirm first.
 
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;

@@ -3,8 +3,8 @@
 use super::Granted;
 use crate::answer;
 use crate::argument::span::Milliseconds;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::Output;
 use crate::session::{self, ABAC, Session};
 use crate::words::Words;

@@ -1,8 +1,8 @@
 //! `identity crl`: revocation lists of a CA that is another software.
 
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session, argument};
 use crate::time;

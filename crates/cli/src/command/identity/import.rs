@@ -1,7 +1,7 @@
 //! `identity import`: a context from a certificate and a key that exist, such as those of a Fabric user.
 
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::{context, time};
 use ledger_api::{Context, Enrolment};

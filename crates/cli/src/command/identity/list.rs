@@ -2,8 +2,8 @@
 
 use super::{Person, identities};
 use crate::argument::span::Milliseconds;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::session::Session;
 use crate::time;

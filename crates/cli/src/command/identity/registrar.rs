@@ -1,8 +1,8 @@
 //! `identity registrar`: who may register members of a department.
 
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session, argument};
 use ledger::msp::SetRegistrar;

@@ -1,8 +1,8 @@
 //! `identity renew`: the next certificate of the selected context.
 
-use crate::cli::Global;
 use crate::context;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::time;
 use serde::Serialize;

@@ -3,8 +3,8 @@
 use super::event::EventFacts;
 use super::tx::TransactionFacts;
 use crate::argument::number;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;

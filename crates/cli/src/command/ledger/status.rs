@@ -1,8 +1,8 @@
 //! `status`: how a node and its network are.
 
 use super::code_text;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::health::{Certificate, Check, Disk, Voters, attention, clock_wrong, lag, uncertified};
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;

@@ -3,8 +3,8 @@
 use super::code_text;
 use super::event::EventFacts;
 use crate::answer::Answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;

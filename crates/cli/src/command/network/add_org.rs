@@ -2,8 +2,8 @@
 
 use super::change::decide;
 use super::json;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Output, warn};
 use crate::session::Session;
 use fabric::MspDirectory;

@@ -1,11 +1,11 @@
 //! `network promote|demote|remove|remove-organisation|transfer`.
 
 use super::decision::Decided;
-use super::{current, find, json, nodes};
+use super::json;
 use crate::answer;
-use crate::command::ca;
 use crate::confirm::confirm;
 use crate::failure::Failure;
+use crate::nodes::{carriers, current, find, nodes};
 use crate::output::{Facts, Output};
 use crate::session::{MSP, Session};
 use bytes::Bytes;
@@ -85,7 +85,7 @@ impl Demote {
 impl Remove {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let nodes = nodes(session).await?.nodes;
-        let lost = lost(find(&nodes, &self.node)?, &nodes, &ca::carriers(session).await?);
+        let lost = lost(find(&nodes, &self.node)?, &nodes, &carriers(session).await?);
         confirm(&format!("removing {}", self.node), &lost, self.i_mean_it)?;
         set(session, output, &self.node, NodeRole::Removed, "leaves the network").await
     }

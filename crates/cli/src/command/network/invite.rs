@@ -1,10 +1,11 @@
 //! `network invite`: a token with which a node, or an organisation with its first node, joins.
 
 use super::decision::waiting;
-use super::{json, nodes};
+use super::json;
 use crate::answer;
 use crate::argument::span::Milliseconds;
 use crate::failure::Failure;
+use crate::nodes::nodes;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;

@@ -1,7 +1,8 @@
 //! `network organisations`: who the network consists of.
 
-use super::{ask, nodes};
+use super::ask;
 use crate::failure::Failure;
+use crate::nodes::nodes;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;

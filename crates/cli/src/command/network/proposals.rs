@@ -2,10 +2,11 @@
 
 use super::change::decide;
 use super::decision::{Decided, joined, short, what};
-use super::{json, nodes};
+use super::json;
 use crate::answer;
 use crate::command::chaincode::Call;
 use crate::failure::Failure;
+use crate::nodes::nodes;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;

@@ -1,17 +1,15 @@
 //! `policy apply`, `policy rollback`: a whole set takes the place of the one in force.
 
 use super::propose::{self, resolve};
+use super::set::{About, Set};
 use super::{Changed, WORDS};
 use crate::answer;
-use crate::argument::policies;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::Output;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
-use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyDraft;
-use std::path::PathBuf;
 
 /// Put a whole set of policies in force; for admins.
 ///
@@ -34,36 +32,6 @@ pub(crate) struct Apply {
     break_glass: bool,
 }
 
-/// A set in files.
-#[derive(Debug, clap::Args)]
-pub(super) struct Set {
-    /// Files with policies in Cedar: night.cedar is the policy `night`
-    #[arg(value_name = "FILE", required_unless_present_any = ["proposal", "built_in", "restore"])]
-    files: Vec<PathBuf>,
-    /// No policy of your own: the built-in one decides
-    #[arg(long, conflicts_with = "files")]
-    built_in: bool,
-    #[command(flatten)]
-    about: About,
-    /// The rule for the next set: a quorum such as 'admins = 2', or none
-    #[arg(long, value_name = "QUORUM")]
-    approvals: Option<String>,
-}
-
-/// The circumstances of a set.
-#[derive(Debug, clap::Args)]
-pub(super) struct About {
-    /// Why, for those who read the history
-    #[arg(long, short, default_value = "", hide_default_value = true)]
-    message: String,
-    /// The version that the set was made from: if another one is in force, nothing is changed
-    #[arg(long, value_name = "VERSION")]
-    base: Option<u64>,
-    /// Also if nobody may publish to some robot then
-    #[arg(long)]
-    i_mean_it: bool,
-}
-
 /// Bring the policies of an earlier version back; for admins.
 ///
 /// They come in force as a new version. Grants that they do not permit end in the same block.
@@ -74,23 +42,6 @@ pub(crate) struct Rollback {
     version: u64,
     #[command(flatten)]
     about: About,
-}
-
-impl Set {
-    /// The set as an argument.
-    pub(super) fn draft(self, restores: Option<u64>) -> Result<PolicyDraft, Rejection> {
-        let policies = match restores {
-            Some(_) => None,
-            None => Some(policies::read(&self.files)?.unwrap_or_default()),
-        };
-        Ok(self.about.draft(PolicyDraft { policies, restores, approvals: self.approvals, ..PolicyDraft::default() }))
-    }
-}
-
-impl About {
-    fn draft(self, draft: PolicyDraft) -> PolicyDraft {
-        PolicyDraft { message: self.message, base: self.base, means_it: self.i_mean_it, ..draft }
-    }
 }
 
 impl Apply {

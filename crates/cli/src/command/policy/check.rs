@@ -2,8 +2,8 @@
 
 use crate::answer;
 use crate::argument::policies;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, printable};
 use crate::session::{ABAC, Session};
 use bytes::Bytes;

@@ -3,8 +3,8 @@
 use super::recorded::{Compared, compare};
 use crate::answer;
 use crate::argument::{number, policies};
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, printable};
 use crate::session::{self, ABAC, Session};
 use crate::time;

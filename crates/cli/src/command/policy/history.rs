@@ -1,8 +1,8 @@
 //! `policy history`: the numbered sets of an organisation.
 
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;

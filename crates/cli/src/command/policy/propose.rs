@@ -1,10 +1,10 @@
 //! `policy propose|proposals|approve|withdraw|approvals`: sets to which others must agree.
 
 use super::WORDS;
-use super::apply::Set;
+use super::set::Set;
 use crate::answer;
-use crate::cli::Global;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, printable, printable_lines};
 use crate::session::{self, ABAC, Session};
 use crate::time;

@@ -3,10 +3,10 @@
 use super::propose;
 use crate::argument::moment::Moment;
 use crate::argument::{number, policies};
-use crate::cli::Global;
 use crate::command::audit::moment;
 use crate::command::can::asked;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;

@@ -2,9 +2,9 @@
 
 use crate::argument::policies;
 use crate::argument::when::When;
-use crate::cli::Global;
 use crate::command::can;
 use crate::failure::Failure;
+use crate::global::Global;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::Session;
 use crate::time;

@@ -4,10 +4,9 @@
 //! same key both hand out its certificate, for another key the second is refused.
 
 use super::super::caller::{node, object};
-use super::super::carriers::check_may_issue;
 use super::super::organisations;
 use super::super::revocations;
-use super::super::store::{self, issued_key, json};
+use super::super::store::{self, carrier_key, issued_key, json};
 use super::registrar::maker_lost;
 use super::registration::{check, keep_look, make_room, unknown};
 use super::{
@@ -121,6 +120,16 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     write(ctx, &record)?;
     ctx.emit("certified", &record.id(), json(&record.certificates.last())?);
     json(&Recorded { certificate })
+}
+
+/// May this node say what the CA of that organisation has issued? Those may that have shown that they carry its key.
+fn check_may_issue(ctx: &Context<'_>, caller: &Identity, organisation: &str) -> Result<(), Rejection> {
+    if ctx.get(carrier_key(organisation, &caller.organisation, &caller.name).as_bytes()).is_some() {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::NotAdmin, format!("{} may not issue for {organisation}", caller.id()))
+        .found("a node that does not carry its CA, as far as the ledger knows")
+        .wanted(format!("a node that carries the CA of {organisation}")))
 }
 
 /// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away. One that

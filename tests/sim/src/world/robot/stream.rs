@@ -1,4 +1,4 @@
-//! The stream of events from a node to the robot (`src/gateway/subscribe.rs`).
+//! The stream of events from a node to the robot (`src/clients/gateway/subscribe.rs`).
 
 use super::Happening;
 use crate::clock::MILLISECOND;

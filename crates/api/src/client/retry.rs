@@ -1,0 +1,14 @@
+//! When a client tries again.
+
+use ledger_base::rejection::{Class, Rejection};
+use std::time::Duration;
+
+/// After this long without any answer, while one is due, the node counts as stuck, and another one is asked.
+pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
+/// How long a node that said "not now" is left in peace.
+pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
+
+/// Is it a reason that waiting does not cure?
+pub(super) fn is_final(reason: &Rejection) -> bool {
+    reason.code.class() != Class::Unreachable
+}

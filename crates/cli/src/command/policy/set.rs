@@ -1,0 +1,54 @@
+//! A whole set of policies on the command line.
+
+use crate::argument::policies;
+use ledger_base::rejection::Rejection;
+use ledger_contract::PolicyDraft;
+use std::path::PathBuf;
+
+/// A set in files.
+#[derive(Debug, clap::Args)]
+pub(super) struct Set {
+    /// Files with policies in Cedar: night.cedar is the policy `night`
+    #[arg(value_name = "FILE", required_unless_present_any = ["proposal", "built_in", "restore"])]
+    files: Vec<PathBuf>,
+    /// No policy of your own: the built-in one decides
+    #[arg(long, conflicts_with = "files")]
+    built_in: bool,
+    #[command(flatten)]
+    about: About,
+    /// The rule for the next set: a quorum such as 'admins = 2', or none
+    #[arg(long, value_name = "QUORUM")]
+    approvals: Option<String>,
+}
+
+/// The circumstances of a set.
+#[derive(Debug, clap::Args)]
+pub(super) struct About {
+    /// Why, for those who read the history
+    #[arg(long, short, default_value = "", hide_default_value = true)]
+    message: String,
+    /// The version that the set was made from: if another one is in force, nothing is changed
+    #[arg(long, value_name = "VERSION")]
+    base: Option<u64>,
+    /// Also if nobody may publish to some robot then
+    #[arg(long)]
+    i_mean_it: bool,
+}
+
+impl Set {
+    /// The set as an argument.
+    pub(super) fn draft(self, restores: Option<u64>) -> Result<PolicyDraft, Rejection> {
+        let policies = match restores {
+            Some(_) => None,
+            None => Some(policies::read(&self.files)?.unwrap_or_default()),
+        };
+        Ok(self.about.draft(PolicyDraft { policies, restores, approvals: self.approvals, ..PolicyDraft::default() }))
+    }
+}
+
+impl About {
+    /// The draft with these circumstances.
+    pub(super) fn draft(self, draft: PolicyDraft) -> PolicyDraft {
+        PolicyDraft { message: self.message, base: self.base, means_it: self.i_mean_it, ..draft }
+    }
+}

@@ -1,0 +1,5 @@
+//! `ledgerctl` as a program, without a node.
+
+mod doctor;
+mod machine;
+mod transcripts;

@@ -1,0 +1,134 @@
+//! Changes of the wanted roles of nodes.
+
+use super::arguments::SetNodeRole;
+use super::caller::{admin, object};
+use super::nodes::{NodeRecord, NodeRole, RECORDS_MAX, REMOVED_MAX, all, desired, write};
+use super::own_call::own_call;
+use super::proposals::{Decision, decide};
+use super::store::{self, NODES, json, node_key};
+use super::{SET_NODE_ROLE, attestations, carriers, refusals, rules};
+use crate::chaincode::Context;
+use bytes::Bytes;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::Identity;
+
+/// `set_node_role {id | organisation, name; role}`: an organisation takes votes from its own nodes and removes them
+/// alone; everything else concerns all and needs their approval.
+pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let wanted = "{\"id\": NUMBER, \"role\": \"voter\", \"learner\" or \"removed\"}, or organisation and name for id";
+    let set: SetNodeRole = object("set_node_role", argument, wanted)?;
+    let alone = match ctx.approved_by() {
+        Some(_) => None,
+        None => Some(admin(ctx, "decide what nodes shall be")?),
+    };
+    let nodes = all(ctx)?;
+    let node = match (&set.id, &set.organisation, &set.name) {
+        (Some(id), None, None) => nodes.iter().find(|node| node.id == *id),
+        (Some(id), Some(organisation), Some(name)) => {
+            nodes.iter().find(|node| node.id == *id && node.organisation == *organisation && node.name == *name)
+        }
+        (None, Some(organisation), Some(name)) => nodes
+            .iter()
+            .rfind(|node| node.organisation == *organisation && node.name == *name && node.role != NodeRole::Removed),
+        _ => {
+            return Err(Rejection::new(Code::BadArgument, "msp set_node_role names no node")
+                .wanted("id, or organisation and name, or all three"));
+        }
+    };
+    let Some(node) = node else { return Err(no_such_node(&nodes)) };
+    check_change(ctx, &nodes, node, set.role)?;
+    let needs_approval = |caller: &&Identity| {
+        node.role != set.role && (node.organisation != caller.organisation || set.role == NodeRole::Voter)
+    };
+    let Some(caller) = alone.filter(needs_approval) else {
+        put_role(ctx, node, set.role)?;
+        return json(&Decision::done(None));
+    };
+    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &wish(node, set.role))?)?)
+}
+
+/// The wish for a role of this node, as a proposal has it.
+fn wish(node: &NodeRecord, role: NodeRole) -> SetNodeRole {
+    let (organisation, name) = (Some(node.organisation.clone()), Some(node.name.clone()));
+    SetNodeRole { id: Some(node.id), organisation, name, role }
+}
+
+/// Removes the nodes of an organisation that leaves.
+pub(super) fn remove_all_of(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
+    let nodes = all(ctx)?;
+    let (voters, _) = desired(nodes.iter().filter(|node| node.organisation != organisation));
+    if voters.is_empty() {
+        return Err(Rejection::new(Code::LastOne, format!("{organisation} runs the last voters"))
+            .wanted("a voter of another organisation")
+            .next("ledgerctl network promote NODE"));
+    }
+    for node in nodes.iter().filter(|node| node.organisation == organisation && node.role != NodeRole::Removed) {
+        put_role(ctx, node, NodeRole::Removed)?;
+    }
+    Ok(())
+}
+
+/// Wants another role of a node, if that may be.
+pub(super) fn change_role(
+    ctx: &mut Context<'_>,
+    nodes: &[NodeRecord],
+    node: &NodeRecord,
+    role: NodeRole,
+) -> Result<(), Rejection> {
+    check_change(ctx, nodes, node, role)?;
+    put_role(ctx, node, role)
+}
+
+fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
+    if node.role == NodeRole::Removed && role != NodeRole::Removed {
+        return Err(Rejection::new(Code::NotAMember, format!("node {} ({}) was removed", node.id, node.full_name()))
+            .wanted("a node of the network; numbers are never used again")
+            .next("let it join again as a new node: ledgerctl network invite --node NAME"));
+    }
+    if role == NodeRole::Voter {
+        rules::check_voter(ctx, node)?;
+    }
+    let (voters, _) = desired(nodes);
+    if role != NodeRole::Voter && voters.len() == 1 && voters.contains(&node.id) {
+        return Err(Rejection::new(
+            Code::LastOne,
+            format!("node {} ({}) is the last voter", node.id, node.full_name()),
+        )
+        .wanted("another voter, which goes on ordering")
+        .next("ledgerctl network promote NODE"));
+    }
+    Ok(())
+}
+
+/// Wants another role of a node, and tells of it.
+pub(super) fn put_role(ctx: &mut Context<'_>, node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
+    if node.role == role {
+        return Ok(());
+    }
+    let node = NodeRecord { role, ..node.clone() };
+    write(ctx, &node)?;
+    if role == NodeRole::Removed {
+        attestations::forget(ctx, &node);
+        refusals::forget(ctx, &node);
+        carriers::forget(ctx, &node)?;
+        forget_removed(ctx)?;
+    }
+    ctx.emit("role_changed", &node.full_name(), json(&node)?);
+    Ok(())
+}
+
+/// Forgets the oldest removed record beyond the limit. The counter of ids still knows it, so its id stays used.
+fn forget_removed(ctx: &mut Context<'_>) -> Result<(), Rejection> {
+    let nodes = store::list::<NodeRecord>(ctx, NODES.as_bytes(), RECORDS_MAX + 1)?;
+    let removed: Vec<_> = nodes.iter().filter(|node| node.role == NodeRole::Removed).collect();
+    if let (Some(oldest), true) = (removed.first(), removed.len() > REMOVED_MAX) {
+        ctx.delete(node_key(oldest.id).as_bytes());
+    }
+    Ok(())
+}
+
+fn no_such_node(nodes: &[NodeRecord]) -> Rejection {
+    let live = nodes.iter().filter(|node| node.role != NodeRole::Removed);
+    let names: Vec<_> = live.map(|node| format!("{} ({})", node.id, node.full_name())).collect();
+    Rejection::new(Code::NotFound, "the network has no such node").wanted(format!("one of {}", names.join(", ")))
+}

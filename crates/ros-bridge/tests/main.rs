@@ -1,0 +1,11 @@
+//! The parts of a bridge beside software that we did not write.
+
+mod calls;
+#[path = "support/commands.rs"]
+mod commands;
+mod cyclone;
+mod dds;
+mod forged;
+mod peers;
+mod ros2;
+mod shm;

@@ -1,0 +1,4 @@
+//! Messages of other software, and hostile ones.
+
+mod hostile;
+mod messages;

@@ -1,0 +1,4 @@
+//! Stores on simulated and real disks.
+
+mod audit;
+mod block_store;

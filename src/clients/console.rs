@@ -1,0 +1,127 @@
+//! The console: a web application for people with a browser, served by the node itself (docs/console.md).
+//!
+//! A browser has no client certificate that a page may choose. So it proves its identity in the page: its key signs a challenge and
+//! opens a session, which lives in the page's memory. Under the session it calls the services of gRPC, as gRPC-Web. Nothing
+//! can be written that is not signed by the browser's key.
+//!
+//! ```text
+//! console      the listener, and what is behind it
+//!   guard      which requests are looked at: host, origin; headers of every answer
+//!   files      the application
+//!   opening    challenges and sessions over HTTP
+//!     challenge  a challenge that nobody needs to remember
+//!     sessions   the sessions that are open
+//!   calls      gRPC-Web under a session
+//!   secured    its certificate
+//! ```
+
+mod calls;
+mod challenge;
+mod files;
+mod guard;
+mod opening;
+mod secured;
+mod sessions;
+
+use crate::clients::gateway::GatewayService;
+use crate::process::config;
+use crate::process::page_connections::{Doors, Room, Source};
+use crate::trust::enrolment::{EnrolmentService, Tries};
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::middleware::from_fn_with_state;
+use challenge::Challenges;
+use guard::Names;
+use ledger_api::tls::TrustSource;
+use ledger_base::rejection::{Code, Rejection};
+use sessions::{LIFE_MAX, Sessions};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use tokio::task::JoinHandle;
+
+/// Most connections at a time: a browser opens up to six.
+const OPEN_MAX: usize = 256;
+/// Most connections of one address.
+const EACH_MAX: usize = 64;
+/// Most bytes of a request that is no call.
+const REQUEST_BYTES_MAX: usize = 32 * 1024;
+
+/// The parts of a node that the console shows.
+pub(crate) struct Parts {
+    /// Answers calls.
+    pub(crate) gateway: GatewayService,
+    /// Enrols browsers.
+    pub(crate) enrolment: EnrolmentService,
+    /// Knows who is who.
+    pub(crate) trust: Arc<dyn TrustSource>,
+}
+
+/// The console, as long as it is served. It ends when it is dropped.
+pub(crate) struct Console {
+    address: String,
+    serving: JoinHandle<()>,
+}
+
+/// The parts that the handlers share.
+struct Shared {
+    parts: Parts,
+    names: Names,
+    challenges: Challenges,
+    sessions: Sessions,
+    /// Sessions that were refused lately.
+    tries: Mutex<Tries>,
+}
+
+impl Console {
+    /// Serves the console of a node that others reach at `reached`, `HOST:PORT`.
+    ///
+    /// # Errors
+    /// [`Code::BadConfiguration`] if nothing can listen there; [`Code::BadFile`] if the certificate cannot be used.
+    pub(crate) async fn serve(settings: &config::Console, reached: &str, parts: Parts) -> Result<Self, Rejection> {
+        let listening = Doors::listen(&settings.listen, "console.listen").await?;
+        let hosts = guard::hosts(settings, reached);
+        let tls = secured::tls(settings, listening.1, &hosts)?;
+        let names = Names::new(hosts, tls.is_some());
+        let address = names.address(settings, reached, listening.1);
+        let room = Room {
+            all_max: OPEN_MAX,
+            each_max: each_max(listening.1),
+            life_max: LIFE_MAX,
+            tls,
+            wants_certificate: false,
+        };
+        let doors = Doors::open(listening, room);
+        let challenges = Challenges::new().ok_or_else(|| Rejection::new(Code::Internal, "there is no randomness"))?;
+        let shared = Shared { parts, names, challenges, sessions: Sessions::default(), tries: Mutex::default() };
+        let service = router(Arc::new(shared)).into_make_service_with_connect_info::<Source>();
+        let serving = tokio::spawn(async move {
+            if let Err(error) = axum::serve(doors, service).await {
+                tracing::error!(%error, "the console ended");
+            }
+        });
+        tracing::info!(%address, "console for browsers");
+        Ok(Self { address, serving })
+    }
+
+    /// Where browsers find it, such as `http://127.0.0.1:7452`.
+    pub(crate) fn address(&self) -> &str {
+        &self.address
+    }
+}
+
+impl Drop for Console {
+    fn drop(&mut self) {
+        self.serving.abort();
+    }
+}
+
+/// On loopback, all browsers have the same address.
+fn each_max(address: SocketAddr) -> usize {
+    if address.ip().is_loopback() { OPEN_MAX } else { EACH_MAX }
+}
+
+fn router(shared: Arc<Shared>) -> Router {
+    let calls = calls::router(&shared);
+    let opening = opening::router(Arc::clone(&shared)).layer(DefaultBodyLimit::max(REQUEST_BYTES_MAX));
+    files::router().merge(opening).merge(calls).layer(from_fn_with_state(shared, guard::guarded))
+}

@@ -1,0 +1,87 @@
+//! Evidence of one transaction: from its bytes to a certified block.
+
+use super::Proofs;
+use crate::storage::blocks::Blocks;
+use bytes::Bytes;
+use ledger::evidence::{HEADERS_MAX, Link};
+use ledger::transaction::Transaction;
+use ledger::{Ledger, Outcome, TransactionRecord};
+use ledger_api::v1::ProveTransactionResponse;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::Identity;
+use ledger_light::Proof;
+use std::sync::Arc;
+
+impl Proofs {
+    /// The link from a transaction to a certificate.
+    pub(super) async fn link(&self, reader: Arc<Identity>, id: &[u8]) -> Result<ProveTransactionResponse, Rejection> {
+        let id = Hash::from_slice(id).ok_or_else(|| {
+            Rejection::new(Code::BadArgument, "the id of a transaction is not usable")
+                .found(format!("{} bytes", id.len()))
+                .wanted("32 bytes")
+        })?;
+        if self.ledger.transaction(&id)?.is_none() {
+            self.current.reach().await?;
+        }
+        let TransactionRecord { height, index, .. } = self.ledger.transaction(&id)?.ok_or_else(|| {
+            Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
+                .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
+        })?;
+        let proof = self.certificates.covering(&self.ledger, height, index).await?.ok_or_else(|| no_proof(height))?;
+        let turn = self.questions.turn(&reader).await;
+        let (ledger, blocks) = (Arc::clone(&self.ledger), Arc::clone(&self.blocks));
+        let made = tokio::task::spawn_blocking(move || make(&ledger, &blocks, &reader, (height, index), proof));
+        let link = made.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked"))??;
+        drop(turn);
+        Ok(ProveTransactionResponse { link: link.to_bytes() })
+    }
+}
+
+fn make(
+    ledger: &Ledger,
+    blocks: &Blocks,
+    reader: &Identity,
+    (height, index): (u64, u32),
+    proof: Proof,
+) -> Result<Link, Rejection> {
+    let last = proof.certificate.statement.height;
+    if last - height >= HEADERS_MAX as u64 {
+        return Err(no_proof(height));
+    }
+    let own = block(blocks, height)?;
+    for caused in own.events.iter().filter(|emitted| emitted.index == Some(index)) {
+        ledger.may_read(reader, &caused.event)?;
+    }
+    let headers =
+        (height..=last).map(|height| Ok(block(blocks, height)?.header.clone())).collect::<Result<_, Rejection>>();
+    Link::of((&own.transactions, index), certificate(ledger, &own, index)?, headers?, proof)
+}
+
+fn block(blocks: &Blocks, height: u64) -> Result<Arc<Outcome>, Rejection> {
+    blocks.get(height)?.ok_or_else(|| {
+        Rejection::new(Code::NotFound, format!("this node has no block {height} any more"))
+            .found(format!("blocks from {} on", blocks.first_height()))
+            .next("ask a node that keeps blocks for longer, or look for it in an archive")
+    })
+}
+
+/// The certificate of the creator.
+fn certificate(ledger: &Ledger, outcome: &Outcome, index: u32) -> Result<Bytes, Rejection> {
+    let encoded = outcome.transactions.get(index as usize).cloned().unwrap_or_default();
+    let transaction = Transaction::decode(encoded)?;
+    if let Some(certificate) = transaction.certificate() {
+        return Ok(certificate.clone());
+    }
+    ledger.certificate(&transaction.creator())?.ok_or_else(|| {
+        Rejection::new(Code::NotFound, "this node does not know the certificate of the creator")
+            .found(transaction.creator().to_string())
+            .wanted("a transaction whose signature was good")
+    })
+}
+
+fn no_proof(height: u64) -> Rejection {
+    Rejection::new(Code::NotFound, format!("this node has no certificate that proves block {height}"))
+        .wanted(format!("one of a block at most {HEADERS_MAX} blocks later, signed by a majority of the voters"))
+        .next("ask again in a moment, or ask another node; ledgerctl status says what is certified")
+}

@@ -1,0 +1,117 @@
+//! Proofs, for readers that believe no single node.
+
+use super::{Questions, status};
+use crate::ordering::reads::ReadIndex;
+use crate::peers::quorum_certificates::Certificates;
+use crate::storage::blocks::Blocks;
+use bytes::Bytes;
+use ledger::Ledger;
+use ledger_api::v1::{GovernanceChange, GovernanceStep, ProveRequest, ProveResponse};
+use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::Identity;
+use ledger_light::Proof;
+use ledger_light::fact::Fact;
+use std::sync::Arc;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+
+/// Most changes that are read from the state at once.
+const CHANGES_AT_ONCE: usize = 64;
+/// Bytes of changes in one step, from which on they go without a proof.
+const STEP_BYTES: usize = 1024 * 1024;
+/// Steps that wait for a slow reader.
+const WAITING_MAX: usize = 4;
+/// Most verdicts of one proof.
+const VERDICTS_MAX: usize = 32;
+
+/// The proofs that a node can give.
+pub(crate) struct Proofs {
+    /// The ledger.
+    pub ledger: Arc<Ledger>,
+    /// Executed blocks.
+    pub blocks: Arc<Blocks>,
+    /// The document that the name of the network is made of.
+    pub genesis: Bytes,
+    /// The certificates.
+    pub certificates: Arc<Certificates>,
+    /// Makes the state as new as what was committed when somebody asked.
+    pub current: ReadIndex,
+    /// The turns to read.
+    pub questions: Questions,
+}
+
+type Steps = mpsc::Sender<Result<GovernanceStep, Status>>;
+
+impl Proofs {
+    /// The way from a height to the newest proof.
+    pub(super) fn governance(
+        self: &Arc<Self>,
+        reader: Arc<Identity>,
+        after: u64,
+    ) -> ReceiverStream<Result<GovernanceStep, Status>> {
+        let (steps, stream) = mpsc::channel(WAITING_MAX);
+        let proofs = Arc::clone(self);
+        tokio::spawn(async move {
+            if let Err(fault) = proofs.walk(&reader, after, &steps).await {
+                let _reader_is_gone = steps.send(Err(status(&fault))).await;
+            }
+        });
+        ReceiverStream::new(stream)
+    }
+
+    async fn walk(&self, reader: &Identity, after: u64, steps: &Steps) -> Result<(), Rejection> {
+        let genesis = if after == 0 { self.genesis.clone() } else { Bytes::new() };
+        let (mut step, mut bytes, mut reached) = (GovernanceStep { genesis, ..Default::default() }, 0, after);
+        // What changes while the reader is slow comes with its next question.
+        let newest = self.certificates.newest(&self.ledger)?;
+        let until = newest.as_ref().map_or(0, |newest| newest.certificate.statement.height);
+        loop {
+            let turn = self.questions.turn(reader).await;
+            let mut changes = self.ledger.changes(reached, CHANGES_AT_ONCE)?;
+            drop(turn);
+            changes.retain(|change| change.height <= until);
+            if changes.is_empty() {
+                break;
+            }
+            for change in changes {
+                reached = change.height;
+                let writes = change.to_bytes();
+                bytes += writes.len();
+                step.changes.push(GovernanceChange { height: reached, writes });
+                let proof = self.certificates.governing(reached)?.filter(|_| reached < until);
+                if proof.is_some() || bytes > STEP_BYTES {
+                    step.proof = proof.as_ref().map(Proof::to_bytes).unwrap_or_default();
+                    bytes = 0;
+                    if steps.send(Ok(std::mem::take(&mut step))).await.is_err() {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        step.proof = newest.as_ref().map(Proof::to_bytes).unwrap_or_default();
+        let _reader_is_gone = steps.send(Ok(step)).await;
+        Ok(())
+    }
+
+    /// The proof of a block, with verdicts.
+    pub(super) async fn prove(&self, request: ProveRequest) -> Result<ProveResponse, Rejection> {
+        let ProveRequest { height, verdicts } = request;
+        if verdicts.len() > VERDICTS_MAX {
+            return Err(Rejection::new(Code::TooLarge, "too many verdicts are asked for at once")
+                .found(verdicts.len().to_string())
+                .wanted(format!("at most {VERDICTS_MAX}")));
+        }
+        self.current.reach_height(height).await?;
+        let wanted = |fact: &Fact<'_>| matches!(fact, Fact::Verdict { index, .. } if verdicts.contains(index));
+        match self.certificates.prove(&self.ledger, height, wanted).await? {
+            Some(proof) => Ok(ProveResponse { proof: proof.to_bytes() }),
+            None => Err(Rejection::new(Code::NotFound, format!("this node has no proof of block {height}"))
+                .found(format!("certified up to block {}", self.certificates.certified()))
+                .wanted("a recent block with control writes, or the first one of 200 ms, signed by enough voters")
+                .next(
+                    "ask again in a moment; if it lasts, look at ledgerctl status: do voters of two organisations run?",
+                )),
+        }
+    }
+}

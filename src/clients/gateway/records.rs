@@ -1,0 +1,185 @@
+//! Questions about the committed state and the chain.
+
+use super::{Questions, status};
+use crate::ordering::reads::ReadIndex;
+use crate::ordering::waiters::verdict_of;
+use crate::peers::chain_monitor::ChainMonitor;
+use crate::peers::reachability::Reachability;
+use crate::process::clock::Clock;
+use crate::storage::blocks::Blocks;
+use bytes::Bytes;
+use ledger::{Ledger, Outcome};
+use ledger_api::v1::{Block, EventRecord, QueryRequest, QueryResponse, TransactionRecord, Verdict};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::Identity;
+use ledger_storage::result::{BlockKind, EmittedEvent, Event};
+use std::sync::Arc;
+use std::time::Duration;
+use tonic::Status;
+
+/// The state, blocks and transactions of a node.
+pub(crate) struct Records {
+    /// The ledger.
+    pub ledger: Arc<Ledger>,
+    /// Executed blocks.
+    pub blocks: Arc<Blocks>,
+    /// Makes the state as new as what was committed when somebody asked.
+    pub current: ReadIndex,
+    /// The node's clock.
+    pub clock: Clock,
+    /// Knows since when no leader is reached.
+    pub company: Arc<ChainMonitor>,
+    /// The ways to the leader.
+    pub links: Reachability,
+    /// The turns to read.
+    pub questions: Questions,
+}
+
+impl Records {
+    pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
+        // A current state has every height that any node has told.
+        let reached = match request.may_be_stale {
+            true => self.current.reach_height(request.min_height).await,
+            false => self.current.reach().await.map(drop),
+        };
+        reached.map_err(|rejection| status(&rejection))?;
+        let turn = self.questions.turn(caller).await;
+        let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
+        drop(turn);
+        let (verdict, response, height) = match answer {
+            Ok((response, height)) => (Verdict::default(), response, height),
+            Err(rejection) => ((&rejection).into(), Bytes::new(), self.ledger.tip().height),
+        };
+        let cut_off = if request.may_be_stale { self.company.cut_off_for(&self.links) } else { Duration::ZERO };
+        Ok(QueryResponse {
+            verdict: Some(verdict),
+            response,
+            height,
+            time: self.time_of(height).map_err(|rejection| status(&rejection))?,
+            stale_for: u64::try_from(cut_off.as_micros()).unwrap_or(u64::MAX),
+        })
+    }
+
+    /// Block time of a height; 0 if it is not known any more.
+    fn time_of(&self, height: u64) -> Result<u64, Rejection> {
+        let tip = self.ledger.tip();
+        if tip.height == height {
+            return Ok(tip.time);
+        }
+        Ok(self.ledger.block_hashes(height)?.map_or(0, |block| block.time))
+    }
+
+    /// A block. One that this node does not have yet may be committed.
+    pub(super) async fn block(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {
+        if height > self.ledger.tip().height {
+            self.current.reach().await?;
+        }
+        let _turn = self.questions.turn(caller).await;
+        self.block_here(caller, height)
+    }
+
+    /// A transaction. One that this node does not know may be committed.
+    pub(super) async fn transaction(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
+        match self.in_turn(caller, id).await {
+            Err(rejection) if rejection.code == Code::NotFound => {
+                self.current.reach().await?;
+                self.in_turn(caller, id).await
+            }
+            found => found,
+        }
+    }
+
+    async fn in_turn(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
+        let _turn = self.questions.turn(caller).await;
+        self.transaction_here(caller, id)
+    }
+
+    fn block_here(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {
+        if height == 0 {
+            let result = self.ledger.result(0)?.ok_or_else(|| self.no_block(0))?;
+            return Ok(Block {
+                hash: self.ledger.network().0.to_vec().into(),
+                time: result.time,
+                previous_hash: Hash::ZERO.0.to_vec().into(),
+                root: self.ledger.network().0.to_vec().into(),
+                state_digest: result.digest.clone(),
+                kind: "genesis".into(),
+                ..Block::default()
+            });
+        }
+        let outcome = self.blocks.get(height)?.ok_or_else(|| self.no_block(height))?;
+        let transactions = (0..outcome.transactions.len()).map(|index| self.record(caller, &outcome, index)).collect();
+        let own = outcome.events.iter().filter(|emitted| emitted.index.is_none());
+        let events = own.filter(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok()).cloned();
+        Ok(Block {
+            height,
+            term: outcome.header.term,
+            time: outcome.header.time,
+            previous_hash: outcome.header.previous.0.to_vec().into(),
+            root: outcome.header.root.0.to_vec().into(),
+            hash: outcome.hash.0.to_vec().into(),
+            state_digest: outcome.digest.0.to_vec().into(),
+            kind: match outcome.kind {
+                BlockKind::Transactions => "transactions",
+                BlockKind::Membership => "membership",
+                BlockKind::Genesis => "genesis",
+            }
+            .into(),
+            transactions,
+            events: events.map(event_record).collect(),
+        })
+    }
+
+    fn transaction_here(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
+        let id = Hash::from_slice(id).ok_or_else(|| {
+            Rejection::new(Code::BadArgument, "the id of a transaction is not usable")
+                .found(format!("{} bytes", id.len()))
+                .wanted("32 bytes")
+        })?;
+        let place = self.ledger.transaction(&id)?.ok_or_else(|| {
+            Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
+                .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
+        })?;
+        let outcome = self.blocks.get(place.height)?.ok_or_else(|| self.no_block(place.height))?;
+        Ok(self.record(caller, &outcome, place.index as usize))
+    }
+
+    fn no_block(&self, height: u64) -> Rejection {
+        Rejection::new(Code::NotFound, format!("this node has no block {height}"))
+            .wanted(format!("a height from 0 to {}", self.ledger.tip().height))
+    }
+
+    /// One transaction of a block. Its bytes are only shown to those who may read all the events that it caused.
+    fn record(&self, caller: &Identity, outcome: &Outcome, index: usize) -> TransactionRecord {
+        let position = u32::try_from(index).unwrap_or(u32::MAX);
+        let encoded = outcome.transactions.get(index).cloned().unwrap_or_default();
+        let result = outcome.results.get(index).cloned().unwrap_or_default();
+        let creator = ledger::transaction::Transaction::decode(encoded.clone())
+            .ok()
+            .and_then(|transaction| self.ledger.creator_name(&transaction.creator()));
+        let caused: Vec<_> = outcome.events.iter().filter(|emitted| emitted.index == Some(position)).collect();
+        let events: Vec<_> = caused
+            .iter()
+            .filter(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok())
+            .map(|emitted| event_record((*emitted).clone()))
+            .collect();
+        let readable = events.len() == caused.len();
+        TransactionRecord {
+            id: outcome.ids.get(index).map(|id| id.0.to_vec().into()).unwrap_or_default(),
+            height: outcome.header.height,
+            index: position,
+            time: outcome.header.time,
+            verdict: Some(verdict_of(&result)),
+            response: result.response,
+            transaction: if readable { encoded } else { Bytes::new() },
+            creator: creator.unwrap_or_default(),
+            events,
+        }
+    }
+}
+
+fn event_record(EmittedEvent { index, event }: EmittedEvent) -> EventRecord {
+    let Event { chaincode, name, subject, payload } = event;
+    EventRecord { chaincode, name, subject, payload, index: index.unwrap_or_default(), ..EventRecord::default() }
+}

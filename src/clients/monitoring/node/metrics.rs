@@ -1,0 +1,114 @@
+//! The figures of a node: docs/metrics.md describes each.
+
+use crate::clients::monitoring::figures::{Labels, Several, bytes, counts, number, seconds, seconds_in_all};
+use crate::process::meters::Meters;
+use ledger_api::v1::StatusResponse;
+use ledger_base::rejection::Code;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::metrics::info::Info;
+use prometheus_client::registry::{Registry, Unit};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+const MICROS: f64 = 1_000_000.0;
+
+/// Registers the figures of a node, which has kept the processors awake for so long.
+pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters: &Meters, awake: Duration) {
+    about(registry, status);
+    chain(registry, status);
+    order(registry, status);
+    calls(registry, status);
+    machine(registry, status);
+    seconds_in_all(registry, "awake", "Time for which the node kept the processors awake", awake);
+    let mut steps = |name: &str, help: &str, histogram: &Histogram| {
+        registry.register_with_unit(name, help, Unit::Seconds, histogram.clone());
+    };
+    steps("gateway", "From a transaction's arrival at this node until it is handed to ordering", &meters.gateway);
+    steps("commit", "From a transaction's arrival at this node to its verdict from a block", &meters.commit);
+    steps("flush", "One flush of the log to the disk", &meters.flush);
+    steps("execute", "Executing blocks that came together", &meters.execute);
+}
+
+fn about(registry: &mut Registry, status: &StatusResponse) {
+    let StatusResponse { version, node_name, organisation, network_label, .. } = status;
+    let facts: Labels = vec![
+        ("version", version.clone()),
+        ("node", node_name.clone()),
+        ("organisation", organisation.clone()),
+        ("network", network_label.clone()),
+    ];
+    registry.register("node", "This node", Info::new(facts));
+    seconds(registry, "uptime", "Time since the node started", status.uptime_ms as f64 / 1000.0);
+}
+
+fn chain(registry: &mut Registry, status: &StatusResponse) {
+    number(registry, "height", "Newest executed block", status.height);
+    number(registry, "committed_height", "Newest block that is known to be committed", status.committed);
+    number(registry, "certified_height", "Newest block with a certificate of the voters", status.certified);
+    number(registry, "first_height", "Oldest block that the node still has", status.first_height);
+    number(registry, "snapshot_height", "Newest snapshot of the node", status.snapshot_height);
+    let help = "Block that the node fetches up to; 0 while it follows as usual";
+    number(registry, "catching_up_to_height", help, status.catching_up_to);
+    seconds(registry, "block_time", "Time of the newest block, since 1970", status.block_time as f64 / MICROS);
+    seconds(registry, "clock", "The clock of the node's machine, since 1970", status.wall_clock as f64 / MICROS);
+    let help = "1 while this node and another one differ, 0 otherwise";
+    number(registry, "diverged", help, u64::from(!status.divergence.is_empty()));
+    let help = "1 if a node has signed two different statements, 0 otherwise";
+    number(registry, "lies", help, u64::from(!status.lies.is_empty()));
+}
+
+fn order(registry: &mut Registry, status: &StatusResponse) {
+    number(registry, "is_leader", "1 while this node leads, 0 otherwise", u64::from(status.role == "leader"));
+    number(registry, "has_leader", "1 while a leader is known, 0 otherwise", u64::from(status.leader_id != 0));
+    number(registry, "term", "Term of the ordering; it grows with every election", status.term);
+    number(registry, "voters", "Nodes that vote", u64::from(status.voters));
+    let help = "Nodes that vote and are connected to this one, itself counted";
+    number(registry, "voters_connected", help, u64::from(status.voters_connected));
+    let lag = Several::default();
+    for peer in status.peers.iter().filter(|_| status.role == "leader") {
+        let of = vec![("peer", format!("{}/{}", peer.organisation, peer.name))];
+        lag.get_or_create(&of).set(status.last_index.saturating_sub(peer.matched) as f64);
+    }
+    registry.register("peer_lag_blocks", "Blocks that a node has not acknowledged; told by the leader", lag);
+}
+
+fn calls(registry: &mut Registry, status: &StatusResponse) {
+    counted(registry, "executed", "Transactions that were executed, by the code of the verdict", &status.executed);
+    let help = "Transactions that this node refused before ordering, by code";
+    counted(registry, "refused", help, &status.refused);
+    number(registry, "in_flight", "Transactions that have come and have no verdict yet", status.in_flight);
+    number(registry, "in_flight_limit", "Most of them", status.in_flight_max);
+    let waiting = Several::default();
+    for (lane, waits) in [("control", status.waiting_control), ("data", status.waiting_data)] {
+        waiting.get_or_create(&vec![("lane", lane.to_owned())]).set(waits as f64);
+    }
+    registry.register("waiting", "Transactions that wait at this node to be ordered", waiting);
+    number(registry, "subscribers", "Open subscriptions", status.subscribers);
+}
+
+fn machine(registry: &mut Registry, status: &StatusResponse) {
+    bytes(registry, "resident_memory", "Memory of the process", status.resident_bytes);
+    bytes(registry, "disk_free", "Free bytes of the disk of the data directory", status.disk_free_bytes);
+    bytes(registry, "disk_size", "All bytes of that disk", status.disk_total_bytes);
+    let accepts = match status.disk_accepts.as_str() {
+        "all" => 2,
+        "ends" => 1,
+        _ => 0,
+    };
+    number(registry, "disk_accepts", "2: all calls; 1: only those that end control; 0: none", accepts);
+    let lives = Several::default();
+    for certificate in &status.certificates {
+        let left = (certificate.not_after as f64 - status.wall_clock as f64) / MICROS;
+        let of = vec![("kind", certificate.kind.clone()), ("name", certificate.name.clone())];
+        lives.get_or_create(&of).set(left);
+    }
+    let help = "Time until a certificate ends, or until a revocation list is late; below 0 afterwards";
+    registry.register_with_unit("certificate_remaining", help, Unit::Seconds, lives);
+}
+
+/// Counts by the names of codes.
+fn counted(registry: &mut Registry, name: &str, help: &str, by_code: &BTreeMap<u32, u64>) {
+    let of = |number: &u32| u16::try_from(*number).ok().and_then(Code::from_number);
+    let name_of = |number: &u32| of(number).map_or_else(|| number.to_string(), |code| code.name().to_owned());
+    counts(registry, name, help, by_code.iter().map(|(number, count)| (vec![("code", name_of(number))], *count)));
+}

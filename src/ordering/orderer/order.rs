@@ -1,0 +1,223 @@
+//! The order thread: owns the replica, writes the log, carries out what is to be done.
+
+use super::execute::Execute;
+use super::inbox::Inbox;
+use super::{Engines, Outside, Pace, Reign};
+use crate::ordering::directory::Member;
+use crate::ordering::waiters::Client;
+use crate::process::clock::Clock;
+use crate::storage::log::Log;
+use ledger_raft::{Change, Input, Role, RoleChange, Status};
+use ledger_replica::catch_up::Behind;
+use ledger_replica::{Circumstances, Effect, Event, Last, Replica, Work};
+use ledger_storage::entry::Entry;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+
+/// Inputs taken before the log is written, so that a flood cannot put off the write.
+const INPUTS_PER_WRITE_MAX: usize = 4096;
+/// Inputs that come while the log is written when there is much to do.
+const MANY_INPUTS: usize = 8;
+
+/// The order thread.
+pub(super) struct Order {
+    replica: Replica<Client>,
+    clock: Clock,
+    log: Log,
+    pace: Pace,
+    outside: Outside,
+    execute: Execute,
+    /// To the execute thread.
+    blocks: Arc<Inbox<Entry>>,
+    effects: Vec<Effect>,
+    status: Arc<Mutex<Status>>,
+    role: watch::Sender<Reign>,
+    /// The members of the network, to notice when they change.
+    members: watch::Receiver<Arc<[Member]>>,
+    /// Why messages of a peer were ignored last.
+    ignored: BTreeMap<u64, &'static str>,
+    /// The node cannot go on.
+    failed: bool,
+}
+
+impl Order {
+    pub(super) fn new(
+        replica: Replica<Client>,
+        parts: &Engines,
+        execute: Execute,
+        blocks: &Arc<Inbox<Entry>>,
+        status: Arc<Mutex<Status>>,
+        role: watch::Sender<Reign>,
+    ) -> Self {
+        let (blocks, effects, failed) = (Arc::clone(blocks), Vec::new(), false);
+        let ignored = BTreeMap::new();
+        let Engines { clock, log, pace, outside, .. } = parts.clone();
+        let mut members = outside.directory.subscribe();
+        // The replica may have been told before the last change.
+        members.mark_changed();
+        Self { replica, clock, log, pace, outside, execute, blocks, effects, status, role, members, ignored, failed }
+    }
+
+    /// Until the inbox is closed, or the node cannot go on.
+    pub(super) fn run(mut self, inputs: &Inbox<Input>) {
+        // However this thread ends: it takes nothing in any more, and the other one ends after what it was given.
+        let blocks = Arc::clone(&self.blocks);
+        let _ends = (inputs.close_at_end(), blocks.close_at_end());
+        while !inputs.is_closed() {
+            inputs.wait(Duration::from_micros(self.replica.wait(self.clock.both())));
+            let mut taken = 0;
+            while taken < INPUTS_PER_WRITE_MAX && !inputs.is_empty() {
+                let waiting = inputs.take();
+                taken += waiting.len();
+                waiting.into_iter().for_each(|input| self.step(Event::Input(input)));
+            }
+            self.pace.turns.adapt(taken >= MANY_INPUTS);
+            self.follow_members();
+            self.step(Event::Time { full: self.log.space.is_full() });
+            if self.replica.must_write(self.clock.both()) {
+                self.write();
+            }
+            // What waits already is to be ordered while the other thread executes.
+            self.execute(!inputs.is_empty());
+            if self.failed {
+                return;
+            }
+        }
+        while let Some(last) = self.replica.end() {
+            match last {
+                Last::Write => self.write(),
+                Last::Execute(_) if self.failed => {}
+                Last::Execute(entries) => self.execute.hand_over(&self.blocks, entries),
+            }
+        }
+    }
+
+    /// Executes what was committed, or has it executed.
+    fn execute(&mut self, inputs_wait: bool) {
+        match self.replica.work(Circumstances { inputs_wait, other_is_idle: self.execute.is_idle() }) {
+            _ if self.failed => {}
+            None => {}
+            Some(Work::Elsewhere(entries)) => self.execute.hand_over(&self.blocks, entries),
+            Some(Work::Here(entries)) => {
+                let start = Instant::now();
+                self.failed = !self.execute.execute(&entries);
+                let took = u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX);
+                if let Some(height) = entries.last().map(|entry| entry.index).filter(|_| !self.failed) {
+                    self.step(Event::Executed { height, took });
+                }
+            }
+        }
+    }
+
+    /// Makes the log durable.
+    fn write(&mut self) {
+        let result = self.log.flush();
+        if result.is_ok() && self.log.store.wants_preparing() {
+            self.pace.bells.rounds.ring();
+        }
+        self.step(Event::Written(result));
+    }
+
+    fn follow_members(&mut self) {
+        // Without a sender nothing changes any more.
+        if self.members.has_changed().unwrap_or(false) {
+            self.members.mark_unchanged();
+            self.step(Event::Wanted(self.outside.directory.desired()));
+        }
+    }
+
+    fn step(&mut self, event: Event) {
+        // A leader waits for a voter's answer; nobody waits for a learner's, which may be on a robot's battery.
+        if let Event::Input(Input::Message { message, .. }) = &event
+            && message.brings_entries()
+            && self.replica.is_voter()
+        {
+            self.pace.awake.keep();
+        }
+        let (mut effects, mut unsent) = (std::mem::take(&mut self.effects), Vec::new());
+        self.replica.step(self.clock.both(), event, &mut effects);
+        for effect in effects.drain(..) {
+            self.carry_out(effect, &mut unsent);
+        }
+        self.effects = effects;
+        unsent.into_iter().for_each(|event| self.step(event));
+    }
+
+    fn carry_out(&mut self, effect: Effect, unsent: &mut Vec<Event>) {
+        match effect {
+            Effect::Send { to, message } => {
+                if !self.outside.outlet.send(to, &message) {
+                    unsent.push(Event::Unsent { to, message });
+                }
+            }
+            Effect::Status(status) => *self.status.lock().unwrap_or_else(PoisonError::into_inner) = *status,
+            Effect::Role(change) => {
+                self.tell_role(&change);
+                self.role.send_replace(Reign::now(change));
+            }
+            Effect::Members { height, membership } => {
+                let directory = &self.outside.directory;
+                let (voters, learners) = (directory.names(&membership.voters), directory.names(&membership.learners));
+                tracing::info!(height, voters, learners, "members changed");
+            }
+            Effect::Reconciles(step) => {
+                tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
+            }
+            Effect::Read { context, answer } => self.outside.outlet.answered(context, answer),
+            Effect::Denied(refusal) => self.outside.outlet.rejected(self.clock.now(), &refusal),
+            Effect::Refused { input, reason } => {
+                tracing::warn!(request = self.described(&input), code = reason.code.name(), %reason, "ordering refused a request");
+            }
+            Effect::Behind { from, first_index } => {
+                let leader = self.outside.directory.name(from);
+                tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
+                self.outside.behind.send_replace(Some(Behind { from, first_index }));
+            }
+            Effect::Ignored { from, reason } => {
+                // Once for each reason: a peer that floods this node must not flood its log.
+                let before = self.ignored.insert(from, reason);
+                if before != Some(reason) {
+                    let peer = self.outside.directory.name(from);
+                    tracing::warn!(node = peer, reason, "ordering ignores messages of a peer");
+                }
+            }
+            Effect::VotedTwice(proof) => self.outside.outlet.voted_twice(proof),
+            Effect::Failed(reason) => {
+                self.failed = true;
+                self.outside.failure.fail(reason);
+            }
+        }
+    }
+
+    /// Says who leads. That nobody does, and that somebody does again, have the same level.
+    fn tell_role(&self, change: &RoleChange) {
+        let term = change.term;
+        match (change.role, change.leader) {
+            (Role::Leader, _) => tracing::info!(term, "this node leads"),
+            (_, Some(leader)) => {
+                tracing::info!(term, leader = self.outside.directory.name(leader), "another node leads")
+            }
+            (Role::Candidate, None) => tracing::info!(term, "no leader is known; this node asks for votes"),
+            (Role::Follower, None) => tracing::info!(term, "no leader is known"),
+        }
+    }
+
+    /// A request to the engine, for people.
+    fn described(&self, input: &Input) -> String {
+        let name = |node: u64| self.outside.directory.name(node);
+        match input {
+            Input::TransferLeadership { to } => format!("hand the leadership over to {}", name(*to)),
+            Input::ChangeMembership(change) => {
+                let changes = change.changes().map(|change| match change {
+                    Change::AddVoter(node) => format!("{} votes", name(node)),
+                    Change::AddLearner(node) => format!("{} follows", name(node)),
+                    Change::Remove(node) => format!("{} leaves", name(node)),
+                });
+                changes.collect::<Vec<_>>().join(", ")
+            }
+            _ => "something else".to_owned(),
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! What ordering hands to other parts of the node.
+
+use ledger::Refusal;
+use ledger_light::DoubleVote;
+use ledger_raft::PeerMessage;
+use ledger_replica::Known;
+
+/// Receives what ordering hands to other parts of the node. Called by the order thread: nothing here may block.
+pub(crate) trait Outlet: Send + Sync {
+    /// Sends a message to another node; false if it was dropped.
+    fn send(&self, to: u64, message: &PeerMessage) -> bool;
+    /// The answer to a question whether the state is current.
+    fn answered(&self, question: u64, answer: Known);
+    /// Ordering rejected a call, at this time of the node.
+    fn rejected(&self, now: u64, refusal: &Refusal);
+    /// A voter has voted for two nodes in one term.
+    fn voted_twice(&self, proof: Box<DoubleVote>);
+}

@@ -1,0 +1,215 @@
+//! The company of this node: it asks the others from time to time whether they have the same chain, and whether it still
+//! belongs to them. [`ledger_replica::company`] decides.
+//!
+//! ```text
+//! company       asks, remembers, and ends a node that is wrong
+//!   confirmed   what voters have confirmed, across restarts
+//!   difference  where it began: height and key
+//! ```
+
+mod confirmed;
+mod difference;
+
+pub(crate) use confirmed::confirmed_heights;
+
+use crate::storage::files::DIVERGED_FILE;
+
+use crate::ordering::directory::Member;
+use crate::peers::connections::Dialer;
+use crate::peers::question::Asked;
+use crate::peers::reachability::Reachability;
+use crate::process::clock::Offset;
+use crate::process::failure::FailureHandle;
+use confirmed::Confirmed;
+use ledger::Ledger;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_raft::{PeerMessage, Receipt};
+use ledger_replica::catch_up::Behind;
+use ledger_replica::company::{self, Follows, Place, Point, Said};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+use tokio::time::{MissedTickBehavior, interval};
+
+/// How often it is seen whether there is something to ask.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often the voters are asked while all is well.
+const ASK_EVERY: Duration = Duration::from_secs(5);
+/// How long a node reaches no leader before it asks whether it was removed.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+type Machine = company::Company<Arc<Ledger>>;
+
+/// The view that the rest of the node has of its company.
+pub(crate) struct ChainMonitor {
+    machine: Mutex<Machine>,
+    /// Since when no leader is reached.
+    cut_off: Mutex<Option<Instant>>,
+    /// The clocks of those that answered the last question, by their numbers.
+    clocks: Mutex<BTreeMap<u64, Offset>>,
+    kept: Confirmed,
+}
+
+impl ChainMonitor {
+    /// Of a node of this organisation.
+    pub(crate) fn new(ledger: &Arc<Ledger>, organisation: &str, data: PathBuf) -> Self {
+        let kept = Confirmed::of(data);
+        let machine = Machine::new(Arc::clone(ledger), organisation, kept.read());
+        Self { machine: Mutex::new(machine), cut_off: Mutex::default(), clocks: Mutex::default(), kept }
+    }
+
+    /// A member told its chain.
+    pub(crate) fn told(&self, member: &Member, point: Point) {
+        if let Err(fault) = self.machine().told(member.id, &member.full_name(), point) {
+            tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chain of another node");
+        }
+    }
+
+    /// The own chain at a height, or at its tip.
+    pub(crate) fn own(&self, height: u64) -> Option<Point> {
+        self.machine().own(height).ok().flatten()
+    }
+
+    /// The newest receipt of a voter, for a height that it has confirmed.
+    pub(crate) fn confirmed(&self, id: u64) -> Option<Receipt> {
+        self.machine().confirmed().get(&id).cloned()
+    }
+
+    /// Is this a request for a vote that this node must not give?
+    pub(crate) fn withholds(&self, from: u64, message: &PeerMessage) -> bool {
+        self.machine().withholds(from, message)
+    }
+
+    /// The nodes that contradict this one or have lost blocks, in words; empty if nobody does.
+    pub(crate) fn describe(&self) -> String {
+        self.machine().describe()
+    }
+
+    /// The clock of that node's machine, if it answered the last question.
+    pub(crate) fn clock_of(&self, id: u64) -> Option<Offset> {
+        self.clocks().get(&id).copied()
+    }
+
+    /// For how long this node has reached no leader.
+    pub(crate) fn cut_off_for(&self, links: &Reachability) -> Duration {
+        let mut since = self.cut_off.lock().unwrap_or_else(PoisonError::into_inner);
+        *since = (!links.reaches_leader()).then(|| since.unwrap_or_else(Instant::now));
+        since.map_or(Duration::ZERO, |since| since.elapsed().max(Duration::from_micros(1)))
+    }
+
+    fn machine(&self) -> MutexGuard<'_, Machine> {
+        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn clocks(&self) -> MutexGuard<'_, BTreeMap<u64, Offset>> {
+        self.clocks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The task that asks.
+pub(crate) struct Asking {
+    pub company: Arc<ChainMonitor>,
+    pub ledger: Arc<Ledger>,
+    pub links: Reachability,
+    pub dialer: Dialer,
+    /// Ends a node that is wrong.
+    pub failure: FailureHandle,
+    /// Where the node is told that it lacks blocks.
+    pub behind: watch::Sender<Option<Behind>>,
+    /// The data directory.
+    pub data: PathBuf,
+}
+
+impl Asking {
+    /// Asks until the node stops.
+    pub(crate) async fn run(self) {
+        let mut time = interval(LOOK_EVERY);
+        time.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut asked: Option<Instant> = None;
+        loop {
+            time.tick().await;
+            let cut_off = self.company.cut_off_for(&self.links);
+            let hurries = cut_off > PATIENCE || self.company.machine().is_in_doubt();
+            if asked.is_none_or(|asked| hurries || asked.elapsed() >= ASK_EVERY) {
+                asked = Some(Instant::now());
+                match self.round(cut_off > PATIENCE).await {
+                    Ok(Some(end)) => return self.stop(end).await,
+                    Ok(None) => {}
+                    Err(fault) => {
+                        tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chains of the others")
+                    }
+                }
+                self.company.keep();
+            }
+        }
+    }
+
+    /// Asks once; answers why this node cannot go on.
+    async fn round(&self, cut_off: bool) -> Result<Option<Rejection>, Rejection> {
+        let members = self.links.directory.members();
+        let voters = members.iter().filter(|member| member.votes());
+        let place = Place {
+            voters: voters.map(|member| (member.id, member.organisation.clone())).collect(),
+            members: members.iter().map(|member| member.id).collect(),
+            cut_off,
+        };
+        // Those who order know the chain. A node that was removed knows only older members, and asks them all.
+        let asked: Vec<_> = members.iter().filter(|member| cut_off || member.votes()).cloned().collect();
+        let mut height = None;
+        loop {
+            let said = self.ask(&asked, height.unwrap_or(u64::MAX)).await;
+            let follows = self.company.machine().heard(&said, &place, height)?;
+            match follows {
+                Follows::Nothing => return Ok(None),
+                Follows::Ask(at) if height.is_none() => height = Some(at),
+                Follows::Ask(_) => return Ok(None),
+                Follows::Stop(reason) => return Ok(Some(reason)),
+                Follows::Fetch(behind) => {
+                    tracing::warn!(
+                        "no leader is reached, and others do not know this node; fetching what they decided"
+                    );
+                    self.behind.send_replace(Some(behind));
+                    return Ok(None);
+                }
+            }
+        }
+    }
+
+    async fn ask(&self, members: &[Member], height: u64) -> Vec<Said> {
+        let own = self.company.own(height);
+        let answers = self.dialer.compare(members, self.ledger.network(), own).await;
+        *self.company.clocks() = answers.iter().filter_map(|asked| Some((asked.who.id, asked.clock?))).collect();
+        answers.into_iter().map(|Asked { who, has, at, stranger, .. }| Said { who, has, at, stranger }).collect()
+    }
+
+    /// This node is wrong: it stops serving, and says where that began.
+    async fn stop(&self, reason: Rejection) {
+        self.links.slot.stop();
+        if reason.code != Code::Diverged {
+            return self.failure.fail(reason);
+        }
+        let mark = self.data.join(DIVERGED_FILE);
+        if let Err(error) = std::fs::write(&mark, self.company.describe()) {
+            tracing::error!(%error, mark = %mark.display(), "cannot mark the world state");
+        }
+        let noticed = self.company.machine().differing().map(|(name, height)| (name.to_owned(), height));
+        let began = match noticed {
+            Some((name, height)) => {
+                difference::find(&self.ledger, &self.links.directory, &self.dialer, (&name, height)).await
+            }
+            None => String::new(),
+        };
+        let wanted = if began.is_empty() { reason.wanted.clone() } else { format!("{}; {began}", reason.wanted) };
+        self.failure.fail(Rejection { wanted, ..reason });
+    }
+}
+
+impl ChainMonitor {
+    /// Keeps what voters have confirmed, if it is time.
+    fn keep(&self) {
+        let confirmed = self.machine().confirmed().clone();
+        self.kept.write(&confirmed);
+    }
+}

@@ -1,0 +1,244 @@
+//! The other side: what this node gives to nodes that catch up.
+
+use super::blocks::to_wire;
+use crate::ordering::directory::Member;
+use crate::ordering::orderer_slot::OrdererSlot;
+use crate::peers::chain_monitor::ChainMonitor;
+use crate::peers::receipt;
+use crate::process::clock::wall;
+use crate::storage::blocks::Blocks;
+use crate::storage::stores::Stores;
+use ledger::Ledger;
+use ledger_api::to_status;
+use ledger_api::v1::{
+    self, Attested, BlockEntries, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse,
+    WritesResponse,
+};
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_raft::ReceiptKey;
+use ledger_replica::catch_up::{Holding, store_holds};
+use ledger_replica::company::Point;
+use ledger_replica::trust;
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::snapshot::Snapshots;
+use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
+
+/// Bytes of blocks in one message, unless a single one is larger.
+const MESSAGE_BYTES: usize = 1024 * 1024;
+/// Messages read ahead for a node that is slower than this one's disk.
+const AHEAD_MAX: usize = 2;
+/// Streams of blocks at a time; each takes a thread while it reads. Those who are no members leave half of them free.
+const STREAMS_MAX: usize = 8;
+
+/// A reader: a member, or a node of an organisation of the network that is no member, such as one that was removed.
+pub(crate) type Reader = Option<Member>;
+
+/// The service that gives blocks and snapshots to others.
+pub(crate) struct Source {
+    ledger: Arc<Ledger>,
+    store: Arc<BlockStore>,
+    snapshots: Arc<Snapshots>,
+    blocks: Arc<Blocks>,
+    slot: Arc<OrdererSlot>,
+    company: Arc<ChainMonitor>,
+    /// Makes receipts for what this node holds.
+    receipts: ReceiptKey,
+    streams: Arc<Semaphore>,
+}
+
+impl Source {
+    /// Gives what is in the node's stores.
+    pub(crate) fn new(
+        (stores, receipts): (&Stores, ReceiptKey),
+        blocks: Arc<Blocks>,
+        slot: Arc<OrdererSlot>,
+        company: Arc<ChainMonitor>,
+    ) -> Self {
+        let Stores { ledger, store, snapshots, .. } = stores.clone();
+        Self {
+            ledger,
+            store,
+            snapshots,
+            blocks,
+            slot,
+            company,
+            receipts,
+            streams: Arc::new(Semaphore::new(STREAMS_MAX)),
+        }
+    }
+
+    /// The blocks of this node, and its knowledge of the asking one. That is no member if none is given.
+    pub(crate) fn chain(&self, asking: Option<&Member>, request: &ChainRequest) -> ChainResponse {
+        let stores = (&*self.ledger, &*self.store, &*self.snapshots);
+        let id = asking.map_or(0, |asking| asking.id);
+        let confirmed = self.company.confirmed(id);
+        let has = Holding::of(stores, self.slot.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
+        let Holding { height, first_height, snapshot_height, yours, receipts, you_vote, receipt } = has;
+        let told = Hash::from_slice(&request.block_hash).zip(Hash::from_slice(&request.digest));
+        if let (Some(asking), Some((hash, digest))) = (asking, told) {
+            self.company.told(asking, Point { height: request.height, hash, digest });
+        }
+        let own = self.company.own(request.height).filter(|own| own.height > 0);
+        let hash = |hash: fn(&Point) -> Hash| own.map(|own| hash(&own).0.to_vec().into()).unwrap_or_default();
+        ChainResponse {
+            compared_height: own.map_or(0, |own| own.height),
+            block_hash: hash(|own| own.hash),
+            digest: hash(|own| own.digest),
+            stranger: asking.is_none(),
+            network: self.ledger.network().0.to_vec().into(),
+            first_height,
+            height,
+            term: self.store.term(height).unwrap_or_default(),
+            snapshot_height,
+            yours,
+            you_vote,
+            receipts: receipts.into_iter().map(receipt::to_wire).collect(),
+            receipt: receipt.map(receipt::to_wire),
+            clock: wall(),
+        }
+    }
+
+    /// Blocks from a height on, until the newest that is committed.
+    ///
+    /// # Errors
+    /// [`Code::Pruned`] if they are not here any more, [`Code::Overloaded`] if too many nodes ask.
+    pub(crate) fn blocks(
+        self: &Arc<Self>,
+        from: u64,
+        reader: &Reader,
+    ) -> Result<ReceiverStream<Result<BlockEntries, Status>>, Status> {
+        let first = self.store.first_index();
+        if from < first {
+            return Err(to_status(
+                &Rejection::new(Code::Pruned, format!("block {from} is not kept here any more"))
+                    .wanted(format!("height {first} or later"))
+                    .next("take a snapshot first, or ask a node that keeps more"),
+            ));
+        }
+        let permit = self.permit(reader)?;
+        let (messages, stream) = mpsc::channel(AHEAD_MAX);
+        let source = Arc::clone(self);
+        tokio::task::spawn_blocking(move || source.send_blocks(from, &messages, permit));
+        Ok(ReceiverStream::new(stream))
+    }
+
+    fn send_blocks(
+        &self,
+        mut next: u64,
+        messages: &mpsc::Sender<Result<BlockEntries, Status>>,
+        _permit: OwnedSemaphorePermit,
+    ) {
+        loop {
+            let committed = self.committed();
+            if next > committed {
+                return;
+            }
+            let message = match self.store.entries(next..committed + 1, MESSAGE_BYTES) {
+                Ok(entries) if entries.is_empty() => {
+                    Err(to_status(&Rejection::new(Code::Pruned, format!("block {next} was just dropped"))))
+                }
+                Ok(entries) => {
+                    next += entries.len() as u64;
+                    Ok(BlockEntries { entries: entries.into_iter().map(to_wire).collect() })
+                }
+                Err(fault) => Err(to_status(&fault.into())),
+            };
+            let last = message.is_err();
+            if messages.blocking_send(message).is_err() || last {
+                return;
+            }
+        }
+    }
+
+    /// The last block that is committed and durable here.
+    fn committed(&self) -> u64 {
+        store_holds(&self.store)
+    }
+
+    /// Block hash and state digest after a block; empty if it is not kept, or not executed yet.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) fn digest(&self, height: u64) -> Result<DigestResponse, Status> {
+        let tip = self.ledger.tip();
+        let (digest, hash) = if height == tip.height {
+            (tip.digest, tip.hash)
+        } else {
+            match self.ledger.block_hashes(height).map_err(|fault| to_status(&fault))? {
+                Some(block) => (block.digest, block.hash),
+                None => return Ok(DigestResponse::default()),
+            }
+        };
+        Ok(DigestResponse { digest: digest.0.to_vec().into(), block_hash: hash.0.to_vec().into() })
+    }
+
+    fn permit(&self, reader: &Reader) -> Result<OwnedSemaphorePermit, Status> {
+        let overloaded =
+            || to_status(&Rejection::new(Code::Overloaded, "too many nodes fetch from here").next("ask another node"));
+        if reader.is_none() && self.streams.available_permits() <= STREAMS_MAX / 2 {
+            return Err(overloaded());
+        }
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| overloaded())
+    }
+
+    /// The manifest of the newest snapshot that two organisations attest, and the transactions that attest it. While there is
+    /// none, of the newest.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
+        let given = trust::given(&self.ledger, &self.snapshots).map_err(|fault| to_status(&fault))?;
+        let Some(given) = given else { return Ok(SnapshotResponse::default()) };
+        let block = |height| Ok(self.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
+        let attested = trust::attestations(&self.ledger, &given, block).map_err(|fault| to_status(&fault))?;
+        let attestations = attested.into_iter();
+        let attestations =
+            attestations.map(|trust::Attested { transaction, certificate }| Attested { transaction, certificate });
+        Ok(SnapshotResponse { manifest: given.manifest().to_bytes(), attestations: attestations.collect() })
+    }
+
+    /// The pieces of a snapshot, from one on.
+    ///
+    /// # Errors
+    /// [`Code::NotFound`] if it is not kept (any more), [`Code::Overloaded`] if too many nodes ask.
+    pub(crate) fn chunks(
+        &self,
+        (height, from): (u64, u32),
+        reader: &Reader,
+    ) -> Result<ReceiverStream<Result<SnapshotChunk, Status>>, Status> {
+        let snapshot = self.snapshots.get(height).ok_or_else(|| {
+            to_status(
+                &Rejection::new(Code::NotFound, format!("there is no snapshot of height {height} here"))
+                    .next("ask for the newest one"),
+            )
+        })?;
+        let permit = self.permit(reader)?;
+        let (messages, stream) = mpsc::channel(AHEAD_MAX);
+        tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            for number in (from..).take_while(|number| (*number as usize) < snapshot.manifest().chunks.len()) {
+                let chunk = snapshot.chunk(number as usize);
+                let chunk = chunk.map(|data| SnapshotChunk { number, data }).map_err(|fault| to_status(&fault));
+                let last = chunk.is_err();
+                if messages.blocking_send(chunk).is_err() || last {
+                    return;
+                }
+            }
+        });
+        Ok(ReceiverStream::new(stream))
+    }
+
+    /// The writes of a recent block.
+    pub(crate) fn writes(&self, height: u64) -> WritesResponse {
+        let Some(writes) = self.ledger.writes(height) else { return WritesResponse::default() };
+        let writes = writes.into_iter().map(|write| v1::Write {
+            key: write.key,
+            value_hash: write.value.map(|hash| hash.0.to_vec().into()).unwrap_or_default(),
+        });
+        WritesResponse { known: true, writes: writes.collect() }
+    }
+}

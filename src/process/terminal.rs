@@ -1,0 +1,40 @@
+//! Lines on the terminal, and the signals that stop a process.
+
+use std::future::Future;
+
+/// Catches SIGINT and SIGTERM from now on; the future ends when one of them comes. Called before a node starts, so that
+/// it ends in order whenever it is asked to. Must be called inside a tokio runtime.
+pub fn stop_signal() -> impl Future<Output = ()> {
+    use tokio::signal::unix::{Signal, SignalKind, signal};
+    let listen = |kind| {
+        let listening = signal(kind);
+        listening
+            .inspect_err(|error| tracing::warn!(%error, signal = kind.as_raw_value(), "cannot wait for this signal"))
+            .ok()
+    };
+    async fn received(signal: Option<Signal>) {
+        match signal {
+            Some(mut signal) => drop(signal.recv().await),
+            None => std::future::pending().await,
+        }
+    }
+    let (terminate, interrupt) = (listen(SignalKind::terminate()), listen(SignalKind::interrupt()));
+    async move {
+        tokio::select! {
+            () = received(terminate) => {}
+            () = received(interrupt) => {}
+        }
+    }
+}
+
+/// Prints a line; that the reader has gone away is not our failure.
+pub fn print_line(text: &str) {
+    use std::io::Write;
+    let _closed = writeln!(std::io::stdout(), "{text}");
+}
+
+/// Prints a line on standard error.
+pub fn eprint_line(text: &str) {
+    use std::io::Write;
+    let _closed = writeln!(std::io::stderr(), "{text}");
+}

@@ -1,0 +1,18 @@
+//! The commands of `ledgerd` besides `run`.
+//!
+//! | module | content |
+//! |---|---|
+//! | `setup`, `join` | founding a network; joining one |
+//! | `backup`, `recover` | backup and restore; forced recovery |
+//! | `ca_commands` | secrets for admins; copying and restoring a CA |
+//! | `verify` | verifying a chain offline |
+//! | `dev`, `demo` | a network of one node for trying out; the paper's experiment |
+
+pub(crate) mod backup;
+pub(crate) mod ca_commands;
+pub mod demo;
+pub(crate) mod dev;
+pub(crate) mod join;
+pub(crate) mod recover;
+pub mod setup;
+pub(crate) mod verify;

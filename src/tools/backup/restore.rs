@@ -1,0 +1,219 @@
+//! A data directory from a backup, marked so that no voter comes back that has forgotten its votes.
+
+use super::{CONFIG_FILE, FILE_BYTES_MAX, Manifest, PAPERS, own};
+use crate::node::NodeBuilder;
+use crate::process::config::Config;
+use crate::storage::files::RESTORED_FILE;
+use crate::storage::files::{CERTIFICATE_FILE, KEY_FILE};
+use crate::tools::verify::verified;
+use ledger_api::tls::TlsIdentity;
+use ledger_base::durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
+use ledger_base::rejection::{Code, Rejection};
+use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, SNAPSHOTS_DIRECTORY};
+use std::fs::{self, File};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// The arguments of `ledgerd restore`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerd restore /backup/node1 --config ledgerd.toml")]
+pub(crate) struct RestoreOptions {
+    /// The backup.
+    #[arg(value_name = "DIR")]
+    directory: PathBuf,
+    /// The node's configuration; that of the backup is put there if it does not exist.
+    #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
+    pub(crate) config: PathBuf,
+}
+
+impl RestoreOptions {
+    /// Puts the configuration of the backup in its place, if there is none.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if the backup has none, or it cannot be written.
+    pub(crate) fn provide_config(&self) -> Result<(), Rejection> {
+        if fs::symlink_metadata(&self.config).is_ok() {
+            return Ok(());
+        }
+        // A directory without a manifest is no backup, whatever else is in it.
+        let _whole = Manifest::read(&self.directory)?;
+        let text = read(&self.directory.join(CONFIG_FILE), FILE_BYTES_MAX)?;
+        if let Some(parent) = self.config.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            create_directory(parent)?;
+        }
+        replace(&self.config, &text, PUBLIC_MODE)
+    }
+}
+
+/// Makes the data directory of a node from a backup; answers with what to tell the operator.
+///
+/// # Errors
+/// [`Code::BadFile`] if the directory is no whole backup, or the data directory is in use; [`Code::BadConfiguration`] if it is
+/// of another node; the fault of the blocks, with file and byte. Then nothing was restored.
+pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &Config) -> Result<String, Rejection> {
+    let from = &options.directory;
+    let manifest = Manifest::read(from)?;
+    check_node(config, &manifest)?;
+    check_free(&config.data)?;
+    check_papers(from, &manifest)?;
+    let report = verified(builder, from, None, true)?;
+    if (report.height, report.block_hash, report.state_digest)
+        != (manifest.height, manifest.block_hash, manifest.state_digest)
+    {
+        return Err(Rejection::new(Code::ChainInvalid, format!("{} is not as it was made", from.display()))
+            .found(format!("block {} {}, state digest {}", report.height, report.block_hash, report.state_digest))
+            .wanted(format!(
+                "block {} {}, state digest {}",
+                manifest.height, manifest.block_hash, manifest.state_digest
+            ))
+            .next("take another backup"));
+    }
+    place(from, &config.data)?;
+    let file = config.file.display();
+    Ok(format!(
+        "node     {}, restored in {} with the blocks up to {}\n\
+         It does not start as it is: it may have voted and confirmed blocks since the backup was made.\n\n\
+         next, if another node of the network runs:\n  ledgerd rejoin --config {file}\n\
+         next, if all the others are lost for good:\n  ledgerd recover --force-single --config {file}",
+        manifest.node,
+        config.data.display(),
+        manifest.height
+    ))
+}
+
+fn check_node(config: &Config, manifest: &Manifest) -> Result<(), Rejection> {
+    let (network, wanted) = (manifest.network.to_string(), &config.member);
+    let same = |wanted: &str, found: &str| wanted.is_empty() || wanted == found;
+    if same(&wanted.network, &network) && same(&wanted.node, &manifest.node) {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadConfiguration, "the backup is of another node")
+        .found(format!("node {} of network {network}", manifest.node))
+        .wanted(format!(
+            "node {} of network {}, as [member] of {} says",
+            wanted.node,
+            wanted.network,
+            config.file.display()
+        ))
+        .next("give each node its own configuration, or name the right backup"))
+}
+
+/// The certificate and the key are whole, belong together, and are those of the node that the manifest names.
+fn check_papers(from: &Path, manifest: &Manifest) -> Result<(), Rejection> {
+    let bad = |found: String| {
+        Rejection::new(Code::BadFile, format!("{} is no usable backup", from.display()))
+            .found(found)
+            .wanted(format!("the certificate and the key of node {}", manifest.node))
+            .next("take another backup")
+    };
+    let (network, node) = own(from).map_err(|fault| bad(fault.to_string()))?;
+    if network != manifest.network || node != manifest.node {
+        return Err(bad(format!("those of node {node} of network {network}")));
+    }
+    match TlsIdentity::from_pem_files(&from.join(CERTIFICATE_FILE), &from.join(KEY_FILE)) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(bad(error.to_string())),
+    }
+}
+
+/// Nothing is ever overwritten.
+fn check_free(data: &Path) -> Result<(), Rejection> {
+    let found = match fs::read_dir(data) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        Err(error) => error.to_string(),
+        Ok(mut entries) => match entries.next() {
+            None => return Ok(()),
+            Some(_) => "a directory with files in it".to_owned(),
+        },
+    };
+    Err(Rejection::new(Code::BadFile, format!("{} is in use", data.display()))
+        .found(found)
+        .wanted("no directory, or an empty one")
+        .next("move it away first, if nothing in it is needed"))
+}
+
+/// Copies what a node starts from: all of it or nothing, whatever crashes.
+fn place(from: &Path, data: &Path) -> Result<(), Rejection> {
+    let unfinished = data.with_extension("restoring");
+    remove(&unfinished)?;
+    create_directory(&unfinished)?;
+    copy(from, &unfinished, GENESIS_FILE)?;
+    for (name, _) in PAPERS.into_iter().filter(|(name, _)| from.join(name).exists()) {
+        copy(from, &unfinished, name)?;
+    }
+    for directory in [BLOCKS_DIRECTORY, SNAPSHOTS_DIRECTORY] {
+        copy_directory(&from.join(directory), &unfinished.join(directory))?;
+    }
+    fs::copy(from.join(super::MANIFEST_FILE), unfinished.join(RESTORED_FILE))
+        .and_then(|_| File::open(unfinished.join(RESTORED_FILE))?.sync_all())
+        .map_err(|error| ledger_base::durable::failed("write", &unfinished.join(RESTORED_FILE), &error))?;
+    sync_directory(&unfinished)?;
+    match fs::remove_dir(data) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_base::durable::failed("remove", data, &error)),
+        _ => rename(&unfinished, data),
+    }
+}
+
+/// The verified blocks of a backup, for a node that comes back under a new number.
+pub(crate) struct CopiedBlocks<'a>(&'a Path);
+
+impl<'a> CopiedBlocks<'a> {
+    /// Verifies the backup of any node of the same network.
+    ///
+    /// # Errors
+    /// [`Code::WrongNetwork`] if it is of another network; the fault of its blocks, with file and byte.
+    pub(crate) fn verify(builder: &NodeBuilder, from: &'a Path, data: &Path) -> Result<Self, Rejection> {
+        let [theirs, ours] = [from, data].map(|place| read(&place.join(GENESIS_FILE), FILE_BYTES_MAX));
+        if theirs? != ours? {
+            return Err(Rejection::new(Code::WrongNetwork, format!("{} is of another network", from.display()))
+                .found("another genesis.json")
+                .wanted("a backup of a node of this network"));
+        }
+        verified(builder, from, None, true)?;
+        Ok(Self(from))
+    }
+
+    /// Copies them into a data directory that has none.
+    ///
+    /// # Errors
+    /// A failing disk.
+    pub(crate) fn put(self, data: &Path) -> Result<(), Rejection> {
+        for directory in [BLOCKS_DIRECTORY, SNAPSHOTS_DIRECTORY] {
+            copy_directory(&self.0.join(directory), &data.join(directory))?;
+        }
+        sync_directory(data)
+    }
+}
+
+fn remove(directory: &Path) -> Result<(), Rejection> {
+    match fs::remove_dir_all(directory) {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(ledger_base::durable::failed("remove", directory, &error))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Copies a file with its mode, down to the disk.
+fn copy(from: &Path, to: &Path, name: &str) -> Result<(), Rejection> {
+    let target = to.join(name);
+    fs::copy(from.join(name), &target)
+        .and_then(|_| File::open(&target)?.sync_all())
+        .map_err(|error| ledger_base::durable::failed("copy", &from.join(name), &error))
+}
+
+fn copy_directory(from: &Path, to: &Path) -> Result<(), Rejection> {
+    let failed = |error: std::io::Error| ledger_base::durable::failed("read", from, &error);
+    let entries = match fs::read_dir(from) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(failed)?,
+    };
+    create_directory(to)?;
+    for entry in entries {
+        let entry = entry.map_err(failed)?;
+        if entry.file_type().map_err(failed)?.is_file() {
+            copy(from, to, &entry.file_name().to_string_lossy())?;
+        }
+    }
+    sync_directory(to)
+}

@@ -1,0 +1,238 @@
+//! `ledgerd rejoin`: a node whose blocks are damaged or lost, but whose certificate is there, comes back as a new node.
+//!
+//! Its number must not vote again: others count on what it has promised, and it has forgotten that. So it asks the
+//! ledger for a new one, as itself, and fetches everything from the others. It needs no token and no CA: a node that
+//! carries the CA of its organisation comes back in the same way, and the CA stays where it is.
+//!
+//! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing. Until then a mark
+//! keeps the node from starting: without its blocks, a founder would begin the network again, alone.
+
+use super::{Records, enter};
+use crate::node::NodeBuilder;
+use crate::peers::quorum_certificates::set_proofs_aside;
+use crate::process::config::Config;
+use crate::storage::files::JOINED_FILE;
+use crate::storage::files::REJOINING_FILE;
+use crate::storage::files::RESTORED_FILE;
+use crate::storage::files::{CERTIFICATE_FILE, KEY_FILE};
+use crate::storage::files::{CONFIRMED_FILE, DIVERGED_FILE};
+use crate::tools::backup::CopiedBlocks;
+use crate::tools::setup::public_address;
+use crate::trust::membership::Joined;
+use crate::trust::membership::way_back;
+use ledger::network::{FoundingOrganisation, GENESIS_BYTES_MAX, Genesis};
+use ledger_api::tls::{ServerTrust, TlsIdentity};
+use ledger_api::{Client, Credentials, Options};
+use ledger_base::durable::PUBLIC_MODE;
+use ledger_base::hash::Hash;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::msp::{Msp, Msps, Usage};
+use ledger_identity::{Identity, Role};
+use ledger_storage::disk::RealDisk;
+use ledger_storage::layout::{
+    AUDIT_DIRECTORY, BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY,
+};
+use ledger_storage::state::{SledStore, State};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Files that follow from the blocks, hold them, or say what others had. The state goes last: another try needs the
+/// organisations in it.
+const SET_ASIDE: [&str; 8] = [
+    BLOCKS_DIRECTORY,
+    RESULTS_DIRECTORY,
+    SNAPSHOTS_DIRECTORY,
+    AUDIT_DIRECTORY,
+    DIVERGED_FILE,
+    CONFIRMED_FILE,
+    RESTORED_FILE,
+    STATE_DIRECTORY,
+];
+
+/// The arguments of `ledgerd rejoin`.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RejoinOptions {
+    /// The node's configuration.
+    #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
+    pub(crate) config: PathBuf,
+    /// Another node of the network; may be given several times. Those that let this node in are asked in any case.
+    #[arg(long, value_name = "HOST:PORT")]
+    node: Vec<String>,
+    /// A backup of any node of the network, whose blocks are taken and believed. For a node whose organisation has no other node
+    /// left, where no majority gives them.
+    #[arg(long, value_name = "DIR")]
+    blocks: Option<PathBuf>,
+}
+
+/// Rejoins; answers with what to tell the user.
+///
+/// # Errors
+/// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other
+/// node answers; the ledger's own refusal, for example that this is the last voter.
+pub(crate) async fn rejoin(
+    builder: &NodeBuilder,
+    options: &RejoinOptions,
+    config: &Config,
+) -> Result<String, Rejection> {
+    let data = &config.data;
+    let blocks = data.join(BLOCKS_DIRECTORY);
+    // Held until the end, so that no node starts meanwhile.
+    let _stopped = RealDisk::open(&blocks).map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot use {}", blocks.display()))
+            .found(error.to_string())
+            .wanted("the data directory of a node that is stopped")
+            .next("stop the node, and check which users may write the directory")
+    })?;
+    let (genesis, network) = Genesis::from_bytes(
+        &ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
+            .map_err(|refused| refused.next(way_back(config, &config.member.node)))?,
+    )?;
+    let copied = options.blocks.as_deref().map(|from| CopiedBlocks::verify(builder, from, data)).transpose()?;
+    let joined = Joined::load(data)?;
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
+        Rejection::new(Code::BadFile, error.to_string()).next(way_back(config, &config.member.node))
+    })?;
+    let msps = Arc::new(organisations(&genesis, &tls, joined.as_ref(), data)?);
+    let me = own(&tls, &msps)?;
+    let founder = genesis.node(&me.organisation, &me.name);
+    let before = [
+        joined.as_ref().map(|joined| joined.address.clone()),
+        Some(config.member.address.clone()).filter(|address| !address.is_empty()),
+        founder.map(|founder| founder.address.clone()),
+    ];
+    let address = before.into_iter().flatten().next();
+    let address = public_address(address.as_deref(), &config.listen, "ledgerd join TOKEN")?;
+
+    let named = options.node.iter().cloned();
+    let let_in = joined.iter().flat_map(|joined| joined.bootstrap.iter().cloned());
+    let founders = genesis.nodes.iter().map(|node| node.address.clone());
+    let mut others: Vec<String> = named.chain(let_in).chain(founders).filter(|other| *other != address).collect();
+    let mut known = std::collections::BTreeSet::new();
+    others.retain(|other| known.insert(other.clone()));
+    if others.is_empty() {
+        return Err(Rejection::new(Code::Unreachable, "no other node of the network is known here")
+            .wanted("a node that has the blocks")
+            .next(format!(
+                "ledgerd rejoin --config {} --node HOST:PORT; without another node, restore {} from a copy",
+                config.file.display(),
+                data.display()
+            )));
+    }
+    let credentials = Credentials::new(network, tls.clone(), ServerTrust::Roots(Arc::clone(&msps)))?;
+    let client = Client::connect_with(others.clone(), credentials, Options::default()).await?;
+    // Whatever number is there, perhaps from a try that was interrupted: nobody knows what was done with it.
+    let id = enter(&client, (&me.organisation, &me.name), &address, Ok).await?;
+    let reached = reachable(&client, &msps, &address).await?;
+    let joined = Joined {
+        network,
+        id,
+        organisation: me.organisation.clone(),
+        name: me.name.clone(),
+        address,
+        bootstrap: reached.0,
+        ca: reached.1,
+    };
+    ledger_base::durable::replace(&data.join(REJOINING_FILE), b"ledgerd rejoin has begun here\n", PUBLIC_MODE)?;
+    ledger_base::durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
+    let aside = set_aside(data)?;
+    copied.map(|copied| copied.put(data)).transpose()?;
+    unmark(data)?;
+    Ok(format!(
+        "node {0} is node {id} of network {1:?} now, a learner\n\
+         set aside  {2}, for whoever looks into the damage; of no use to the node\n\n\
+         next:\n  ledgerd run --config {3}\n  ledgerctl network promote {0}\n\
+         The last one lets the node vote, once it has caught up. With several organisations it prints what an admin of \
+         another\none types to approve.",
+        me.id(),
+        genesis.label,
+        aside.display(),
+        config.file.display()
+    ))
+}
+
+/// The organisations of the genesis, those that the node's own state knows since, and the own one.
+fn organisations(
+    genesis: &Genesis,
+    tls: &TlsIdentity,
+    joined: Option<&Joined>,
+    data: &Path,
+) -> Result<Msps, Rejection> {
+    let mut msps = Msps::new();
+    for since in known_since(data) {
+        msps.insert(since.msp()?)?;
+    }
+    let unknown: Vec<_> = genesis.organisations.iter().filter(|founder| msps.get(&founder.name).is_none()).collect();
+    for founder in unknown {
+        msps.insert(founder.msp()?)?;
+    }
+    if let Some(joined) = joined.filter(|joined| msps.get(&joined.organisation).is_none()) {
+        let own = tls.own();
+        let roots = own.chain.get(1..).unwrap_or_default();
+        msps.insert(Msp::new(&joined.organisation, roots, &[] as &[&[u8]])?)?;
+    }
+    Ok(msps)
+}
+
+/// The organisations of the network as this node knew them last; none if its state cannot be read.
+fn known_since(data: &Path) -> Vec<FoundingOrganisation> {
+    let place = data.join(STATE_DIRECTORY);
+    if !place.is_dir() {
+        return Vec::new();
+    }
+    let state = SledStore::open(&place).and_then(|store| State::open(Box::new(store)));
+    state.and_then(|state| ledger::msp::organisations(&state)).unwrap_or_default()
+}
+
+/// The identity of this node by its certificate.
+fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
+    let own = tls.own();
+    let presented = own.chain.get(1..).unwrap_or_default();
+    let me = msps.verify_for(Usage::Server, own.certificate(), presented, crate::process::clock::wall())?;
+    if me.role == Role::Node {
+        return Ok(me);
+    }
+    Err(Rejection::new(Code::WrongRole, "the certificate in the data directory is not a node's")
+        .found(format!("{} with role {}", me.id(), me.role))
+        .wanted("role node"))
+}
+
+/// The nodes that this one asks when it starts: the nodes of one organisation, and its CA. The own organisation first.
+async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(Vec<String>, Hash), Rejection> {
+    let answer = client.query(super::MSP, "nodes", Vec::new()).await?.response;
+    let records: Records = serde_json::from_slice(&answer)
+        .map_err(|error| Rejection::new(Code::Internal, "the list of nodes cannot be read").found(error.to_string()))?;
+    let status = client.status().await?;
+    let of = |record: &&super::Record| {
+        record.organisation == status.organisation && record.role != "removed" && record.address != own_address
+    };
+    let addresses = records.nodes.iter().filter(of).map(|record| record.address.clone()).collect();
+    let root = msps.get(&status.organisation).and_then(|msp| msp.roots().next().map(|root| Hash::of(&[root])));
+    let ca = root.ok_or_else(|| {
+        Rejection::new(Code::Untrusted, format!("the CA of {} is not known here", status.organisation))
+            .next("name a node of the own organisation, or of a founding one, with --node HOST:PORT")
+    })?;
+    Ok((addresses, ca))
+}
+
+/// Moves what is damaged, and what follows from it, into a directory of its own.
+fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
+    let free = (1..u32::MAX).map(|number| data.join(format!("damaged-{number}"))).find(|path| !path.exists());
+    let aside = free.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
+    ledger_base::durable::create_directory(&aside)?;
+    set_proofs_aside(data, &aside)?;
+    for name in SET_ASIDE {
+        let from = data.join(name);
+        if fs::symlink_metadata(&from).is_ok() {
+            ledger_base::durable::rename(&from, &aside.join(name))?;
+        }
+    }
+    Ok(aside)
+}
+
+/// The rejoin has ended: the node may start.
+fn unmark(data: &Path) -> Result<(), Rejection> {
+    let mark = data.join(REJOINING_FILE);
+    fs::remove_file(&mark).map_err(|error| ledger_base::durable::failed("remove", &mark, &error))?;
+    ledger_base::durable::sync_directory(data)
+}
