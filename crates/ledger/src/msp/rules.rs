@@ -4,12 +4,12 @@
 //! of the organisations approve it and every voter has said that it speaks them. They hold from the next block on, or from
 //! a later one that the proposal names.
 
+use super::ACTIVATE_RULES;
 use super::arguments::ActivateRules;
 use super::caller::{admin, bad, node, object};
 use super::nodes::{self, NodeRecord, NodeRole, Speaks};
 use super::own_call::own_call;
 use super::proposals::decide;
-use super::ACTIVATE_RULES;
 use super::store::{self, ACTIVATIONS, json};
 use crate::chaincode::Context;
 use crate::rules::Activation;
