@@ -4,12 +4,13 @@ use crate::sources::{code, files, product, read, root};
 use std::path::Path;
 
 /// The layers of `crates/abac`, from the lowest: modules that stand side by side, each a file and perhaps a folder.
-const LAYERS: [&[&str]; 6] = [
+const LAYERS: [&[&str]; 7] = [
     &["arguments", "fixture", "nearest", "timestamp"],
     &["records"],
     &["rules"],
     &["policy"],
-    &["actions"],
+    &["lifecycle"],
+    &["calls"],
     &["contract"],
 ];
 

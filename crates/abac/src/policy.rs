@@ -5,6 +5,7 @@
 //! thread with a stack of fixed size. On a small stack, deep recursion aborts the process. Cedar looks at the stack
 //! that is left, so stacks of different sizes would decide differently on different nodes.
 
+pub(crate) mod action;
 mod annotation;
 mod asked;
 pub(crate) mod decider;

@@ -1,5 +1,6 @@
 //! Permission: asks the owner's policies and remembers the answers.
 
+use super::action::{Action, Object, RobotAction};
 use super::explain::{Explanation, WORK_OF_QUESTION, WORK_OF_REFUSAL};
 use super::limits;
 use super::texts::{self, Version};
@@ -8,7 +9,7 @@ use crate::records::Records;
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
 use crate::records::robot::Robot;
-use crate::records::service::Target;
+use crate::records::target::Target;
 use crate::rules::Table;
 use ledger::Context;
 use ledger_base::hash::Hash;
@@ -22,49 +23,6 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 const DECISIONS_MAX: usize = 16 * 1024;
 /// Most reasons of denials that are remembered.
 const REASONS_MAX: usize = 1024;
-
-/// A use of a service; each is an action of the schema.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Action {
-    Acquire,
-    Publish,
-    Subscribe,
-    /// Taking it whatever its rule says.
-    Override,
-    /// Agreeing that somebody else acquires it.
-    Confirm,
-}
-
-/// An action on a whole robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum RobotAction {
-    Stop,
-    Resume,
-}
-
-/// The object of a question.
-#[derive(Clone, Copy)]
-pub(crate) enum Object<'a> {
-    Service(&'a Target, Action),
-    Robot(&'a Robot, RobotAction),
-}
-
-impl<'a> Object<'a> {
-    fn robot(self) -> &'a Robot {
-        match self {
-            Self::Service(target, _) => &target.robot,
-            Self::Robot(robot, _) => robot,
-        }
-    }
-
-    /// The action as policies name it.
-    pub(crate) fn action(self) -> &'static str {
-        match self {
-            Self::Service(_, action) => action.name(),
-            Self::Robot(_, action) => action.name(),
-        }
-    }
-}
 
 /// All that a decision depends on besides the time. Policies and robots go by hashes of their contents, so an
 /// answer stays true for ever, and one learned in a simulated call is true in an executed one.
@@ -111,37 +69,6 @@ pub(crate) struct Decider {
     pub(crate) records: Records,
     /// The rules that decide between those who may.
     pub(crate) rules: Table,
-}
-
-impl Action {
-    /// The uses that need a decision again and again.
-    pub(crate) const ALL: [Self; 3] = [Self::Acquire, Self::Publish, Self::Subscribe];
-
-    /// May an admin of the owner do it always, without a policy?
-    pub(crate) const fn is_of_owner(&self) -> bool {
-        matches!(self, Self::Override | Self::Confirm)
-    }
-
-    /// As policies name it.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Acquire => "acquire",
-            Self::Publish => "publish",
-            Self::Subscribe => "subscribe",
-            Self::Override => "override",
-            Self::Confirm => "confirm",
-        }
-    }
-}
-
-impl RobotAction {
-    /// As policies name it.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Stop => "stop",
-            Self::Resume => "resume",
-        }
-    }
 }
 
 impl Decider {

@@ -104,14 +104,20 @@ fn leases(teller: &mut Teller) {
 fn policies(teller: &mut Teller) {
     teller.call(FARHAD, Ok, "abac", "acquire", &["Turtlebot4", "600000"]);
     let stricter = format!("{DEFAULT_POLICY}\nforbid (principal == User::\"Org1/Farhad\", action, resource);");
-    teller.call(SALMA, Code::NotAdmin, "abac", "policy", &["put", "stricter", &stricter]);
-    teller.call(OWNER, Code::PolicyInvalid, "abac", "policy", &["put", "wrong", "permit (principal"]);
+    teller.call(SALMA, Code::NotAdmin, "abac", "policy", &["apply", &set(&[("stricter", &stricter)])]);
+    teller.call(OWNER, Code::PolicyInvalid, "abac", "policy", &["apply", &set(&[("wrong", "permit (principal")])]);
     // Ends Farhad's grant in the same block.
-    teller.call(OWNER, Ok, "abac", "policy", &["put", "stricter", &stricter]);
+    teller.call(OWNER, Ok, "abac", "policy", &["apply", &set(&[("stricter", &stricter)])]);
     teller.call(FARHAD, Code::DeniedByPolicy, "abac", "acquire", &["Turtlebot4"]);
     teller.read(SALMA, "abac", "policies", &[]);
-    teller.call(OWNER, Ok, "abac", "policy", &["remove", "stricter"]);
+    teller.call(OWNER, Ok, "abac", "policy", &["apply", &set(&[])]);
     teller.call(FARHAD, Ok, "abac", "acquire", &["Turtlebot4", "600000"]);
+}
+
+/// A whole set of policies.
+pub(crate) fn set(policies: &[(&str, &str)]) -> String {
+    let policies: Vec<_> = policies.iter().map(|(id, text)| json!({ "id": id, "text": text })).collect();
+    json!({ "policies": policies }).to_string()
 }
 
 fn changed_robots(teller: &mut Teller) {

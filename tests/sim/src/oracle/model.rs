@@ -303,7 +303,6 @@ impl Model {
         time: u64,
     ) -> Verdict {
         match verb {
-            "put" | "remove" => self.change_policy(who, argument, text, time),
             "apply" => self.apply(who, argument, time),
             "propose" => self.propose((who, person), argument, time),
             "approve" => self.approve((who, person), argument, time),
@@ -311,23 +310,6 @@ impl Model {
             "enact" => self.enact(who, argument, text.is_some(), time),
             verb => panic!("the model does not know policy {verb}"),
         }
-    }
-
-    fn change_policy(&mut self, who: &Person, id: &str, text: Option<String>, time: u64) -> Verdict {
-        only_admins(who)?;
-        let organisation = &who.identity.organisation;
-        let key = (organisation.clone(), id.to_owned());
-        let policy =
-            text.map(|text| Policy::read(id, &text).unwrap_or_else(|| panic!("no policy of the collection: {text}")));
-        if policy.is_none() && !self.policies.contains_key(&key) {
-            return Err(Code::NotFound);
-        }
-        self.alone(who)?;
-        let change = |policies: &mut sets::Policies| match policy {
-            Some(policy) => drop(policies.insert(id.to_owned(), policy)),
-            None => drop(policies.remove(id)),
-        };
-        self.with_one_changed(organisation, change, time)
     }
 
     fn revoke(&mut self, who: &Person, issuer: &str, serial: &str, time: u64) -> Verdict {

@@ -212,18 +212,6 @@ impl Model {
         self.policies.extend(own);
     }
 
-    /// The set in force with one policy changed.
-    pub(super) fn with_one_changed(
-        &mut self,
-        organisation: &str,
-        change: impl FnOnce(&mut Policies),
-        time: u64,
-    ) -> Verdict {
-        let mut set = Set { policies: self.policies_of(organisation), rule: self.own_rule(organisation) };
-        change(&mut set.policies);
-        self.put_in_force(organisation, set, false, time)
-    }
-
     /// An admin wants a rule of the network. It comes into force once enough organisations want the same.
     pub(super) fn propose_rule(&mut self, (who, person): (&Person, usize), argument: &str) -> Verdict {
         let ProposedCall { chaincode, function, args } =
