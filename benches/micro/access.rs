@@ -151,8 +151,9 @@ impl Fleet {
         };
         let rules: Vec<_> = std::iter::once(general.to_owned()).chain((1..count).map(rule)).collect();
         let texts = rules.chunks(RULES_PER_TEXT).enumerate();
-        let policies: Vec<_> =
-            texts.map(|(number, text)| serde_json::json!({ "id": format!("p{number:02}"), "text": text.concat() })).collect();
+        let policies: Vec<_> = texts
+            .map(|(number, text)| serde_json::json!({ "id": format!("p{number:02}"), "text": text.concat() }))
+            .collect();
         let set = serde_json::json!({ "policies": policies, "means_it": true }).to_string();
         self.call(admin, "policy", ["apply".to_owned(), set].map(Bytes::from).into());
     }

@@ -1,13 +1,13 @@
 //! `acquire`: a grant, a place in the queue, or a request to be confirmed.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
-use crate::lifecycle::{acquisition, confirmation, leases};
 use crate::lifecycle::acquisition::Outcome;
+use crate::lifecycle::{acquisition, confirmation, leases};
 use crate::policy::decider::Decider;
-use crate::records::{store, target};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{AcquireOptions, Acquired};

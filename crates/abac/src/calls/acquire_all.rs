@@ -2,14 +2,14 @@
 //!
 //! It is one transaction, so nobody ever holds some of them while it waits for others: there is no deadlock.
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
-use crate::lifecycle::{acquisition, confirmation, holders, leases};
 use crate::lifecycle::acquisition::Outcome;
+use crate::lifecycle::{acquisition, confirmation, holders, leases};
 use crate::policy::decider::Decider;
-use crate::records::{grant, store, target};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{AcquireOptions, Grant};

@@ -1,14 +1,14 @@
 //! `authorize`: would it be allowed now?
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
-use crate::lifecycle::{acquisition, holders, publishing, subscribing};
 use crate::lifecycle::acquisition::Outcome;
+use crate::lifecycle::{acquisition, holders, publishing, subscribing};
 use crate::policy::action::Action;
 use crate::policy::decider::Decider;
-use crate::records::{grant, store};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};

@@ -1,8 +1,8 @@
 //! `GetSubmittingClientIdentity`: the caller.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_identity::Role;

@@ -1,13 +1,13 @@
 //! `can`: may somebody do something, and why?
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::question;
 use crate::calls::question::Case;
 use crate::lifecycle::people;
 use crate::policy::decider::Decider;
-use crate::records::store;
 use crate::records::principal::Principal;
+use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

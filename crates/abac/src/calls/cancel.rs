@@ -1,14 +1,14 @@
 //! `cancel`: ending a task before it is done.
 
-use crate::lifecycle::task_ends;
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::reported_task;
+use crate::lifecycle::task_ends;
 use crate::lifecycle::{queue, tasks};
 use crate::policy::decider::Decider;
-use crate::records::{line, store, target};
 use crate::records::principal::Principal;
 use crate::records::robot::Robot;
+use crate::records::{line, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::TaskState;

@@ -1,10 +1,10 @@
 //! `check`: the faults of a policy.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::question::ASK_BYTES_MAX;
 use crate::policy::decider::Decider;
 use crate::records::store;
+use bytes::Bytes;
 use ledger_base::rejection::Rejection;
 
 /// `check TEXT`: the faults of a policy with their places; none if it is acceptable.

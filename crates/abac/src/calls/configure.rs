@@ -1,13 +1,13 @@
 //! `configure`: changing settings of a robot or a service.
 
-use crate::records::{robot, target};
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::calls::{attributes, description, robot_change};
 use crate::lifecycle::robots;
 use crate::policy::decider::Decider;
-use crate::records::store;
 use crate::records::service::Service;
+use crate::records::store;
+use crate::records::{robot, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};

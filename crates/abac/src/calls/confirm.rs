@@ -1,15 +1,15 @@
 //! `confirm`: agreeing that a contender competes for a service.
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
-use crate::lifecycle::{acquisition, confirmation};
 use crate::lifecycle::acquisition::Outcome;
+use crate::lifecycle::{acquisition, confirmation};
 use crate::policy::decider;
 use crate::policy::decider::Decider;
-use crate::records::{pending, store, target};
 use crate::records::pending::Asking;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{pending, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};

@@ -1,12 +1,12 @@
 //! `could`: who of an organisation may do something?
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::calls::question;
 use crate::calls::question::{ASK_BYTES_MAX, Case};
 use crate::lifecycle::people;
 use crate::policy::decider::Decider;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::{Context, Page};
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Can, Could};

@@ -1,13 +1,13 @@
 //! `declare`: the state of a robot, certified by the voters.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::views;
 use crate::lifecycle::holders;
 use crate::policy::decider::Decider;
-use crate::records::{robot, store, task};
 use crate::records::target::Target;
 use crate::records::task::Kept;
+use crate::records::{robot, store, task};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Declaration, Grant, NEXT_MAX, RunningTask, Task};

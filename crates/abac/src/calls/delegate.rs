@@ -1,10 +1,10 @@
 //! `delegate`: a holder passes its grant on, and may take it back.
 
-use crate::lifecycle::leases::LEASE_MS_MIN;
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::delegation;
+use crate::lifecycle::leases::LEASE_MS_MIN;
 use crate::policy::decider::Decider;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

@@ -1,13 +1,13 @@
 //! Descriptions of robots: what an owner may say, and what holds where the owner says nothing.
 
-use crate::rules;
 use crate::arguments::{Arguments, shown};
 use crate::calls::attributes;
 use crate::lifecycle::leases::LEASE_MS_MIN;
 use crate::policy::decider::Decider;
-use crate::records::store;
 use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Service;
+use crate::records::store;
+use crate::rules;
 use crate::rules::terms;
 use ledger::Context;
 use ledger_base::hash::Hash;

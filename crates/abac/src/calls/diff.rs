@@ -1,15 +1,15 @@
 //! `diff`: what a set of policies would change.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::question;
 use crate::calls::question::{ASK_BYTES_MAX, Asked, Case};
 use crate::lifecycle::reachable;
-use crate::policy::{Texts, limits, texts};
 use crate::policy::action::Action;
 use crate::policy::decider::Decider;
-use crate::records::{grant, robot, store};
+use crate::policy::{Texts, limits, texts};
 use crate::records::target::Target;
+use crate::records::{grant, robot, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Can, Grant, PolicyDiff, PolicyText, WouldEnd};

@@ -1,13 +1,13 @@
 //! The robots that a caller may stop and resume.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::policy::action::RobotAction;
 use crate::policy::decider::Decider;
-use crate::records::{robot, store};
 use crate::records::principal::Principal;
 use crate::records::robot::Robot;
 use crate::records::target::Target;
+use crate::records::{robot, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Direction, Emergency};

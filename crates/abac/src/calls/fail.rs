@@ -1,11 +1,11 @@
 //! `fail`: a running task cannot continue.
 
-use crate::lifecycle::task_ends;
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::reported_task;
+use crate::lifecycle::task_ends;
 use crate::lifecycle::tasks;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::TaskState;

@@ -1,7 +1,7 @@
 //! The right to see events.
 
-use crate::calls::set::MESSAGE;
 use crate::arguments::shown;
+use crate::calls::set::MESSAGE;
 use crate::lifecycle::subscribing;
 use crate::policy::decider::Decider;
 use crate::records::target;

@@ -1,11 +1,11 @@
 //! `grants`: the live grants.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::holders;
 use crate::policy::decider::Decider;
-use crate::records::{store, target};
 use crate::records::grant::Holding;
+use crate::records::{store, target};
+use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_base::rejection::Rejection;
 use ledger_contract::Grant;

@@ -1,9 +1,9 @@
 //! `handover`: a holder passes its grant on for good.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::delegation;
 use crate::policy::decider::Decider;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

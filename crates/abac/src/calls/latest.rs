@@ -1,8 +1,8 @@
 //! `latest`: where the last messages of a service are.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::records::{last, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

@@ -1,14 +1,14 @@
 //! `line`: the queue of a service.
 
-use crate::lifecycle::contest::Contest;
-use crate::lifecycle::confirmation;
-use ledger_contract::LineState;
-use bytes::Bytes;
 use crate::arguments::Arguments;
+use crate::lifecycle::confirmation;
+use crate::lifecycle::contest::Contest;
 use crate::policy::decider::Decider;
 use crate::records::{pending, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
+use ledger_contract::LineState;
 
 /// `line SERVICE`: who holds a service, and who waits for it.
 pub(crate) fn line(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {

@@ -1,9 +1,9 @@
 //! `policies`: the policies of every organisation.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::policy::defaults::DEFAULT_POLICY;
 use crate::policy::texts::DEFAULT_ID;
+use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyEntry;

@@ -1,9 +1,9 @@
 //! `policy_approvals`: who must agree to the policies of an organisation.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::policy_approvals;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::{Context, Quorum};
 use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyApprovals;

@@ -1,8 +1,8 @@
 //! `policy_history`: the sets of an organisation.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::records::{policy_set, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

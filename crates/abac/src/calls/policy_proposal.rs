@@ -1,9 +1,9 @@
 //! `policy_proposal`: one proposed set with its texts.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::policy_proposals;
 use crate::records::{policy_set, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyProposalTexts;

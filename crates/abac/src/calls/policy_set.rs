@@ -1,9 +1,9 @@
 //! `policy_set`: one set with its texts.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::policy_sets;
 use crate::records::{policy_set, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::PolicySetTexts;

@@ -1,12 +1,12 @@
 //! `progress`: how many points of a running task were reached.
 
-use crate::lifecycle::task_ends;
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::reported_task;
+use crate::lifecycle::task_ends;
 use crate::lifecycle::{grants, tasks};
 use crate::policy::decider::Decider;
 use crate::records::{store, target, task};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Task, TaskState};

@@ -4,13 +4,13 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::lifecycle::policy_sets;
-use crate::policy::{Texts, Verdict, limits, refusal, texts};
 use crate::policy::action::{Action, Object, RobotAction};
 use crate::policy::decider::Decider;
 use crate::policy::explain::Explanation;
-use crate::records::{robot, target};
+use crate::policy::{Texts, Verdict, limits, refusal, texts};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{robot, target};
 use ledger::Context;
 use ledger_base::hash::Hash;
 use ledger_base::nearest::did_you_mean;

@@ -1,13 +1,13 @@
 //! `reader`: entering and leaving as a reader of a confidential service.
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::lifecycle::content_keys;
 use crate::policy::decider::Decider;
-use crate::records::{reader, store, target};
 use crate::records::principal::Principal;
 use crate::records::reader::Entered;
 use crate::records::target::Target;
+use crate::records::{reader, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{READERS_MAX, READING_KEY_BYTES};

@@ -1,11 +1,11 @@
 //! `readers`: the readers of a confidential service.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::content_keys;
 use crate::policy::decider::Decider;
-use crate::records::{reader, store, target};
 use crate::records::reader::Entered;
+use crate::records::{reader, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Reader, Readers};

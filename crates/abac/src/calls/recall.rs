@@ -1,17 +1,17 @@
 //! `recall`: taking back a grant that was passed on.
 
+use crate::arguments::Arguments;
 use crate::lifecycle::acquisition;
 use crate::lifecycle::follow_up::Ending;
-use crate::lifecycle::settle::settle;
-use bytes::Bytes;
-use crate::arguments::Arguments;
-use crate::lifecycle::{delegation, holders, queue};
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
+use crate::lifecycle::settle::settle;
+use crate::lifecycle::{delegation, holders, queue};
 use crate::policy::decider::Decider;
-use crate::records::{grant, target};
 use crate::records::grant::{Giver, Holding};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Reason;

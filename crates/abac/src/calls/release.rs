@@ -1,16 +1,16 @@
 //! `release`: giving a service back, or taking it back.
 
-use crate::lifecycle::holders::{holders_of, own};
-use crate::lifecycle::follow_up::Ending;
-use crate::lifecycle::settle::settle;
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::lifecycle::departures;
+use crate::lifecycle::follow_up::Ending;
+use crate::lifecycle::holders::{holders_of, own};
+use crate::lifecycle::settle::settle;
 use crate::policy::decider::Decider;
-use crate::records::{grant, store, target};
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{LeftReason, Reason, Released};

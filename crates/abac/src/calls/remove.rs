@@ -1,10 +1,10 @@
 //! `remove`: taking a robot out of service.
 
-use crate::lifecycle::settle::settle;
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::robots;
+use crate::lifecycle::settle::settle;
 use crate::records::{robot, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

@@ -1,13 +1,13 @@
 //! `renew`: a longer lease.
 
-use crate::lifecycle::leases::lease;
-use bytes::Bytes;
 use crate::arguments::Arguments;
+use crate::lifecycle::leases::lease;
 use crate::lifecycle::{grants, holders};
 use crate::policy::decider;
 use crate::policy::decider::Decider;
-use crate::records::target;
 use crate::records::principal::Principal;
+use crate::records::target;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

@@ -1,12 +1,12 @@
 //! `replace`: describing robots again.
 
-use crate::calls::setup::ROBOTS_PER_SETUP_MAX;
-use bytes::Bytes;
 use crate::arguments::Arguments;
+use crate::calls::setup::ROBOTS_PER_SETUP_MAX;
 use crate::calls::{description, robot_change};
 use crate::lifecycle::robots;
 use crate::policy::decider::Decider;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

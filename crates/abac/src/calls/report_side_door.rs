@@ -3,12 +3,12 @@
 //! A report changes nobody's rights. It is there so that the owner's people see it on any node, also later. So it comes from
 //! those whom the owner has put next to the robot, and rarely.
 
-use crate::calls::description::check_topic;
-use bytes::Bytes;
 use crate::arguments::Arguments;
-use crate::records::{side_door, store, target};
+use crate::calls::description::check_topic;
 use crate::records::robot::Robot;
 use crate::records::target::Target;
+use crate::records::{side_door, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, SideDoor};

@@ -1,9 +1,9 @@
 //! Tasks that their submitter or the robot reports about.
 
 use crate::lifecycle::tasks;
-use crate::records::{store, target, task};
 use crate::records::robot::Robot;
 use crate::records::task::Kept;
+use crate::records::{store, target, task};
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Task;

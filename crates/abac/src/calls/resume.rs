@@ -1,12 +1,12 @@
 //! `resume`: a stopped robot may be commanded again.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::emergency;
 use crate::lifecycle::{capacity, looks};
 use crate::policy::action::RobotAction;
 use crate::policy::decider::Decider;
 use crate::records::{stopped, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::EmergencyAnswer;

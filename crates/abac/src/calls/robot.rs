@@ -1,10 +1,10 @@
 //! `robot`: one robot.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::views;
 use crate::policy::decider::Decider;
 use crate::records::{robot, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

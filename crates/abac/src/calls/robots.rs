@@ -1,10 +1,10 @@
 //! `robots`: the registered robots.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::views;
 use crate::policy::decider::Decider;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_base::rejection::Rejection;
 

@@ -1,10 +1,10 @@
 //! `service`: one service.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::views;
 use crate::policy::decider::Decider;
 use crate::records::{store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

@@ -3,16 +3,16 @@
 //! The messages themselves stay in the transaction; the state keeps only where the last one is. A held grant is
 //! checked by comparing numbers, without asking any policy.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::NAME;
-use crate::lifecycle::{content_keys, grants, publishing};
 use crate::lifecycle::publishing::Right;
-use crate::policy::{Permit, texts};
+use crate::lifecycle::{content_keys, grants, publishing};
 use crate::policy::decider::Decider;
-use crate::records::{last, store};
+use crate::policy::{Permit, texts};
 use crate::records::last::Last;
 use crate::records::target::Target;
+use crate::records::{last, store};
+use bytes::Bytes;
 use ledger::{Context, Foretold};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Envelope, MessageEvent, POLICIES_TOLD_MAX, Permitted, Published};

@@ -1,10 +1,10 @@
 //! `set_policy_approvals`: the rule of the network about who must agree to policies.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::policy_approvals;
 use crate::lifecycle::policy_approvals::{NO_RULE, OF_NETWORK};
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

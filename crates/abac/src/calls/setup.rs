@@ -1,12 +1,12 @@
 //! `setup`: registering robots.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::{description, views};
 use crate::lifecycle::{registration, robots};
 use crate::policy::decider::Decider;
-use crate::records::{grant, store};
 use crate::records::robot::Robot;
+use crate::records::{grant, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 

@@ -1,12 +1,12 @@
 //! `share`: a new content key, wrapped for those who may read.
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::lifecycle::{content_keys, publishing};
 use crate::policy::decider::Decider;
-use crate::records::{reader, store, target};
 use crate::records::reader::{Entered, SharedKey};
 use crate::records::target::Target;
+use crate::records::{reader, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};

@@ -1,14 +1,14 @@
 //! `stop`: a robot is commanded by nobody until it is resumed.
 
-use crate::lifecycle::follow_up::Ending;
-use crate::lifecycle::settle::settle;
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::emergency;
 use crate::lifecycle::capacity;
+use crate::lifecycle::follow_up::Ending;
+use crate::lifecycle::settle::settle;
 use crate::policy::action::RobotAction;
 use crate::policy::decider::Decider;
 use crate::records::{grant, stopped, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{EmergencyAnswer, Reason, Stopped};
@@ -27,7 +27,9 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
         let stop = Stopped { by: by.clone(), reason: reason.clone(), since: ctx.block_time() };
         stopped::put(ctx, &robot.name, &stop)?;
         for target in emergency::commands(&robot) {
-            ending.extend(grant::live(ctx, &target.id)?.into_iter().map(|holding| Ending::of_many(holding, Reason::Stopped)));
+            ending.extend(
+                grant::live(ctx, &target.id)?.into_iter().map(|holding| Ending::of_many(holding, Reason::Stopped)),
+            );
         }
         // So many robots that there is no room to tell of them are stopped all the same.
         if !capacity::is_full(ctx) {

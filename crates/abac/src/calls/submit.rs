@@ -1,25 +1,27 @@
 //! `submit`: to submit a task is to acquire the service with it. Its submitter holds the service while it runs.
 
-use crate::lifecycle::contest::Contest;
-use crate::lifecycle::follow_up::Ending;
-use crate::lifecycle::settle::settle;
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::calls::reported_task;
-use crate::lifecycle::{acquisition, contest, holders, leases, queue, stops, tasks};
 use crate::lifecycle::acquisition::Outcome;
+use crate::lifecycle::contest::Contest;
+use crate::lifecycle::follow_up::Ending;
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
-use crate::policy::{Permit, decider};
+use crate::lifecycle::settle::settle;
+use crate::lifecycle::{acquisition, contest, holders, leases, queue, stops, tasks};
 use crate::policy::decider::Decider;
-use crate::records::{line, robot, store, target, task};
+use crate::policy::{Permit, decider};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
 use crate::records::task::Kept;
+use crate::records::{line, robot, store, target, task};
 use crate::rules::terms::QUEUE_MAX;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{COORDINATE_UM_MAX, Direction, POINTS_MAX, Place, Reason, Submitted, Task, TaskSpec, TaskState, YAW_URAD_MAX};
+use ledger_contract::{
+    COORDINATE_UM_MAX, Direction, POINTS_MAX, Place, Reason, Submitted, Task, TaskSpec, TaskState, YAW_URAD_MAX,
+};
 
 /// Longest JSON of a task, in bytes: enough to count the points of one that has far too many.
 const TASK_BYTES_MAX: usize = 1024 * 1024;

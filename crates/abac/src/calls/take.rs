@@ -1,17 +1,17 @@
 //! `take`: a service whatever its rule says.
 
+use crate::arguments::Arguments;
 use crate::lifecycle::acquisition;
 use crate::lifecycle::contest::OVERRIDING;
 use crate::lifecycle::follow_up::Ending;
-use crate::lifecycle::settle::settle;
-use bytes::Bytes;
-use crate::arguments::Arguments;
-use crate::lifecycle::{leases, queue, stops};
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
+use crate::lifecycle::settle::settle;
+use crate::lifecycle::{leases, queue, stops};
 use crate::policy::decider;
 use crate::policy::decider::Decider;
-use crate::records::{grant, target};
 use crate::records::principal::Principal;
+use crate::records::{grant, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::Reason;

@@ -1,10 +1,10 @@
 //! `task`: one task with its points.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::calls::reported_task;
 use crate::lifecycle::tasks;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 

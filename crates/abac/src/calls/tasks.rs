@@ -1,9 +1,9 @@
 //! `tasks`: the tasks that are kept.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::records::store;
 use crate::records::task::Kept;
+use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_base::rejection::Rejection;
 

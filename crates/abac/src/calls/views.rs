@@ -1,9 +1,9 @@
 //! Robots and services as everybody sees them.
 
 use crate::policy::decider::Decider;
-use crate::records::{grant, line, side_door, stopped};
 use crate::records::robot::Robot;
 use crate::records::target::Target;
+use crate::records::{grant, line, side_door, stopped};
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Direction, Grant, RobotAsset, ServiceState};

@@ -1,18 +1,18 @@
 //! How a contender gets a grant: what the policies and the rule of the service decide, and what becomes of it.
 
-use crate::lifecycle::contest::Contest;
-use bytes::Bytes;
-use crate::lifecycle::{contest, grants, holders, queue, stops};
 use super::follow_up::Ending;
 use super::grants::{GrantTerms, Inheritance};
 use super::settle::settle;
-use crate::policy::{Permit, decider};
+use crate::lifecycle::contest::Contest;
+use crate::lifecycle::{contest, grants, holders, queue, stops};
 use crate::policy::decider::Decider;
-use crate::records::{grant, line, store};
+use crate::policy::{Permit, decider};
 use crate::records::grant::{HOLDERS_MAX, Holding};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, line, store};
 use crate::rules::Decision;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{AcquireOptions, Acquired, Reason};
@@ -103,8 +103,8 @@ pub(crate) fn may_acquire(
         Some(waiting) => contest::claim(waiting),
         None => contest::newcomer(ctx, principal.id(), priority),
     };
-    let room = outcome(target, &contest, contest.decide(decider.rules.of(target)?, &contender), priority)?;
-    Ok((room, permit))
+    let outcome = outcome(target, &contest, contest.decide(decider.rules.of(target)?, &contender), priority)?;
+    Ok((outcome, permit))
 }
 
 /// The position of a contender that holds nothing of the service, as the rule has decided.

@@ -3,14 +3,14 @@
 //! A contender that waits to be confirmed holds no place, and takes none from others: it competes when the last one has
 //! confirmed it. It never counts for itself.
 
-use crate::lifecycle::queue::WAITS_MAX;
 use crate::lifecycle::capacity;
+use crate::lifecycle::queue::WAITS_MAX;
 use crate::policy::decider;
 use crate::policy::decider::Decider;
-use crate::records::{line, pending, store};
 use crate::records::pending::Asking;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{line, pending, store};
 use crate::rules::terms::Terms;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};

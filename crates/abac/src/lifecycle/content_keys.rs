@@ -1,10 +1,10 @@
 //! The content keys of confidential services: who may have one, and which one is good.
 
 use crate::lifecycle::subscribing;
-use crate::policy::texts;
 use crate::policy::decider::Decider;
-use crate::records::reader;
+use crate::policy::texts;
 use crate::records::principal::Principal;
+use crate::records::reader;
 use crate::records::reader::{GRACE_US, MadeFor};
 use crate::records::robot::Robot;
 use crate::records::target::Target;

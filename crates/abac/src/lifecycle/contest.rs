@@ -1,14 +1,14 @@
 //! The contest for a service as its rule sees it: the holders, the queue, and the contender.
 
-use crate::rules::priority::{self, PRIORITY_MAX};
 use crate::policy::Permit;
-use crate::records::{grant, line, used};
 use crate::records::grant::Holding;
 use crate::records::line::Waiting;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
-use crate::rules::{Claim, Decision, Rule, Situation};
+use crate::records::{grant, line, used};
 use crate::rules::priority::Source;
+use crate::rules::priority::{self, PRIORITY_MAX};
+use crate::rules::{Claim, Decision, Rule, Situation};
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Place;

@@ -3,19 +3,19 @@
 //! At no height has the robot two holders, and it need not stop between them. A grant that was delegated ends when one of those who
 //! passed it on may no longer hold it.
 
-use crate::lifecycle::acquisition;
 use super::follow_up::Ending;
 use super::settle::settle;
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
-use crate::lifecycle::{contest, holders, people, queue, stops};
+use crate::lifecycle::acquisition;
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
-use crate::policy::{Permit, decider};
+use crate::lifecycle::{contest, holders, people, queue, stops};
 use crate::policy::decider::Decider;
-use crate::records::{grant, store, target};
+use crate::policy::{Permit, decider};
 use crate::records::grant::{Giver, Holding};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, store, target};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Delegated, Grant, PassOptions, Reason};

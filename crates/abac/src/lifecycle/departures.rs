@@ -1,12 +1,12 @@
 //! Contenders that leave the queue, by themselves or not.
 
 use super::settle::settle;
-use crate::lifecycle::{capacity, confirmation, queue, task_ends};
 use crate::lifecycle::queue::TOLD_MAX;
+use crate::lifecycle::{capacity, confirmation, queue, task_ends};
 use crate::policy::decider::Decider;
-use crate::records::{line, target};
 use crate::records::line::Waiting;
 use crate::records::target::Target;
+use crate::records::{line, target};
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::LeftReason;

@@ -6,14 +6,14 @@
 
 use super::follow_up::{Ending, FollowUp};
 use super::settle::settle;
-use crate::lifecycle::{capacity, contest, departures, looks, robots, undecided};
 use crate::lifecycle::capacity::ENDINGS_MAX;
-use crate::policy::{decider, texts};
+use crate::lifecycle::{capacity, contest, departures, looks, robots, undecided};
 use crate::policy::decider::Decider;
-use crate::records::{grant, policy_set, proposed, reader, robot, side_door, store};
+use crate::policy::{decider, texts};
 use crate::records::grant::Holding;
 use crate::records::robot::Robot;
 use crate::records::target::Target;
+use crate::records::{grant, policy_set, proposed, reader, robot, side_door, store};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_base::rejection::Rejection;
@@ -173,12 +173,7 @@ pub(crate) fn robot_changed(
 
 /// The live grants of a service that policies deny now, or that its rule has no room for: the oldest stay. Those that stay
 /// are renewed by no more than the service now allows. Policies are asked now, or later.
-fn unfit(
-    ctx: &mut Context<'_>,
-    decider: &Decider,
-    ask: bool,
-    target: &Target,
-) -> Result<Vec<FollowUp>, Rejection> {
+fn unfit(ctx: &mut Context<'_>, decider: &Decider, ask: bool, target: &Target) -> Result<Vec<FollowUp>, Rejection> {
     let rule = decider.rules.of(target)?;
     let mut stay: Vec<Claim> = Vec::new();
     let mut ending = Vec::new();

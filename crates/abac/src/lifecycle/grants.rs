@@ -1,15 +1,15 @@
 //! Grants: giving, ending and renewing one. A change returns what follows from it.
 
-use bytes::Bytes;
 use super::follow_up::{Ending, FollowUp};
 use super::{holders, looks};
-use crate::policy::{Permit, decider, texts};
 use crate::policy::decider::Decider;
-use crate::records::{grant, line, reader, store, used};
+use crate::policy::{Permit, decider, texts};
 use crate::records::grant::{Giver, Holding};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, line, reader, store, used};
 use crate::rules::terms::Terms;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};

@@ -1,10 +1,10 @@
 //! The holders of a service, and the refusals that name them.
 
 use crate::policy::decider::Decider;
-use crate::records::{grant, last};
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{grant, last};
 use crate::timestamp::rfc3339;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};

@@ -1,7 +1,7 @@
 //! When a service is looked at again, at the start of a block.
 
-use crate::records::{line, pending, task};
 use crate::records::target::Target;
+use crate::records::{line, pending, task};
 use crate::rules::terms::Terms;
 use ledger::Context;
 use ledger_base::rejection::Rejection;

@@ -1,8 +1,8 @@
 //! People by their certificates on the ledger.
 
-use bytes::Bytes;
-use crate::records::store;
 use crate::records::principal::Principal;
+use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger::msp::CertifiedHolder;
 use ledger_base::rejection::Rejection;

@@ -7,13 +7,13 @@
 //! No organisation is locked out by its own rule: after [`BREAK_GLASS_AFTER`] one of its admins enacts a proposal without
 //! it. Meanwhile any other admin of the organisation sees the proposal and can withdraw it. The rule of the network stays.
 
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
 use crate::lifecycle::{policy_approvals, policy_sets};
 use crate::policy::texts;
-use crate::records::{policy_set, proposed, store};
 use crate::records::principal::Principal;
 use crate::records::proposed::{Approval, Proposed};
+use crate::records::{policy_set, proposed, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};

@@ -1,17 +1,17 @@
 //! Numbered sets of policies: reading a new one, and putting it in force.
 
-use crate::policy::limits::POLICY_BYTES_MAX;
-use crate::policy::texts::own;
-use bytes::Bytes;
 use crate::arguments::{Arguments, shown};
-use crate::lifecycle::{ends, policy_approvals, robots};
 use crate::lifecycle::policy_approvals::NO_RULE;
-use crate::policy::{Texts, limits, texts};
+use crate::lifecycle::{ends, policy_approvals, robots};
 use crate::policy::decider::Decider;
+use crate::policy::limits::POLICY_BYTES_MAX;
 use crate::policy::texts::POLICIES_MAX;
+use crate::policy::texts::own;
+use crate::policy::{Texts, limits, texts};
 use crate::records::{policy_set, store};
-use ledger::{Context, Quorum};
+use bytes::Bytes;
 use ledger::msp::quota_reached;
+use ledger::{Context, Quorum};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyDraft, PolicySet, PolicyText};
 use std::collections::BTreeSet;

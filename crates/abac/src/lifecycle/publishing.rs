@@ -1,9 +1,9 @@
 //! The right to publish on a service.
 
 use crate::lifecycle::{holders, stops, undecided};
-use crate::policy::{Permit, decider};
 use crate::policy::action::Action;
 use crate::policy::decider::Decider;
+use crate::policy::{Permit, decider};
 use crate::records::grant;
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;

@@ -1,13 +1,13 @@
 //! The queue of a service: joining it, and losing a place in it.
 
-use crate::lifecycle::contest::Contest;
 use super::follow_up::FollowUp;
+use crate::lifecycle::contest::Contest;
 use crate::lifecycle::holders;
 use crate::policy::decider::Decider;
-use crate::records::{line, pending, store};
 use crate::records::line::Waiting;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
+use crate::records::{line, pending, store};
 use crate::rules::terms::Terms;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};

@@ -1,11 +1,11 @@
 //! Robots to which nobody may publish any more: a set of policies that makes one is put only by who says that it is meant.
 
 use crate::lifecycle::people;
-use crate::policy::{Texts, limits, texts};
 use crate::policy::action::Action;
 use crate::policy::decider::Decider;
-use crate::records::{robot, store};
+use crate::policy::{Texts, limits, texts};
 use crate::records::target::Target;
+use crate::records::{robot, store};
 use ledger::{Context, Page, Paging};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};

@@ -1,11 +1,11 @@
 //! Robots: who owns them, their quota, and taking one out of service.
 
 use super::follow_up::{Ending, FollowUp};
-use bytes::Bytes;
 use crate::lifecycle::looks;
-use crate::records::{grant, reader, robot, side_door, store};
 use crate::records::robot::Robot;
 use crate::records::target::Target;
+use crate::records::{grant, reader, robot, side_door, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger::msp::{Quotas, quota_reached};
 use ledger_base::rejection::{Code, Rejection};

@@ -20,9 +20,7 @@ pub(crate) fn settle(
     let mut released = Vec::new();
     while let Some(next) = due.pop_front() {
         let follows = match next {
-            FollowUp::End(ending)
-                if ending.may_wait && (released.len() >= ENDINGS_MAX || capacity::is_full(ctx)) =>
-            {
+            FollowUp::End(ending) if ending.may_wait && (released.len() >= ENDINGS_MAX || capacity::is_full(ctx)) => {
                 grants::mark_ended(ctx, &ending)?;
                 None
             }

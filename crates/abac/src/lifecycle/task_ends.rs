@@ -1,11 +1,11 @@
 //! Tasks that join the queue, expire, or fail without a call.
 
 use super::settle::settle;
-use crate::lifecycle::{capacity, tasks};
 use crate::lifecycle::tasks::{REMOVED, REVOKED};
-use crate::records::{line, task};
+use crate::lifecycle::{capacity, tasks};
 use crate::records::target::Target;
 use crate::records::task::Kept;
+use crate::records::{line, task};
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::TaskState;

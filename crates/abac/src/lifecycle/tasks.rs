@@ -1,11 +1,11 @@
 //! Tasks: the changes of one. A change returns what follows from it.
 
 use super::follow_up::{Ending, FollowUp};
-use crate::records::{grant, line, store, task};
 use crate::records::grant::Holding;
 use crate::records::line::Waiting;
 use crate::records::target::Target;
 use crate::records::task::Kept;
+use crate::records::{grant, line, store, task};
 use crate::rules::terms::Terms;
 use ledger::Context;
 use ledger_base::mutation::{Mutation, active};

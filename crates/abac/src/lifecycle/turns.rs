@@ -5,20 +5,20 @@
 //! others, and nobody's release can fail because of who waits. The work of a block is bounded: services that are looked at, turns,
 //! and steps of policies.
 
-use crate::lifecycle::acquisition;
-use crate::lifecycle::contest::claim;
-use crate::lifecycle::undecided::IN_BLOCK;
-use crate::lifecycle::contest::Contest;
 use super::follow_up::FollowUp;
 use super::settle::settle;
-use crate::lifecycle::{capacity, confirmation, departures, looks, queue, stops, task_ends, undecided};
+use crate::lifecycle::acquisition;
+use crate::lifecycle::contest::Contest;
+use crate::lifecycle::contest::claim;
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
+use crate::lifecycle::undecided::IN_BLOCK;
+use crate::lifecycle::{capacity, confirmation, departures, looks, queue, stops, task_ends, undecided};
 use crate::policy::decider;
 use crate::policy::decider::Decider;
-use crate::records::{last, line, target};
 use crate::records::grant::{HOLDERS_MAX, Holding};
 use crate::records::line::Waiting;
 use crate::records::target::Target;
+use crate::records::{last, line, target};
 use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use ledger::Context;
@@ -75,8 +75,7 @@ fn look(ctx: &mut Context<'_>, decider: &Decider, service: &str, allowance: &mut
     let before = line::all(ctx, service)?;
     task_ends::due(ctx, &target)?;
     departures::send_away(ctx, decider, &target)?;
-    let again =
-        if stops::check_goes(ctx, &target).is_ok() { turns(ctx, decider, &target, allowance)? } else { None };
+    let again = if stops::check_goes(ctx, &target).is_ok() { turns(ctx, decider, &target, allowance)? } else { None };
     let line = line::all(ctx, service)?;
     let patience = line.iter().map(|waiting| waiting.until).min();
     if let Some(next) =

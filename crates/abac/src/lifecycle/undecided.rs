@@ -6,14 +6,14 @@
 
 use super::follow_up::{Ending, FollowUp};
 use super::settle::settle;
-use bytes::Bytes;
-use crate::policy::{decider, texts};
 use crate::policy::decider::Decider;
 use crate::policy::limits::STEPS_MAX;
-use crate::records::{grant, store};
+use crate::policy::{decider, texts};
 use crate::records::grant::Holding;
 use crate::records::robot::Robot;
 use crate::records::target::Target;
+use crate::records::{grant, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Reason, Released};

@@ -232,7 +232,8 @@ impl Fleet {
         };
         let prefix = format!("abac\0policy/{}/", who.organisation);
         let pairs = self.state.range(prefix.as_bytes(), None, usize::MAX).unwrap();
-        let policy = |(key, value): &(Bytes, Bytes)| PolicyText { id: text(key)[prefix.len()..].to_owned(), text: text(value) };
+        let policy =
+            |(key, value): &(Bytes, Bytes)| PolicyText { id: text(key)[prefix.len()..].to_owned(), text: text(value) };
         let mut policies: Vec<PolicyText> = pairs.iter().map(policy).collect();
         let before = policies.len();
         policies.retain(|policy| policy.id != id);

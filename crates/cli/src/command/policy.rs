@@ -92,9 +92,7 @@ fn text(policy: &str) -> Result<Bytes, Rejection> {
 impl Policy {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         match self {
-            Self::List(_) => {
-                output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?))
-            }
+            Self::List(_) => output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?)),
             Self::Show(show) => show.run(global, output).await,
             Self::Check(check) => check.run(global, output).await,
             Self::Diff(diff) => diff.run(global, output).await,

@@ -1,12 +1,12 @@
 //! `policy apply`: a set takes the place of the one in force.
 
-use crate::lifecycle::policy_sets::Made;
-use bytes::Bytes;
 use crate::arguments::Arguments;
-use crate::lifecycle::{policy_approvals, policy_sets, reachable, robots};
 use crate::lifecycle::policy_sets::Draft;
+use crate::lifecycle::policy_sets::Made;
+use crate::lifecycle::{policy_approvals, policy_sets, reachable, robots};
 use crate::policy::decider::Decider;
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyChange;

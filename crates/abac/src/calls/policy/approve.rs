@@ -1,9 +1,9 @@
 //! `policy approve`: agreeing to a proposed set.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::{policy_proposals, robots};
 use crate::records::proposed::Approval;
+use bytes::Bytes;
 use ledger::{ADMINS_PER_ORGANISATION_MAX, Context};
 use ledger_base::rejection::{Code, Rejection};
 

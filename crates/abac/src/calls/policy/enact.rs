@@ -1,12 +1,12 @@
 //! `policy enact`: a proposed set comes in force.
 
+use crate::arguments::{Arguments, shown};
 use crate::lifecycle::policy_approvals::OF_NETWORK;
 use crate::lifecycle::policy_sets::Made;
-use bytes::Bytes;
-use crate::arguments::{Arguments, shown};
 use crate::lifecycle::{policy_approvals, policy_proposals, policy_sets, reachable, robots};
 use crate::policy::decider::Decider;
 use crate::records::policy_set;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 
@@ -35,8 +35,9 @@ pub(crate) fn enact(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let approved_by: Vec<String> = told.approved.iter().map(|approval| approval.who.clone()).collect();
     let mut broken = false;
     for need in told.needs.iter().filter(|need| need.missing > 0) {
-        let refused =
-            || policy_approvals::not_agreed(organisation, need).found(format!("approved by {}", approved_by.join(", ")));
+        let refused = || {
+            policy_approvals::not_agreed(organisation, need).found(format!("approved by {}", approved_by.join(", ")))
+        };
         if need.of == OF_NETWORK || !breaks {
             return Err(refused().next(format!("the others agree with: ledgerctl policy approve {}", proposed.id)));
         }

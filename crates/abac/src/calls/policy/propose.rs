@@ -1,14 +1,14 @@
 //! `policy propose`: a set that others are to agree to.
 
-use crate::lifecycle::policy_sets::Draft;
-use bytes::Bytes;
 use crate::arguments::Arguments;
-use crate::lifecycle::{policy_proposals, policy_sets, reachable, robots};
 use crate::lifecycle::policy_proposals::ID_DIGITS;
-use crate::policy::texts;
+use crate::lifecycle::policy_sets::Draft;
+use crate::lifecycle::{policy_proposals, policy_sets, reachable, robots};
 use crate::policy::decider::Decider;
-use crate::records::{policy_set, proposed, store};
+use crate::policy::texts;
 use crate::records::proposed::Proposed;
+use crate::records::{policy_set, proposed, store};
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};

@@ -1,9 +1,9 @@
 //! `policy withdraw`: taking back a proposal or an approval.
 
-use bytes::Bytes;
 use crate::arguments::Arguments;
 use crate::lifecycle::{policy_proposals, robots};
 use crate::records::store;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_base::rejection::{Code, Rejection};
 

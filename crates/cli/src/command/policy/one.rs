@@ -97,8 +97,7 @@ impl InForce {
         let sets: Vec<PolicySet> = answer::parse(&sets, "sets of policies")?;
         let Some(newest) = sets.first() else { return Ok(Self { organisation, version: 0, policies: Vec::new() }) };
         let args = vec![name, Bytes::from(newest.version.to_string())];
-        let set: PolicySetTexts =
-            answer::parse(&session.ask(ABAC, "policy_set", args).await?, "a set of policies")?;
+        let set: PolicySetTexts = answer::parse(&session.ask(ABAC, "policy_set", args).await?, "a set of policies")?;
         Ok(Self { organisation, version: newest.version, policies: set.policies })
     }
 
@@ -110,18 +109,15 @@ impl InForce {
         change: (String, &str),
         means_it: bool,
     ) -> Result<(), Failure> {
-        let draft = PolicyDraft {
-            policies: Some(self.policies),
-            base: Some(self.version),
-            means_it,
-            ..PolicyDraft::default()
-        };
-        let done = session.call(ABAC, "policy", arguments("apply", &draft)?).await.map_err(|refused| {
-            match refused.code {
-                Code::PoliciesChanged => WORDS.told(refused).next("try again: the same command starts from the set in force"),
+        let draft =
+            PolicyDraft { policies: Some(self.policies), base: Some(self.version), means_it, ..PolicyDraft::default() };
+        let done =
+            session.call(ABAC, "policy", arguments("apply", &draft)?).await.map_err(|refused| match refused.code {
+                Code::PoliciesChanged => {
+                    WORDS.told(refused).next("try again: the same command starts from the set in force")
+                }
                 _ => WORDS.told(refused),
-            }
-        })?;
+            })?;
         let mut changed: PolicyChange = answer::parse(&done.response, "a change of policies")?;
         if changed.change == "applied" {
             (changed.id, changed.change) = (change.0, change.1.to_owned());
