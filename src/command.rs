@@ -13,7 +13,7 @@ use futures::{Stream, stream};
 use ledger_api::report;
 use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_traces::Tracer;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::ffi::OsString;
 use std::future::Future;
 use std::path::{Path, PathBuf};
@@ -231,7 +231,7 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
     telemetry::start(&program.log);
     let _known = memory::keep();
     block_on_with(1, async move {
-        let sight = Sight::default();
+        let sight = BridgeMonitor::default();
         let _page = match program.admin.listen.as_str() {
             "" => None,
             address => {

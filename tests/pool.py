@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Builds the tests and runs all of them in one pool: tests/pool.py [--long] [-p PACKAGE]... [NAME]...
 
-Each test is a process of its own. A test that waits, for nodes, leases and elections, has many slots; a test that computes has one for
-each processor, and gives way to those that wait. NAME is a part of a test's name, as it is printed. `--long` runs what is left out
+Each test is a process of its own, in one of the classes below: a test that waits has many slots, a test that computes has one for each
+processor, and gives way to those that wait. NAME is a part of a test's name, as it is printed. `--long` runs what is left out
 otherwise. `./test` calls this after it has installed what the tests need.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -25,13 +26,18 @@ PROFILE = "tests"
 DURATIONS = TARGET / PROFILE / "durations.json"
 PROCESSORS = os.cpu_count() or 1
 
-# Test binaries whose tests mostly wait. The others compute.
-WAITING = {"bridge", "cli", "client", "clients", "cluster", "hostile", "interop", "inventory", "node", "ros_bridge"}
-WAITING_SLOTS = 6 * PROCESSORS
+# The classes of test binaries, with their slots. What is named nowhere computes, has one slot for each processor, and gives way.
+CLASSES = {
+    # They wait for nodes, leases and elections.
+    "waiting": (4 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
+    # They wait for graphs of ROS 2, whose many processes lose messages where processors are short.
+    "graphs": (PROCESSORS + 1, {"bridge", "interop", "ros_bridge"}),
+    "computing": (PROCESSORS, set()),
+}
 # Test binaries that start programs of this workspace.
 WITH_PROGRAMS = {"cli", "clients", "cluster", "hostile", "interop", "node"}
 # The longest ones begin first. What is not named here begins in the order of the last run's durations.
-FIRST = ["sim::seeds::", "cluster::", "interop::"]
+FIRST = ["sim::seeds::", "node::languages::", "node::packaging::", "node::crash::", "cluster::", "interop::"]
 # Left out without --long.
 LONG = []
 # With --long these try more than without it.
@@ -40,6 +46,8 @@ LONGER = ["cluster::", "replica::chaos::", "sim::mutations::", "sim::seeds::no_s
 ALONE = ["repository::documents::the_first_command_of_the_readme_plays_the_experiment"]
 # Seconds after which a test has failed.
 TIME_MAX = 900
+# The process groups of the tests that run.
+RUNNING = set()
 
 
 class Test:
@@ -47,8 +55,9 @@ class Test:
 
     def __init__(self, binary, name, command, directory):
         self.name = f"{binary}::{name}"
-        self.waits = binary in WAITING
-        self.command = command if self.waits else ["nice", "-n", "10", *command]
+        named = (of for of, (_, binaries) in CLASSES.items() if binary in binaries)
+        self.of = next(named, "computing")
+        self.command = ["nice", "-n", "10", *command] if self.of == "computing" else command
         self.directory = directory
         self.output, self.seconds = "", 0.0
         self.passed, self.failed, self.skipped = 0, 0, []
@@ -73,12 +82,22 @@ class Test:
         return self
 
     def wait(self, process):
-        """The exit code. A test that takes too long is ended, with everything that it has started."""
+        """The exit code. What a test leaves behind is ended, and a test that takes too long."""
+        RUNNING.add(process.pid)
         try:
             return process.wait(TIME_MAX)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+            self.end(process.pid)
             return process.wait()
+        finally:
+            RUNNING.discard(process.pid)
+            self.end(process.pid)
+
+    @staticmethod
+    def end(group):
+        """Ends a test with everything that it has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGKILL)
 
 
 def cargo(*arguments):
@@ -127,7 +146,16 @@ def examples():
     return Test("documentation", "examples", command, TOP)
 
 
+def interrupted(number, _frame):
+    """Leaves no test behind."""
+    for group in list(RUNNING):
+        Test.end(group)
+    os._exit(128 + number)
+
+
 def main():
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, interrupted)
     parser = argparse.ArgumentParser(prog="./test", description="Builds the tests and runs them in one pool.")
     parser.add_argument("--long", action="store_true", help="what is left out otherwise, and searches for new cases")
     parser.add_argument("-p", "--package", action="append", default=[], help="only a package, and the one with its tests")
@@ -143,7 +171,7 @@ def main():
     if not asked.package:
         tests.append(examples())
         there = {test.name.split("::")[0] for test in tests}
-        gone = (WAITING | WITH_PROGRAMS) - there
+        gone = set.union(WITH_PROGRAMS, *(binaries for _, binaries in CLASSES.values())) - there
         gone |= {prefix for prefix in FIRST + LONG + LONGER + ALONE if not any(is_in(test, [prefix]) for test in tests)}
         if gone:
             sys.exit(f"error: tests/pool.py names tests that are not there: {' '.join(sorted(gone))}")
@@ -172,10 +200,11 @@ def main():
                 print(f"test: {len(done)} of {len(tests)} after {time.monotonic() - begun:.0f} s", flush=True)
 
     alone = [test for test in tests if is_in(test, ALONE)]
-    with ThreadPoolExecutor(WAITING_SLOTS) as waiting, ThreadPoolExecutor(PROCESSORS) as computing:
+    with contextlib.ExitStack() as stack:
+        pools = {of: stack.enter_context(ThreadPoolExecutor(slots)) for of, (slots, _) in CLASSES.items()}
         for test in tests:
             if test not in alone:
-                (waiting if test.waits else computing).submit(run, test)
+                pools[test.of].submit(run, test)
     for test in alone:
         run(test)
     DURATIONS.write_text(json.dumps({**durations, **{test.name: round(test.seconds, 2) for test in done}}, indent=0))

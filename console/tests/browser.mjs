@@ -12,6 +12,7 @@ const [ownerLink, memberLink, shots] = process.argv.slice(2);
 const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const WAIT_MS = 60_000;
 const DESK = { width: 1280, height: 900 };
+const START_BYTES_MAX = 100_000;
 const PHONE = { width: 390, height: 844, isMobile: true, hasTouch: true };
 
 const say = (line) => process.stdout.write(`${line}\n`);
@@ -68,6 +69,21 @@ async function accessible(page, name) {
   const serious = found.filter(({ impact }) => impact === "serious" || impact === "critical");
   check(serious.length === 0, `axe finds at ${name}: ${JSON.stringify(serious, null, 1)}`);
   say(`accessible ${name}: ${found.length} minor`);
+}
+
+// The files that a visit loads, uncompressed, whether the browser has them already or not.
+async function weighed(page, visit) {
+  const seen = new Map();
+  const count = (answer) => {
+    const { pathname } = new URL(answer.url());
+    if (answer.request().method() === "GET" && !pathname.startsWith("/v1/")) seen.set(pathname, answer);
+  };
+  page.on("response", count);
+  await visit();
+  page.off("response", count);
+  let bytes = 0;
+  for (const path of seen.keys()) bytes += (await (await fetch(origin + path)).arrayBuffer()).byteLength;
+  return { bytes, files: seen.size };
 }
 
 const PLACES = [
@@ -145,9 +161,9 @@ async function story() {
   await go(owner, "#/robots/Rover", "Rover");
   say("wants driving");
   await shows(owner, "linear.x");
-  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && /Rate\s+[1-9]/.test(document.body.innerText) && document.querySelector("canvas"), { timeout: WAIT_MS });
-  const before = await owner.$eval("figure canvas", (canvas) => canvas.toDataURL());
-  await owner.waitForFunction((old) => document.querySelector("figure canvas").toDataURL() !== old, { timeout: WAIT_MS }, before);
+  await owner.waitForFunction(() => /p50 [\d.]+ ms/.test(document.body.innerText) && /Rate\s+[1-9]/.test(document.body.innerText) && document.querySelector("figure path.line")?.getAttribute("d"), { timeout: WAIT_MS });
+  const before = await owner.$eval("figure path.line", (line) => line.getAttribute("d"));
+  await owner.waitForFunction((old) => document.querySelector("figure path.line").getAttribute("d") !== old, { timeout: WAIT_MS }, before);
   await photograph(owner, "robot");
   say(await owner.$$eval("figcaption", (captions) => captions.map((caption) => caption.innerText).join(" · ")));
 
@@ -224,8 +240,13 @@ async function story() {
   // The keyboard alone: the first stop leads to the content, the next ones to the places.
   await go(owner, "#/robots", "Robots");
   await owner.evaluate(() => document.activeElement.blur());
-  await owner.reload();
-  await shows(owner, "Rover");
+  // The start page of somebody who is known here: its files, as they stand.
+  const start = await weighed(owner, async () => {
+    await owner.reload();
+    await shows(owner, "Rover");
+  });
+  say(`start page: ${start.bytes} bytes in ${start.files} files`);
+  check(start.bytes < START_BYTES_MAX, `the start page has ${start.bytes} bytes, wanted less than ${START_BYTES_MAX}`);
   await owner.evaluate(() => document.activeElement?.blur());
   const stops = [];
   for (let stop = 0; stop < 5; stop += 1) {

@@ -1,9 +1,6 @@
 // The words for payloads of messages: node tests/payload.mjs
 import assert from "node:assert/strict";
-import { build } from "esbuild";
-
-const { outputFiles } = await build({ entryPoints: ["src/payload.ts"], bundle: true, format: "esm", write: false });
-const { shown } = await import(`data:text/javascript;base64,${Buffer.from(outputFiles[0].contents).toString("base64")}`);
+import { shown } from "../data/payload.js";
 
 const HEADER = 4;
 // A Twist with these headers that moves forwards and turns.

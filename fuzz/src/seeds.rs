@@ -9,7 +9,9 @@ use ledger_base::hash::Hash;
 use ledger_contract::Envelope;
 use ledger_fuzz::files::File;
 use ledger_fuzz::{BEGINNINGS, bytes, evidence, list, messages, vectors};
-use mcap::{Stamp, Writer};
+use mcap::WriteOptions;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use rcgen::{CertificateRevocationListParams, KeyIdMethod, SerialNumber, date_time_ymd};
 use serde_json::{Value, json};
@@ -139,16 +141,19 @@ fn policies(corpus: &Corpus) -> Done {
 
 fn recordings(corpus: &Corpus) -> Done {
     let mut file = Vec::new();
-    let mut writer = Writer::begin(&mut file, "ros2", "fuzz")?;
+    let options = WriteOptions::new().profile("ros2").library("fuzz").compression(None).disable_seeking(true);
+    let mut writer = options.create(NoSeek::new(&mut file))?;
     let facts = BTreeMap::from([("robot".to_owned(), "Husky".to_owned())]);
-    let schema = writer.schema("geometry_msgs/msg/Twist", "ros2msg", "Vector3 linear\nVector3 angular\n");
-    let channel = writer.channel(schema, "/cmd_vel", "cdr", &facts);
-    for number in 0..3 {
-        let stamp = Stamp { number, log_time: u64::from(number), publish_time: u64::from(number) };
-        writer.message(channel, stamp, &[0, 1, 0, 0, 0, 0, 0, 0])?;
+    let schema = writer.add_schema("geometry_msgs/msg/Twist", "ros2msg", b"Vector3 linear\nVector3 angular\n")?;
+    let channel_id = writer.add_channel(schema, "/cmd_vel", "cdr", &facts)?;
+    for sequence in 0..3 {
+        let time = u64::from(sequence);
+        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, &[0, 1, 0, 0, 0, 0, 0, 0])?;
     }
-    writer.metadata("network", &facts)?;
+    writer.write_metadata(&Metadata { name: "network".to_owned(), metadata: facts })?;
     writer.finish()?;
+    drop(writer);
     corpus.seed("mcap", &file)
 }
 

@@ -14,9 +14,8 @@ mod action;
 mod certificates;
 mod rows;
 
-use crate::storage::blocks::Blocks;
-use crate::storage::space::Space;
-use ledger::{Ledger, Outcome};
+use crate::storage::Storage;
+use ledger::Outcome;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
@@ -45,10 +44,7 @@ const WRITES_BETWEEN_PRUNES: u64 = 300;
 
 /// The index of a node, and what it follows.
 pub(crate) struct Audit {
-    ledger: Arc<Ledger>,
-    blocks: Arc<Blocks>,
-    /// The room that the disk still has.
-    space: Arc<Space>,
+    storage: Arc<Storage>,
     index: Index,
     /// Held while the index takes blocks.
     taking: Arc<Mutex<Taking>>,
@@ -65,19 +61,14 @@ impl Audit {
     ///
     /// # Errors
     /// [`Code::DiskFailed`], [`Code::BadFile`] if it cannot be made.
-    pub(crate) fn open(
-        data: &Path,
-        ledger: &Arc<Ledger>,
-        (blocks, space): (&Arc<Blocks>, &Arc<Space>),
-    ) -> Result<Arc<Self>, Rejection> {
-        let index = open(&data.join(AUDIT_DIRECTORY))?;
-        let (ledger, blocks, space) = (Arc::clone(ledger), Arc::clone(blocks), Arc::clone(space));
-        Ok(Arc::new(Self { ledger, blocks, space, index, taking: Arc::default() }))
+    pub(crate) fn open(storage: &Arc<Storage>) -> Result<Arc<Self>, Rejection> {
+        let index = open(&storage.data.join(AUDIT_DIRECTORY))?;
+        Ok(Arc::new(Self { storage: Arc::clone(storage), index, taking: Arc::default() }))
     }
 
     /// Follows the blocks until the node stops.
     pub(crate) async fn keep(self: Arc<Self>) {
-        let mut head = self.blocks.head();
+        let mut head = self.storage.blocks.head();
         loop {
             // In turns, so that a long way does not keep the node from stopping.
             while self.is_behind() {
@@ -87,7 +78,7 @@ impl Audit {
                 }
             }
             // Later it would have to read from the disk what is in memory now.
-            let _ = timeout(EVERY, self.blocks.half_forgotten()).await;
+            let _ = timeout(EVERY, self.storage.blocks.half_forgotten()).await;
             if head.changed().await.is_err() {
                 return;
             }
@@ -110,7 +101,7 @@ impl Audit {
     /// Are there blocks that it lacks, and room on the disk for their rows?
     fn is_behind(&self) -> bool {
         let known = self.index.known().map_or(0, |known| known.height);
-        known < self.blocks.height() && self.space.check(|| false).is_ok()
+        known < self.storage.blocks.height() && self.storage.space.check(|| false).is_ok()
     }
 
     /// An answer from the index as it is.
@@ -164,13 +155,13 @@ impl Audit {
     /// The next blocks that the index lacks.
     fn next_blocks(&self, names: &mut Names) -> Result<Vec<Block>, Rejection> {
         let next = self.index.known().map_or(1, |known| known.height + 1);
-        let next = next.max(self.blocks.first_height().max(1));
+        let next = next.max(self.storage.blocks.first_height().max(1));
         let mut taken: Vec<Block> = Vec::new();
-        for height in next..=self.blocks.height() {
+        for height in next..=self.storage.blocks.height() {
             if taken.len() == BLOCKS_AT_ONCE {
                 break;
             }
-            match self.blocks.get(height)? {
+            match self.storage.blocks.get(height)? {
                 Some(outcome) => taken.push(self.block(&outcome, names)),
                 // The results of the first blocks after a snapshot are not there.
                 None if taken.is_empty() => {}
@@ -187,8 +178,8 @@ impl Audit {
 
     /// A creator that the ledger knows.
     fn signer(&self, creator: &Hash) -> Option<Holder> {
-        let name = self.ledger.creator_name(creator)?;
-        let parsed = Certificate::parse(&self.ledger.certificate(creator).ok()??).ok()?;
+        let name = self.storage.ledger.creator_name(creator)?;
+        let parsed = Certificate::parse(&self.storage.ledger.certificate(creator).ok()??).ok()?;
         let certificate = certificates::named(&Hash::of(&[&parsed.issuer_name]), &parsed.serial);
         Some(Holder { certificate, name })
     }
@@ -198,8 +189,8 @@ impl Audit {
         if !taking.writes.is_multiple_of(WRITES_BETWEEN_PRUNES) {
             return Ok(());
         }
-        let first = self.blocks.first_height();
-        let Some(oldest) = self.ledger.block_hashes(first)? else { return Ok(()) };
+        let first = self.storage.blocks.first_height();
+        let Some(oldest) = self.storage.ledger.block_hashes(first)? else { return Ok(()) };
         while self.index.prune(first, oldest.time)? {}
         Ok(())
     }

@@ -1,17 +1,17 @@
 //! The console: a web application for people with a browser, served by the node itself (docs/console.md).
 //!
 //! A browser has no client certificate that a page may choose. So it proves its identity in the page: its key signs a challenge and
-//! opens a session, which lives in the page's memory. Under the session it calls the services of gRPC, as gRPC-Web. Nothing
-//! can be written that is not signed by the browser's key.
+//! opens a session, which lives in the page's memory. Under the session it uses the [HTTP API](crate::clients::http). Nothing can be written
+//! that is not signed by the browser's key.
 //!
 //! ```text
 //! console      the listener, and what is behind it
-//!   guard      which requests are looked at: host, origin; headers of every answer
+//!   guard      rejects other hosts and origins; headers of every answer
 //!   files      the application
 //!   opening    challenges and sessions over HTTP
 //!     challenge  a challenge that nobody needs to remember
 //!     sessions   the sessions that are open
-//!   calls      gRPC-Web under a session
+//!   calls      the HTTP API under a session
 //!   secured    its certificate
 //! ```
 
@@ -23,28 +23,36 @@ mod opening;
 mod secured;
 mod sessions;
 
+#[cfg(test)]
+pub(crate) use opening::SESSION_ENDPOINTS;
+
 use crate::clients::gateway::GatewayService;
+use crate::clients::http::Names;
 use crate::process::config;
 use crate::process::page_connections::{Doors, Room, Source};
 use crate::trust::enrolment::{EnrolmentService, Tries};
-use axum::Router;
-use axum::extract::DefaultBodyLimit;
+use axum::extract::ConnectInfo;
 use axum::middleware::from_fn_with_state;
+use axum::serve::Listener;
+use axum::{Extension, Router};
 use challenge::Challenges;
-use guard::Names;
+use hyper::server::conn::http1::Builder;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
 use ledger_api::tls::TrustSource;
 use ledger_base::rejection::{Code, Rejection};
 use sessions::{LIFE_MAX, Sessions};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
-use tokio::task::JoinHandle;
+use std::time::Duration;
+use tokio::task::{JoinHandle, JoinSet};
 
 /// Most connections at a time: a browser opens up to six.
 const OPEN_MAX: usize = 256;
 /// Most connections of one address.
 const EACH_MAX: usize = 64;
-/// Most bytes of a request that is no call.
-const REQUEST_BYTES_MAX: usize = 32 * 1024;
+/// Longest time in which the head of a request has to arrive, and that a connection may be idle.
+const HEAD_TIME_MAX: Duration = Duration::from_secs(60);
 
 /// The parts of a node that the console shows.
 pub(crate) struct Parts {
@@ -82,7 +90,7 @@ impl Console {
         let hosts = guard::hosts(settings, reached);
         let tls = secured::tls(settings, listening.1, &hosts)?;
         let names = Names::new(hosts, tls.is_some());
-        let address = names.address(settings, reached, listening.1);
+        let address = guard::address(names.scheme(), settings, reached, listening.1);
         let room = Room {
             all_max: OPEN_MAX,
             each_max: each_max(listening.1),
@@ -93,12 +101,7 @@ impl Console {
         let doors = Doors::open(listening, room);
         let challenges = Challenges::new().ok_or_else(|| Rejection::new(Code::Internal, "there is no randomness"))?;
         let shared = Shared { parts, names, challenges, sessions: Sessions::default(), tries: Mutex::default() };
-        let service = router(Arc::new(shared)).into_make_service_with_connect_info::<Source>();
-        let serving = tokio::spawn(async move {
-            if let Err(error) = axum::serve(doors, service).await {
-                tracing::error!(%error, "the console ended");
-            }
-        });
+        let serving = tokio::spawn(connections(doors, router(Arc::new(shared))));
         tracing::info!(%address, "console for browsers");
         Ok(Self { address, serving })
     }
@@ -120,8 +123,20 @@ fn each_max(address: SocketAddr) -> usize {
     if address.ip().is_loopback() { OPEN_MAX } else { EACH_MAX }
 }
 
+/// Serves each connection until it ends. All end with this future.
+async fn connections(mut doors: Doors, router: Router) {
+    let mut http = Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME_MAX);
+    let mut open = JoinSet::new();
+    loop {
+        let (io, from) = doors.accept().await;
+        while open.try_join_next().is_some() {}
+        let service = router.clone().layer(Extension(ConnectInfo(Source(from.ip()))));
+        open.spawn(http.serve_connection(TokioIo::new(io), TowerToHyperService::new(service)).into_future());
+    }
+}
+
 fn router(shared: Arc<Shared>) -> Router {
-    let calls = calls::router(&shared);
-    let opening = opening::router(Arc::clone(&shared)).layer(DefaultBodyLimit::max(REQUEST_BYTES_MAX));
+    let (calls, opening) = (calls::router(&shared), opening::router(Arc::clone(&shared)));
     files::router().merge(opening).merge(calls).layer(from_fn_with_state(shared, guard::guarded))
 }

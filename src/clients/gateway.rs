@@ -31,12 +31,12 @@ mod submit;
 mod subscribe;
 mod transfer;
 
-use crate::clients::rejections::Rejections;
+use crate::ordering::Ordering;
 use crate::process::caller::Caller;
 use crate::process::clock::Clock;
 pub(crate) use audience::Audience;
 pub(crate) use audited::Answers;
-pub(crate) use intake::{Bounds, Intake};
+pub(crate) use intake::Intake;
 use ledger::Ledger;
 pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
@@ -54,7 +54,7 @@ pub(crate) use nodes::Nodes;
 pub(crate) use proofs::Proofs;
 pub(crate) use questions::Questions;
 pub(crate) use records::Records;
-pub(crate) use status::{Chain, Description, Usage};
+pub(crate) use status::Description;
 use std::pin::Pin;
 use std::sync::Arc;
 pub(crate) use submit::Submissions;
@@ -67,10 +67,6 @@ use tonic::{Request, Response, Status, Streaming};
 /// The gateway of a node; cheap to clone.
 #[derive(Clone)]
 pub(crate) struct GatewayService {
-    /// Knows the identities that are revoked.
-    pub ledger: Arc<Ledger>,
-    /// The node's clock.
-    pub clock: Clock,
     /// Submissions of clients.
     pub submissions: Arc<Submissions>,
     /// The state, blocks and transactions.
@@ -83,13 +79,21 @@ pub(crate) struct GatewayService {
     pub description: Arc<Description>,
     /// The other nodes.
     pub nodes: Arc<Nodes>,
-    /// Calls that were refused.
-    pub denials: Arc<Rejections>,
     /// Tells who did what.
     pub audit: Arc<Answers>,
 }
 
 impl GatewayService {
+    /// The ledger.
+    pub(crate) fn ledger(&self) -> &Ledger {
+        &self.description.ordering.storage.ledger
+    }
+
+    /// The node's clock.
+    pub(crate) fn clock(&self) -> &Clock {
+        &self.description.ordering.clock
+    }
+
     /// The caller's identity, which must not have been revoked since it connected.
     fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Status> {
         let identity =
@@ -99,15 +103,15 @@ impl GatewayService {
                         .next("enrol first: ledgerctl enroll"),
                 )
             })?;
-        check(&identity, &self.ledger, &self.clock)?;
+        check(&identity, &self.description.ordering)?;
         Ok(identity)
     }
 }
 
 /// Refuses an identity that was revoked or whose certificate has run out since it connected.
-fn check(identity: &Identity, ledger: &Ledger, clock: &Clock) -> Result<(), Status> {
-    identity.check_validity(clock.wall()).map_err(|error| status(&error.into()))?;
-    ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
+fn check(identity: &Identity, ordering: &Ordering) -> Result<(), Status> {
+    identity.check_validity(ordering.clock.wall()).map_err(|error| status(&error.into()))?;
+    ordering.storage.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
 }
 
 /// The answer to a call, or why there is none.
@@ -197,7 +201,7 @@ impl Gateway for GatewayService {
 
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {
         let caller = self.caller(&request)?;
-        answer(denied::latest(&self.denials, &caller, request.into_inner().limit))
+        answer(denied::latest(&self.description.rejections, &caller, request.into_inner().limit))
     }
 
     async fn audit(&self, request: Request<AuditRequest>) -> Result<Response<AuditResponse>, Status> {
@@ -210,6 +214,8 @@ impl Gateway for GatewayService {
         request: Request<TransferLeadershipRequest>,
     ) -> Result<Response<TransferLeadershipResponse>, Status> {
         let caller = self.caller(&request)?;
-        Ok(Response::new(self.description.links.transfer_leadership(&caller, request.into_inner().node_id).await))
+        Ok(Response::new(
+            transfer::transfer_leadership(&self.description.ordering, &caller, request.into_inner().node_id).await,
+        ))
     }
 }

@@ -1,10 +1,8 @@
 //! Puts on the ledger what this node refused before ordering: at most once in a second, and seldom while a flood lasts.
 
 use crate::clients::rejections::Rejections;
+use crate::ordering::Ordering;
 use crate::ordering::node_transactions::Author;
-use crate::process::clock::Clock;
-use crate::storage::space::Space;
-use ledger::Rules;
 use ledger::msp::TellRefusals;
 use ledger::transaction::Transaction;
 use ledger_base::rejection::Code;
@@ -21,16 +19,14 @@ const GATHERED_FOR: Duration = Duration::from_millis(200);
 /// So long after its `not_after`, by this node's clock, no block takes a transaction any more, microseconds.
 const PAST: u64 = 10_000_000;
 
-/// The task that tells the ledger.
-pub(crate) struct Refusing {
-    /// Signs it.
-    pub author: Author,
-    /// The refusals.
-    pub denials: Arc<Rejections>,
-    /// The node's clock.
-    pub clock: Clock,
-    /// The room that the disk still has.
-    pub space: Arc<Space>,
+/// The task that reports rejections to the ledger.
+pub(crate) struct Reporting {
+    /// Signs the reports.
+    pub author: Arc<Author>,
+    /// The rejections.
+    pub rejections: Arc<Rejections>,
+    /// The node's clock, and its disk.
+    pub ordering: Arc<Ordering>,
 }
 
 /// A telling that has no verdict yet.
@@ -39,7 +35,7 @@ struct Waiting {
     told: TellRefusals,
 }
 
-/// The reported of a telling.
+/// What became of a report.
 enum Reported {
     OnTheLedger,
     Open,
@@ -47,14 +43,14 @@ enum Reported {
     Lost,
 }
 
-impl Refusing {
+impl Reporting {
     /// Tells until the node stops. Nobody waits for it. The last second before a crash is lost.
     pub(crate) async fn run(self) {
         let (mut pause, mut waiting) = (PAUSE_MIN, None);
         loop {
-            if waiting.is_none() && self.denials.gathered().is_empty() {
+            if waiting.is_none() && self.rejections.gathered().is_empty() {
                 pause = PAUSE_MIN;
-                self.denials.news().await;
+                self.rejections.news().await;
                 sleep(GATHERED_FOR).await;
             }
             waiting = self.step(waiting);
@@ -69,7 +65,7 @@ impl Refusing {
             Reported::OnTheLedger => None,
             Reported::Open => Some(before),
             Reported::Lost => {
-                self.denials.gathered().take_back(before.told);
+                self.rejections.gathered().take_back(before.told);
                 None
             }
         });
@@ -82,30 +78,32 @@ impl Refusing {
     }
 
     fn begin(&self) -> Option<Waiting> {
-        let has_room = self.space.check(|| false).is_ok();
+        let has_room = self.ordering.storage.space.check(|| false).is_ok();
         if !has_room {
             return None;
         }
-        let told = self.denials.gathered().take()?;
+        let told = self.rejections.gathered().take()?;
         match self.author.sign("tell_refusals", &told) {
             Ok(signed) => Some(Waiting { signed, told }),
             Err(reason) => {
                 tracing::warn!(code = reason.code.name(), %reason, "the refusals of this node cannot be signed");
-                self.denials.gathered().take_back(told);
+                self.rejections.gathered().take_back(told);
                 None
             }
         }
     }
 
     fn reported(&self, waiting: &Waiting) -> Reported {
-        let ledger = &self.author.ledger;
+        let ledger = &self.ordering.storage.ledger;
         match ledger.transaction(&waiting.signed.id()) {
             Ok(Some(record)) if record.result.code() == Code::Ok => Reported::OnTheLedger,
             Ok(Some(record)) => {
                 tracing::debug!(code = %record.result.code(), "the refusals of this node are told to the ledger again");
                 Reported::Lost
             }
-            Ok(None) if self.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => Reported::Lost,
+            Ok(None) if self.ordering.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => {
+                Reported::Lost
+            }
             Ok(None) => Reported::Open,
             Err(reason) => {
                 tracing::warn!(code = reason.code.name(), %reason, "cannot find out whether the ledger knows the refusals");

@@ -4,7 +4,7 @@ use ledger_api::Client;
 use ledger_base::rejection::Rejection;
 use ledger_traces::Tracer;
 use ros_bridge::Bridge;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -23,7 +23,11 @@ pub(crate) struct NodeBridge {
 impl NodeBridge {
     /// Starts the bridge. `address` is the node's gateway; `sight` shows the bridge of each moment, `tracer` hears
     /// of messages.
-    pub(crate) fn start(settings: ros_bridge::Config, address: String, (sight, tracer): (Sight, Tracer)) -> Self {
+    pub(crate) fn start(
+        settings: ros_bridge::Config,
+        address: String,
+        (sight, tracer): (BridgeMonitor, Tracer),
+    ) -> Self {
         let settings = settings.traced(tracer.clone());
         let (stop, mut stopping) = watch::channel(false);
         let (sender, mut changes) = watch::channel(settings);
@@ -43,7 +47,7 @@ impl NodeBridge {
                             false => tracing::info!("the bridge runs"),
                         }
                         told.clear();
-                        sight.runs(&bridge);
+                        bridge.show_on(&sight);
                         let mut renewed = std::pin::pin!(ros_bridge::keep_renewed(&settings, &client));
                         let lost = loop {
                             tokio::select! {

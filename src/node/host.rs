@@ -16,8 +16,8 @@ mod ledgers;
 mod serve;
 mod sources;
 
+pub(crate) use serve::Services;
 pub(super) use serve::Serving;
-pub(crate) use serve::{Deliver, Services};
 
 use crate::process::caller::Members;
 use crate::process::clock::Machine;

@@ -1,154 +1,145 @@
-//! An instance: one ledger in this process. From the stores to the services, and back down in order.
+//! One ledger in this process: its five subsystems, started and stopped in order.
 //!
 //! ```text
-//! Stores ─ Standing ─ Wired ─ Prepared ─ Instance
-//!   files    which     parts    its services    its engine
-//!            node      that     can be called   runs
-//!            this is   meet
+//! storage ── ordering ── trust ── peers ── clients
+//!  files      engine     who is    other    the gateway,
+//!  and disk   and its    who, and  nodes    for the host
+//!             waiters    the CA             to serve
 //! ```
 //!
-//! It takes from its [`Host`] the parts that it shares with the process. So a process may hold several instances.
+//! It takes from its [`Host`] what it shares with the process. So a process may hold several instances.
 
-mod outlet;
-mod revocations;
-mod wired;
-
-use crate::node::host::{Host, Services};
-use crate::ordering::directory::{Directory, Member};
+use super::host::{Host, Services};
+use super::outlet::ToSubsystems;
+use super::revocations::Revocations;
+use crate::clients::Clients;
+use crate::ordering::Ordering;
+use crate::ordering::node_transactions::Author;
+use crate::ordering::orderer::Engines;
 use crate::ordering::spoken_rules::Telling;
-use crate::peers::attestation::{Seen, Testimony};
-use crate::peers::chain_monitor::Asking;
 use crate::peers::conductor::Conductor;
-use crate::peers::question::Bootstrap;
-use crate::peers::quorum_certificates::{Certifying, Told};
-use crate::peers::reachability::Reachability;
-use crate::process::clock::Clock;
+use crate::peers::quorum_certificates::Keys;
+use crate::peers::{Peers, Tasks};
+use crate::process::caller::Members;
 use crate::process::config::Config;
-use crate::process::failure::Ended;
-use crate::process::failure::thread_error;
+use crate::process::meters::{Meters, Traced};
+use crate::storage::Storage;
 use crate::storage::housekeeping::Housekeeping;
-use crate::storage::retention::Pruner;
 use crate::storage::scrub::Scrub;
-use crate::storage::stores::Stores;
+use crate::trust::Trust;
 use crate::trust::credentials::NodeCredentials;
 use crate::trust::enrolment::EnrolmentService;
-use crate::trust::membership::check_member;
-use crate::trust::membership::{Joined, own_membership, removed};
-use crate::trust::organisations::Trust;
-use crate::trust::renewal;
-use crate::trust::renewal::Renewer;
-use bytes::Bytes;
-use ledger::Ledger;
-use ledger_api::tls::TrustSource;
+use crate::trust::membership::removed;
 use ledger_base::invariant::vital_task;
 use ledger_base::rejection::Rejection;
-use ledger_replica::Timing;
-use ledger_replica::catch_up::Ballot;
-use ledger_replica::gateway::Shares;
+use ledger_replica::{Executor, Observer, Timing, Voting};
+use ledger_traces::Tracer;
 use std::sync::Arc;
 use std::time::Instant;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use wired::Wired;
-
-/// Which node of the network this is.
-struct Standing {
-    me: Member,
-    directory: Arc<Directory>,
-    /// Set on a node that has joined.
-    joined: Option<Joined>,
-}
 
 /// An instance whose services can be called, and whose engine does not run yet.
-pub(crate) struct Prepared {
-    wired: Wired,
-    /// Attests, and hears of the attestations of others.
-    testimony: (Testimony, mpsc::UnboundedReceiver<Seen>),
-    asking: Asking,
-    /// States what was executed, and hears of executed blocks.
-    certifying: (Certifying, mpsc::UnboundedReceiver<Told>),
-    joined: Option<Joined>,
-    timing: Timing,
-    ballot: Ballot,
-    renewer: Renewer,
-    registrar: EnrolmentService,
+pub(crate) struct Instance {
+    pub(crate) storage: Arc<Storage>,
+    pub(crate) ordering: Arc<Ordering>,
+    pub(crate) trust: Arc<Trust>,
+    peers: Arc<Peers>,
+    pub(crate) clients: Clients,
+    pub(crate) tracer: Tracer,
+    enrolment: EnrolmentService,
+    members: Arc<Members>,
+    author: Arc<Author>,
+    engines: Arc<Engines>,
+    checks: Tasks,
     housekeeping: Housekeeping,
+    timing: Timing,
 }
 
 /// A running instance.
-pub(crate) struct Instance {
-    /// Its ledger.
-    pub(crate) ledger: Arc<Ledger>,
-    /// Where its orderer is.
-    links: Reachability,
-    /// The calls that it has in flight.
-    shares: Arc<Shares>,
-    /// Why it cannot go on as it is.
-    pub(crate) ended: watch::Receiver<Option<Ended>>,
+pub(crate) struct Running {
+    pub(crate) ordering: Arc<Ordering>,
+    clients: Clients,
     housekeeping: Housekeeping,
     scrub: Scrub,
     conductor: JoinHandle<()>,
-    /// The tasks beside: renewing the certificate, attesting, certifying, asking the others, watching whether the node still
-    /// belongs here, keeping the index of the audit. Three tell the ledger the knowledge of its CA, which rules it speaks, and what it
-    /// refused.
-    beside: [JoinHandle<()>; 9],
+    /// The tasks beside the engine, which are aborted when the node stops.
+    beside: Vec<JoinHandle<()>>,
 }
 
-impl Standing {
-    /// Finds out by the node's certificate and what joining left here.
-    fn find(papers: &NodeCredentials, stores: &Stores, config: &Config) -> Result<Self, Rejection> {
-        let ledger = &stores.ledger;
-        let directory = Arc::new(Directory::read(ledger));
-        renewal::revive(&config.data, &papers.identity, &papers.authorities, &ledger.msps())?;
-        let joined = Joined::load(&config.data)?;
-        let me = own_membership(&papers.identity, ledger, &stores.genesis, &directory.members(), joined.as_ref())?;
-        check_member(config, ledger.network(), &me)?;
-        papers.authorities.check_carried(ledger, &me)?;
-        Ok(Self { me, directory, joined })
-    }
-}
-
-impl Prepared {
-    /// An instance of these stores, whose genesis is `document`, and its services for the host to serve.
+impl Instance {
+    /// Builds the subsystems of a node that started at this moment.
     ///
     /// # Errors
-    /// If this is no node of the network, or its certificate or CA is not usable.
-    pub(crate) fn new(
-        (host, papers): (&Host, NodeCredentials),
+    /// If this is no node of the network, or its certificate or CA is not usable; a fault of the disk.
+    pub(crate) fn build(
+        host: &Host,
         config: &Config,
-        (stores, document): (Stores, Bytes),
+        (storage, meters): (Arc<Storage>, Meters),
+        credentials: NodeCredentials,
         started: Instant,
-    ) -> Result<(Self, Services), Rejection> {
-        let clock = Clock::of(host.clocks(), stores.ledger.tip().time);
-        let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger, clock.clone()));
-        let standing = Standing::find(&papers, &stores, config)?;
-        let (wired, seen, stated) =
-            Wired::new((&papers, config), (&stores, &trust), (&standing, clock, host.members()))?;
-        let housekeeping =
-            wired.housekeeping(pruner(&stores, &wired.links, config)).map_err(|error| thread_error(&error))?;
-        let ballot = Ballot::default();
-        let enrolment = wired.enrolment((host, &papers), document.clone(), &trust);
-        let renewer = Renewer {
-            data: config.data.clone(),
-            identity: papers.identity.clone(),
-            ledger: Arc::clone(&stores.ledger),
-            trust: Arc::clone(&trust),
-            enrolment: enrolment.clone(),
-            others: others_of_own_organisation(&wired.me, &wired.links.directory),
+    ) -> Result<Self, Rejection> {
+        let ordering = Ordering::new(config, &storage, host.clocks(), meters)?;
+        let trust = Trust::new(config, credentials, &ordering)?;
+        let author = ordering.author(&trust.identity);
+        let (peers, checks) = Peers::new(config, &ordering, &trust, &author)?;
+        let tracer = Tracer::start(&config.traces, "ledgerd", &trust.me.full_name());
+        let clients = Clients::new(config, &ordering, &trust, &peers, (&tracer, started))?;
+
+        let reachability = Arc::clone(&peers.reachability);
+        let enrolment = trust.enrolment(&ordering, &host.own_gateway(), move || reachability.is_cut_off());
+        let members = host.members();
+        // In this order: clients that wait for a verdict are told first.
+        let observers: Vec<Arc<dyn Observer>> = vec![
+            Arc::new(ordering.clock.clone()),
+            Arc::clone(&ordering.waiters) as _,
+            Arc::clone(&ordering.directory) as _,
+            Arc::clone(&peers.witness) as _,
+            Arc::clone(&peers.certificates) as _,
+            Arc::clone(&storage.blocks) as _,
+            Arc::new(ordering.reads.clone()),
+            Arc::clone(&ordering.executed) as _,
+            Arc::new(Revocations::new(&members, &storage)),
+            Arc::new(Traced(tracer.clone())),
+        ];
+        let executor = Arc::new(Executor::new(Arc::clone(&storage.ledger), observers));
+        let keys = Keys::new(trust.me.id, trust.identity.clone(), Arc::clone(&storage.ledger));
+        let ballots = Arc::new(Voting::new(Arc::clone(&storage.ledger), keys));
+        let outlet = ToSubsystems {
+            reads: ordering.reads.clone(),
+            peers: Arc::clone(&peers),
+            rejections: Arc::clone(&clients.rejections),
         };
-        let services = Services {
-            gateway: wired.gateway(config, document, started),
-            enrolment: enrolment.clone(),
-            peer: wired.peer_service(ballot.clone()),
+        let engines = ordering.engines(&executor, ballots, Arc::new(outlet));
+        let (waiters, clock) = (Arc::clone(&ordering.waiters), ordering.clock.clone());
+        let housekeeping = storage.housekeeping(move || waiters.sweep(clock.elapsed()))?;
+        let timing = config.order.timing();
+        Ok(Self {
+            storage,
+            ordering,
             trust,
-            members: Arc::clone(&wired.members),
-        };
-        let (joined, timing, registrar) = (standing.joined, config.order.timing(), enrolment);
-        let (testimony, asking) = ((wired.testimony(config), seen), wired.asking(config));
-        let certifying = (wired.certifying()?, stated);
-        let prepared =
-            Self { wired, testimony, asking, certifying, joined, timing, ballot, renewer, registrar, housekeeping };
-        Ok((prepared, services))
+            peers,
+            clients,
+            tracer,
+            enrolment,
+            members,
+            author,
+            engines,
+            checks,
+            housekeeping,
+            timing,
+        })
+    }
+
+    /// Its services, for the host to serve.
+    pub(crate) fn services(&self) -> Services {
+        Services {
+            gateway: self.clients.gateway.clone(),
+            enrolment: self.enrolment.clone(),
+            peer: self.peers.service(&self.ordering),
+            trust: Arc::clone(&self.trust.organisations),
+            members: Arc::clone(&self.members),
+        }
     }
 
     /// Starts the engine, which asks the other nodes first. Its services must be served by now: others that start at the same
@@ -156,49 +147,41 @@ impl Prepared {
     ///
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
-    pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
-        let Self { wired, testimony, asking, certifying, joined, timing, ballot, renewer, .. } = self;
-        let ((testimony, seen), (certifying, stated)) = (testimony, certifying);
-        let (registrar, housekeeping) = (self.registrar, self.housekeeping);
-        let telling = Telling { author: wired.author(), me: wired.me.id };
-        let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
-        let (refusing, audit) = (wired.refusing(), Arc::clone(&wired.audit));
-        let catch_up = wired.catch_up(bootstrap, ballot, stopping);
-        let conductor =
-            Conductor::new((wired.me.id, wired.secret()), timing, wired.engines.clone(), catch_up).begin().await?;
-        let Wired { me, stores, links, shares, engines, .. } = wired;
-        let (failure, members) = (engines.outside.failure, links.directory.subscribe());
-        let scrub = Scrub::start(stores.store, failure.clone()).map_err(|error| thread_error(&error))?;
-        let ended = failure.subscribe();
-        let belonging = async move { failure.fail(removed(me, members).await) };
-        let beside = [
+    pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Running, Rejection> {
+        let Self { storage, ordering, trust, peers, clients, enrolment, author, engines, .. } = self;
+        let me = trust.me.clone();
+        let receipts = trust.receipt_secret(storage.ledger.network());
+        let sync = peers.sync(&ordering, &engines.executor, &trust, stopping);
+        let conductor = Conductor::new((me.id, receipts), self.timing, engines, sync).begin().await?;
+        let scrub = storage.scrub(ordering.failure.clone())?;
+        let telling = Telling { author: Arc::clone(&author), me: me.id };
+        let renewer = trust.renewer(&ordering, &enrolment);
+        let (failure, members) = (ordering.failure.clone(), ordering.directory.subscribe());
+        let mut beside = vec![
             tokio::spawn(vital_task(renewer.keep())),
-            tokio::spawn(vital_task(testimony.run(seen))),
-            tokio::spawn(vital_task(asking.run())),
-            tokio::spawn(vital_task(certifying.run(stated))),
-            tokio::spawn(vital_task(belonging)),
+            tokio::spawn(vital_task(async move { failure.fail(removed(me, members).await) })),
             tokio::spawn(vital_task(telling.run())),
-            tokio::spawn(vital_task(refusing.run())),
-            tokio::spawn(vital_task(audit.keep())),
-            tokio::spawn(vital_task(registrar.keep_registered())),
+            tokio::spawn(vital_task(async move { enrolment.keep_registered().await })),
         ];
-        Ok(Instance { ledger: stores.ledger, links, shares, ended, housekeeping, scrub, conductor, beside })
+        beside.extend(self.checks.start());
+        beside.extend(clients.start(&author));
+        Ok(Running { ordering, clients, housekeeping: self.housekeeping, scrub, conductor, beside })
     }
 }
 
-impl Instance {
+impl Running {
     /// No new calls: the leadership goes to another voter, what goes on beside ends.
     pub(crate) async fn leave(&self) {
-        self.links.hand_over().await;
+        self.ordering.hand_over().await;
         self.beside.iter().for_each(JoinHandle::abort);
-        self.shares.close();
+        self.clients.close();
     }
 
     /// Ends the engine, then the stores. The host has been told to stop.
     pub(crate) async fn stop(self) {
         // A panic of it would have ended the process.
         let _ended = self.conductor.await;
-        let (slot, housekeeping, scrub) = (self.links.slot, self.housekeeping, self.scrub);
+        let (slot, housekeeping, scrub) = (Arc::clone(&self.ordering.slot), self.housekeeping, self.scrub);
         let ended = tokio::task::spawn_blocking(move || {
             scrub.stop();
             slot.stop();
@@ -207,27 +190,6 @@ impl Instance {
         if ended.await.is_err() {
             tracing::error!("a thread panicked while the node stopped");
         }
-        tracing::info!(height = self.ledger.tip().height, "stopped");
+        tracing::info!(height = self.ordering.storage.ledger.tip().height, "stopped");
     }
-}
-
-fn pruner(stores: &Stores, links: &Reachability, config: &Config) -> Pruner {
-    Pruner {
-        ledger: Arc::clone(&stores.ledger),
-        store: Arc::clone(&stores.store),
-        snapshots: Arc::clone(&stores.snapshots),
-        space: Arc::clone(&links.space),
-        retention: config.storage.retention,
-        archive: Some(config.storage.archive.clone()).filter(|path| !path.as_os_str().is_empty()),
-        data: config.data.clone(),
-    }
-}
-
-/// Where the nodes are that may carry the CA of this node's organisation.
-fn others_of_own_organisation(me: &Member, directory: &Arc<Directory>) -> Box<dyn Fn() -> Vec<String> + Send + Sync> {
-    let (me, directory) = (me.clone(), Arc::clone(directory));
-    Box::new(move || {
-        let others = |member: &&Member| member.organisation == me.organisation && member.id != me.id;
-        directory.members().iter().filter(others).map(|member| member.address.clone()).collect()
-    })
 }

@@ -2,15 +2,16 @@
 
 use super::bridge::NodeBridge;
 use super::host::{Host, Services, Serving};
-use super::instance::{Instance, Prepared};
+use super::instance::{Instance, Running};
 use crate::clients::console::{Console, Parts};
 use crate::clients::monitoring::{Admin, PageCredentials, WatchedNode};
 use crate::process::config::Config;
 use crate::process::failure::Ended;
 use crate::process::failure::advised;
+use crate::process::meters::Meters;
 use crate::process::telemetry;
+use crate::storage::Storage;
 use crate::storage::files::refuse_restored;
-use crate::storage::stores::Stores;
 use crate::trust::credentials::NodeCredentials;
 use crate::trust::membership::nothing_here;
 use crate::trust::renewal;
@@ -19,7 +20,7 @@ use ledger_abac::{AccessControl, Rule};
 use ledger_api::tls::TlsIdentity;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
@@ -104,7 +105,7 @@ impl NodeBuilder {
 /// nodes of one network on hosts of their own, nodes of several networks behind one [`Host`], too.
 pub struct Node {
     host: Host,
-    instance: Instance,
+    instance: Running,
     /// Its certificate and key, shared with all that show them.
     identity: TlsIdentity,
     serving: Serving,
@@ -127,28 +128,29 @@ impl Node {
         let started = Instant::now();
         let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         refuse_restored(config)?;
-        let stores = Stores::open(config, &genesis, registry)?;
-        let (network, papers) = (stores.ledger.network(), NodeCredentials::read(config)?);
-        let identity = papers.identity.clone();
+        let meters = Meters::default();
+        let storage = Storage::open(config, genesis, registry, &meters)?;
+        let credentials = NodeCredentials::read(config)?;
         let host = match host {
             Some(host) => host.clone(),
             None => Host::listen(&config.listen).await?,
         };
         let host = if trusts_clock { host.trusting_its_clock() } else { host };
-        let (prepared, services) = Prepared::new((&host, papers), config, (stores, genesis.into()), started)?;
-        let sight = config.bridge.as_ref().map(|_| Sight::default());
+        let instance = Instance::build(&host, config, (storage, meters), credentials, started)?;
+        let (identity, network) = (instance.trust.identity.clone(), instance.storage.ledger.network());
+        let (services, tracer) = (instance.services(), instance.tracer.clone());
+        let sight = config.bridge.as_ref().map(|_| BridgeMonitor::default());
         let admin = admin(config, &identity, &services, sight.clone()).await?;
         let console = console(config, &host, &services).await?;
-        let tracer = services.gateway.description.tracer.clone();
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
-        let instance = match prepared.begin(serving.stopping()).await {
+        let instance = match instance.begin(serving.stopping()).await {
             Ok(instance) => instance,
             Err(reason) => {
                 serving.abort();
                 return Err(reason);
             }
         };
-        let (address, height) = (host.address(), instance.ledger.tip().height);
+        let (address, height) = (host.address(), instance.ordering.storage.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let settings = config.bridge.clone().zip(sight);
         let bridge = settings.map(|(settings, sight)| NodeBridge::start(settings, host.own_gateway(), (sight, tracer)));
@@ -159,7 +161,7 @@ impl Node {
     /// data directory now. All other settings, and a bridge that comes or goes as a whole, count from the next start on.
     pub fn reload(&self, config: &Config) {
         telemetry::set_level(&config.log);
-        match renewal::read_again(&config.data, &self.identity, &self.instance.ledger.msps()) {
+        match renewal::read_again(&config.data, &self.identity, &self.ledger().msps()) {
             Ok(true) => tracing::info!("the node shows the certificate that lies in its data directory now"),
             Ok(false) => {}
             Err(fault) => {
@@ -192,12 +194,12 @@ impl Node {
 
     /// The ledger, for looking into it in the same process.
     pub fn ledger(&self) -> &Arc<Ledger> {
-        &self.instance.ledger
+        &self.instance.ordering.storage.ledger
     }
 
     /// Waits until the node cannot go on as it is, and says why.
     pub async fn ended(&self) -> Ended {
-        let mut ended = self.instance.ended.clone();
+        let mut ended = self.instance.ordering.failure.subscribe();
         match ended.wait_for(Option::is_some).await {
             Ok(reason) => reason.clone(),
             Err(_) => None,
@@ -223,7 +225,7 @@ async fn admin(
     config: &Config,
     identity: &TlsIdentity,
     services: &Services,
-    bridge: Option<Sight>,
+    bridge: Option<BridgeMonitor>,
 ) -> Result<Option<Admin>, Rejection> {
     if config.admin.is_empty() {
         return Ok(None);

@@ -2,10 +2,11 @@
 
 use crate::ordering::orderer_slot::OrdererSlot;
 use crate::process::clock::Clock;
+use crate::storage::Storage;
 use bytes::Bytes;
+use ledger::Admission;
 use ledger::msp;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
-use ledger::{Admission, Ledger};
 use ledger_api::tls::TlsIdentity;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -62,7 +63,7 @@ pub(crate) struct Author {
     /// Signs the calls.
     pub signer: Signer,
     /// Says whether a call would be executed.
-    pub ledger: Arc<Ledger>,
+    pub storage: Arc<Storage>,
     /// Has them ordered.
     pub slot: Arc<OrdererSlot>,
 }
@@ -91,7 +92,7 @@ impl Author {
     /// # Errors
     /// As [`Author::submit`].
     pub(crate) fn order(&self, signed: &Transaction) -> Result<(), Rejection> {
-        let admission = self.ledger.admit(signed.encoded().clone(), self.signer.clock.now());
+        let admission = self.storage.ledger.admit(signed.encoded().clone(), self.signer.clock.now());
         match admission.map_err(|refusal| refusal.rejection)? {
             Admission::New(transaction) => {
                 self.slot.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })

@@ -27,7 +27,7 @@ mod outlet;
 pub(crate) use execute::Executed;
 
 use crate::ordering::waiters::Client;
-pub(crate) use engines::{Engines, Outside, Pace};
+pub(crate) use engines::Engines;
 use execute::Execute;
 use inbox::Inbox;
 use ledger_base::invariant::vital;
@@ -93,13 +93,13 @@ impl Orderer {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(replica: Replica<Client>, parts: &Engines) -> io::Result<Self> {
+    fn start(replica: Replica<Client>, engines: &Arc<Engines>) -> io::Result<Self> {
         let (inbox, blocks) = (Arc::new(Inbox::new()), Arc::new(Inbox::new()));
         let first = replica.status();
         let (role, roles) = watch::channel(Reign::now(first.role));
         let status = Arc::new(Mutex::new(first));
-        let execute = Execute::new(parts);
-        let order = Order::new(replica, parts, execute.clone(), &blocks, Arc::clone(&status), role);
+        let execute = Execute::new(engines);
+        let order = Order::new(replica, engines, execute.clone(), &blocks, Arc::clone(&status), role);
         let (inputs, applied) = (Arc::clone(&inbox), Arc::clone(&inbox));
         let threads = vec![
             std::thread::Builder::new()

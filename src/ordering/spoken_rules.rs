@@ -3,6 +3,7 @@
 use crate::ordering::node_transactions::Author;
 use ledger::msp::{self, NodeRole, Speaks};
 use ledger_base::rejection::Rejection;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{MissedTickBehavior, interval};
 
@@ -12,7 +13,7 @@ const EVERY: Duration = Duration::from_secs(5);
 /// The task that tells the ledger.
 pub(crate) struct Telling {
     /// Tells it.
-    pub author: Author,
+    pub author: Arc<Author>,
     /// Id of this node.
     pub me: u64,
 }
@@ -36,7 +37,7 @@ impl Telling {
 
     /// Submits what this node speaks, unless the ledger says so already.
     fn tell(&self) -> Result<bool, Rejection> {
-        let ledger = &self.author.ledger;
+        let ledger = &self.author.storage.ledger;
         let nodes = msp::nodes(&**ledger.state())?;
         let own = nodes.iter().find(|node| node.id == self.me && node.role != NodeRole::Removed);
         let Some(own) = own else { return Ok(false) };

@@ -5,7 +5,7 @@
 //! snapshot also the hash of its manifest. A network in which nothing happens attests nothing. One that contradicts this
 //! node is a reason to ask the voters ([`crate::peers::chain_monitor`]), and nothing more.
 
-use crate::ordering::directory::Directory;
+use crate::ordering::Ordering;
 use crate::ordering::node_transactions::Author;
 use crate::peers::chain_monitor::ChainMonitor;
 use ledger::msp::{self, Attest};
@@ -15,10 +15,9 @@ use ledger_replica::Observer;
 use ledger_replica::company::Point;
 pub(crate) use ledger_replica::witness::Seen;
 use ledger_replica::witness::{Said, seen};
-use ledger_storage::block_store::BlockStore;
-use ledger_storage::snapshot::Snapshots;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -43,7 +42,7 @@ impl Witness {
 
     /// Height of this node's newest snapshot, as far as it was noticed; 0 if there is none.
     pub(crate) fn snapshot_height(&self) -> u64 {
-        self.snapshot.load(Ordering::Relaxed)
+        self.snapshot.load(Relaxed)
     }
 }
 
@@ -54,37 +53,35 @@ impl Observer for Witness {
             let _stopping = self.seen.send(attestation);
         }
         if ordinary {
-            self.ordinary.store(outcome.header.height, Ordering::Relaxed);
+            self.ordinary.store(outcome.header.height, Relaxed);
         }
     }
 }
 
-/// The task of a witness.
-pub(crate) struct Testimony {
-    /// Submits attestations, and knows what was computed.
-    pub author: Author,
-    /// The snapshots of this node.
-    pub snapshots: Arc<Snapshots>,
-    /// The log, which holds what is attested.
-    pub store: Arc<BlockStore>,
-    /// The members of the network.
-    pub directory: Arc<Directory>,
+/// The task that attests.
+pub(crate) struct Attesting {
+    /// Submits attestations.
+    pub author: Arc<Author>,
+    /// What was computed, and the members of the network.
+    pub ordering: Arc<Ordering>,
     /// The attestations of others.
     pub witness: Arc<Witness>,
-    /// Hears who differs.
-    pub company: Arc<ChainMonitor>,
+    /// Receives what differs.
+    pub monitor: Arc<ChainMonitor>,
     /// This node, `ORGANISATION/NAME`.
     pub me: String,
     /// Time between two attestations.
     pub every: Duration,
+    /// Attestations as their blocks are executed.
+    pub seen: mpsc::UnboundedReceiver<Seen>,
 }
 
-impl Testimony {
+impl Attesting {
     /// Attests and judges until the node stops.
-    pub(crate) async fn run(self, mut seen: mpsc::UnboundedReceiver<Seen>) {
+    pub(crate) async fn run(mut self) {
         let mut said = Said::default();
         // What was attested before this node started counts as well.
-        for record in msp::attestations(&**self.author.ledger.state()).unwrap_or_default() {
+        for record in msp::attestations(&**self.ordering.storage.ledger.state()).unwrap_or_default() {
             let by = format!("{}/{}", record.organisation, record.node);
             self.hear(&mut said, &Seen { by, attest: record.latest.attest });
         }
@@ -92,7 +89,7 @@ impl Testimony {
         time.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             let told = tokio::select! {
-                attestation = seen.recv() => match attestation {
+                attestation = self.seen.recv() => match attestation {
                     Some(attestation) => {
                         self.hear(&mut said, &attestation);
                         continue;
@@ -109,14 +106,14 @@ impl Testimony {
     }
 
     fn attest_tip(&self, said: &Said) -> Result<(), Rejection> {
-        let (ledger, snapshots) = (&self.author.ledger, &self.snapshots);
+        let (ledger, snapshots) = (&self.ordering.storage.ledger, &self.ordering.storage.snapshots);
         let height = snapshots.newest().map_or(0, |snapshot| snapshot.manifest().height);
-        self.witness.snapshot.store(height, Ordering::Relaxed);
+        self.witness.snapshot.store(height, Relaxed);
         if let Some(attest) = said.snapshot_due(ledger, snapshots)? {
             self.author.submit("attest", &attest)?;
         }
-        let ordinary = self.witness.ordinary.load(Ordering::Relaxed);
-        match said.block_due(&ledger.tip(), ordinary, self.store.durable_index()) {
+        let ordinary = self.witness.ordinary.load(Relaxed);
+        match said.block_due(&ledger.tip(), ordinary, self.ordering.storage.log.store.durable_index()) {
             Some(attest) => self.author.submit("attest", &attest),
             None => Ok(()),
         }
@@ -127,12 +124,12 @@ impl Testimony {
             said.note(attest);
             return;
         }
-        let members = self.directory.members();
+        let members = self.ordering.directory.members();
         // Who has left says nothing any more.
         let present = members.iter().find(|member| member.wanted.is_some() && member.full_name() == *by);
         if let Some(member) = present {
             let Attest { height, hash, digest, .. } = *attest;
-            self.company.told(member, Point { height, hash, digest });
+            self.monitor.told(member, Point { height, hash, digest });
         }
     }
 }

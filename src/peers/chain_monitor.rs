@@ -1,8 +1,8 @@
-//! The company of this node: it asks the others from time to time whether they have the same chain, and whether it still
-//! belongs to them. [`ledger_replica::company`] decides.
+//! Compares the chain of this node with those of the voters, and stops a node that differs or was removed.
+//! [`ledger_replica::company`] decides.
 //!
 //! ```text
-//! company       asks, remembers, and ends a node that is wrong
+//! chain_monitor asks, remembers, and ends a node that is wrong
 //!   confirmed   what voters have confirmed, across restarts
 //!   difference  where it began: height and key
 //! ```
@@ -12,6 +12,7 @@ mod difference;
 
 pub(crate) use confirmed::confirmed_heights;
 
+use crate::ordering::Ordering;
 use crate::storage::files::DIVERGED_FILE;
 
 use crate::ordering::directory::Member;
@@ -19,18 +20,15 @@ use crate::peers::connections::Dialer;
 use crate::peers::question::Asked;
 use crate::peers::reachability::Reachability;
 use crate::process::clock::Offset;
-use crate::process::failure::FailureHandle;
 use confirmed::Confirmed;
 use ledger::Ledger;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{PeerMessage, Receipt};
-use ledger_replica::catch_up::Behind;
 use ledger_replica::company::{self, Follows, Place, Point, Said};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
 
 /// How often it is seen whether there is something to ask.
@@ -42,7 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
 
 type Machine = company::Company<Arc<Ledger>>;
 
-/// The view that the rest of the node has of its company.
+/// The view that the rest of the node has of the comparison.
 pub(crate) struct ChainMonitor {
     machine: Mutex<Machine>,
     /// Since when no leader is reached.
@@ -93,9 +91,9 @@ impl ChainMonitor {
     }
 
     /// For how long this node has reached no leader.
-    pub(crate) fn cut_off_for(&self, links: &Reachability) -> Duration {
+    pub(crate) fn cut_off_for(&self, reachability: &Reachability) -> Duration {
         let mut since = self.cut_off.lock().unwrap_or_else(PoisonError::into_inner);
-        *since = (!links.reaches_leader()).then(|| since.unwrap_or_else(Instant::now));
+        *since = (!reachability.reaches_leader()).then(|| since.unwrap_or_else(Instant::now));
         since.map_or(Duration::ZERO, |since| since.elapsed().max(Duration::from_micros(1)))
     }
 
@@ -110,16 +108,10 @@ impl ChainMonitor {
 
 /// The task that asks.
 pub(crate) struct Asking {
-    pub company: Arc<ChainMonitor>,
-    pub ledger: Arc<Ledger>,
-    pub links: Reachability,
+    pub monitor: Arc<ChainMonitor>,
+    pub ordering: Arc<Ordering>,
+    pub reachability: Arc<Reachability>,
     pub dialer: Dialer,
-    /// Ends a node that is wrong.
-    pub failure: FailureHandle,
-    /// Where the node is told that it lacks blocks.
-    pub behind: watch::Sender<Option<Behind>>,
-    /// The data directory.
-    pub data: PathBuf,
 }
 
 impl Asking {
@@ -130,8 +122,8 @@ impl Asking {
         let mut asked: Option<Instant> = None;
         loop {
             time.tick().await;
-            let cut_off = self.company.cut_off_for(&self.links);
-            let hurries = cut_off > PATIENCE || self.company.machine().is_in_doubt();
+            let cut_off = self.monitor.cut_off_for(&self.reachability);
+            let hurries = cut_off > PATIENCE || self.monitor.machine().is_in_doubt();
             if asked.is_none_or(|asked| hurries || asked.elapsed() >= ASK_EVERY) {
                 asked = Some(Instant::now());
                 match self.round(cut_off > PATIENCE).await {
@@ -141,14 +133,14 @@ impl Asking {
                         tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chains of the others")
                     }
                 }
-                self.company.keep();
+                self.monitor.keep();
             }
         }
     }
 
     /// Asks once; answers why this node cannot go on.
     async fn round(&self, cut_off: bool) -> Result<Option<Rejection>, Rejection> {
-        let members = self.links.directory.members();
+        let members = self.ordering.directory.members();
         let voters = members.iter().filter(|member| member.votes());
         let place = Place {
             voters: voters.map(|member| (member.id, member.organisation.clone())).collect(),
@@ -160,7 +152,7 @@ impl Asking {
         let mut height = None;
         loop {
             let said = self.ask(&asked, height.unwrap_or(u64::MAX)).await;
-            let follows = self.company.machine().heard(&said, &place, height)?;
+            let follows = self.monitor.machine().heard(&said, &place, height)?;
             match follows {
                 Follows::Nothing => return Ok(None),
                 Follows::Ask(at) if height.is_none() => height = Some(at),
@@ -170,7 +162,7 @@ impl Asking {
                     tracing::warn!(
                         "no leader is reached, and others do not know this node; fetching what they decided"
                     );
-                    self.behind.send_replace(Some(behind));
+                    self.ordering.behind.send_replace(Some(behind));
                     return Ok(None);
                 }
             }
@@ -178,31 +170,32 @@ impl Asking {
     }
 
     async fn ask(&self, members: &[Member], height: u64) -> Vec<Said> {
-        let own = self.company.own(height);
-        let answers = self.dialer.compare(members, self.ledger.network(), own).await;
-        *self.company.clocks() = answers.iter().filter_map(|asked| Some((asked.who.id, asked.clock?))).collect();
+        let own = self.monitor.own(height);
+        let answers = self.dialer.compare(members, self.ordering.storage.ledger.network(), own).await;
+        *self.monitor.clocks() = answers.iter().filter_map(|asked| Some((asked.who.id, asked.clock?))).collect();
         answers.into_iter().map(|Asked { who, has, at, stranger, .. }| Said { who, has, at, stranger }).collect()
     }
 
     /// This node is wrong: it stops serving, and says where that began.
     async fn stop(&self, reason: Rejection) {
-        self.links.slot.stop();
+        self.ordering.slot.stop();
         if reason.code != Code::Diverged {
-            return self.failure.fail(reason);
+            return self.ordering.failure.fail(reason);
         }
-        let mark = self.data.join(DIVERGED_FILE);
-        if let Err(error) = std::fs::write(&mark, self.company.describe()) {
+        let mark = self.ordering.storage.data.join(DIVERGED_FILE);
+        if let Err(error) = std::fs::write(&mark, self.monitor.describe()) {
             tracing::error!(%error, mark = %mark.display(), "cannot mark the world state");
         }
-        let noticed = self.company.machine().differing().map(|(name, height)| (name.to_owned(), height));
+        let noticed = self.monitor.machine().differing().map(|(name, height)| (name.to_owned(), height));
         let began = match noticed {
             Some((name, height)) => {
-                difference::find(&self.ledger, &self.links.directory, &self.dialer, (&name, height)).await
+                difference::find(&self.ordering.storage.ledger, &self.ordering.directory, &self.dialer, (&name, height))
+                    .await
             }
             None => String::new(),
         };
         let wanted = if began.is_empty() { reason.wanted.clone() } else { format!("{}; {began}", reason.wanted) };
-        self.failure.fail(Rejection { wanted, ..reason });
+        self.ordering.failure.fail(Rejection { wanted, ..reason });
     }
 }
 

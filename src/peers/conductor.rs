@@ -22,8 +22,8 @@ pub(crate) struct Conductor {
     id: u64,
     timing: Timing,
     secret: Secret,
-    engines: Engines,
-    catch_up: BlockSync,
+    engines: Arc<Engines>,
+    sync: BlockSync,
     machine: conductor::Conductor,
     /// The orderer's last report of being behind.
     behind: watch::Receiver<Option<Behind>>,
@@ -31,10 +31,10 @@ pub(crate) struct Conductor {
 
 impl Conductor {
     /// For the node with this id, and the secret behind its receipts.
-    pub(crate) fn new((id, secret): (u64, Secret), timing: Timing, engines: Engines, catch_up: BlockSync) -> Self {
-        let behind = engines.outside.behind.subscribe();
+    pub(crate) fn new((id, secret): (u64, Secret), timing: Timing, engines: Arc<Engines>, sync: BlockSync) -> Self {
+        let behind = engines.behind.subscribe();
         let machine = conductor::Conductor::new(id, Arc::clone(engines.executor.ledger()));
-        Self { id, timing, secret, engines, catch_up, machine, behind }
+        Self { id, timing, secret, engines, sync, machine, behind }
     }
 
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
@@ -42,15 +42,15 @@ impl Conductor {
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(mut self) -> Result<JoinHandle<()>, Rejection> {
-        let (offers, open) = self.catch_up.look(self.timing.election_time()).await?;
+        let (offers, open) = self.sync.look(self.timing.election_time()).await?;
         let mut next = self.machine.step(Happened::Looked(offers))?;
         if next == Next::Start {
             self.start_engine()?;
             next = Next::Nothing;
         }
-        let hearing = self.catch_up.hear_out(open);
+        let hearing = self.sync.hear_out(open);
         let running = async move {
-            let failure = self.engines.outside.failure.clone();
+            let failure = self.engines.failure.clone();
             if let Err(reason) = self.run(next).await {
                 failure.fail(reason);
             }
@@ -61,7 +61,7 @@ impl Conductor {
     }
 
     async fn run(mut self, mut next: Next) -> Result<(), Rejection> {
-        while !self.catch_up.is_stopping() {
+        while !self.sync.is_stopping() {
             let happened = match next {
                 Next::Start => {
                     self.start_engine()?;
@@ -77,13 +77,13 @@ impl Conductor {
                     Happened::Ended
                 }
                 Next::Flush => Happened::Flushed(self.flush().await?),
-                Next::CatchUp(behind) => Happened::Caught(self.catch_up.run(behind).await?),
+                Next::CatchUp(behind) => Happened::Caught(self.sync.run(behind).await?),
                 Next::Pause(time) => {
-                    self.catch_up.pause(time).await;
+                    self.sync.pause(time).await;
                     Happened::Waited
                 }
                 Next::StartAgain => {
-                    self.engines.outside.failure.start_again();
+                    self.engines.failure.start_again();
                     return Ok(());
                 }
             };
@@ -94,7 +94,7 @@ impl Conductor {
 
     /// The orderer's next report of being behind; nothing if the node stops.
     async fn hear_of_behind(&mut self) -> Option<Behind> {
-        let mut stopping = self.catch_up.stopping.clone();
+        let mut stopping = self.sync.stopping.clone();
         tokio::select! {
             biased;
             _ = stopping.wait_for(|stopping| *stopping) => None,
@@ -104,7 +104,7 @@ impl Conductor {
 
     /// Ends the engine, and waits until what was committed is executed.
     async fn end_engine(&self, behind: Behind) -> Result<(), Rejection> {
-        let slot = Arc::clone(&self.catch_up.slot);
+        let slot = Arc::clone(&self.sync.ordering.slot);
         let ended = tokio::task::spawn_blocking(move || slot.clear(behind.first_index.saturating_sub(1)));
         ended.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while the engine ended"))
     }
@@ -119,7 +119,7 @@ impl Conductor {
     fn start_engine(&self) -> Result<(), Rejection> {
         let settings =
             Settings { id: self.id, seed: crate::process::random::number()?, timing: self.timing, secret: self.secret };
-        self.catch_up.slot.take_in(self.engines.start(&settings)?);
+        self.sync.ordering.slot.take_in(self.engines.start(&settings)?);
         Ok(())
     }
 }

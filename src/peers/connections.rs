@@ -43,7 +43,7 @@ pub(crate) struct Dialer {
 }
 
 /// The ways to the other nodes.
-pub(crate) struct Peers {
+pub(crate) struct Connections {
     dialer: Dialer,
     links: RwLock<BTreeMap<u64, Link>>,
 }
@@ -59,7 +59,7 @@ struct Link {
     wake: Arc<Notify>,
 }
 
-impl Peers {
+impl Connections {
     /// No connections yet.
     pub(crate) fn new(dialer: Dialer) -> Arc<Self> {
         Arc::new(Self { dialer, links: RwLock::default() })

@@ -3,10 +3,9 @@
 //! A call that was submitted here is told to the readers of this node that asked for such calls, and passed on to all other nodes,
 //! which tell theirs. That needs no leader and no majority, and waits for no disk.
 
-use crate::peers::connections::Peers;
-use crate::process::clock::Clock;
+use crate::ordering::Ordering;
+use crate::peers::connections::Connections;
 use bytes::Bytes;
-use ledger::Ledger;
 use ledger::transaction::Transaction;
 use ledger_raft::{EARLY_BYTES_MAX, EarlyCall, PeerMessage};
 use ledger_replica::Foreseen;
@@ -18,20 +17,18 @@ const WAITING_MAX: usize = 64;
 
 /// Tells of calls before they are ordered.
 pub(crate) struct EarlyStops {
-    ledger: Arc<Ledger>,
-    clock: Clock,
-    peers: Arc<Peers>,
+    ordering: Arc<Ordering>,
+    connections: Arc<Connections>,
     calls: ledger_replica::Early,
     readers: broadcast::Sender<Arc<Foreseen>>,
 }
 
 impl EarlyStops {
     /// Nobody reads yet.
-    pub(crate) fn new(ledger: Arc<Ledger>, clock: Clock, peers: Arc<Peers>) -> Self {
+    pub(crate) fn new(ordering: &Arc<Ordering>, connections: &Arc<Connections>) -> Self {
         Self {
-            ledger,
-            clock,
-            peers,
+            ordering: Arc::clone(ordering),
+            connections: Arc::clone(connections),
             calls: ledger_replica::Early::default(),
             readers: broadcast::Sender::new(WAITING_MAX),
         }
@@ -39,7 +36,7 @@ impl EarlyStops {
 
     /// The announcement of a call that a user of this node has submitted, if it is one to announce. Nothing speaks against it.
     pub(crate) fn foresee(&self, transaction: &Transaction) -> Option<Arc<Foreseen>> {
-        self.calls.submitted(&self.ledger, transaction, self.clock.both())
+        self.calls.submitted(&self.ordering.storage.ledger, transaction, self.ordering.clock.both())
     }
 
     /// Tells the readers of this node, and the other nodes. The call was handed to the orderer before: the question that a robot asks
@@ -48,7 +45,7 @@ impl EarlyStops {
         let transaction = foreseen.transaction.encoded().clone();
         self.tell(foreseen);
         if transaction.len() <= EARLY_BYTES_MAX {
-            self.peers.send_to_all(&PeerMessage::Early(EarlyCall { transaction }));
+            self.connections.send_to_all(&PeerMessage::Early(EarlyCall { transaction }));
         }
     }
 
@@ -56,7 +53,9 @@ impl EarlyStops {
     pub(crate) fn passed_on(&self, from: u64, encoded: Bytes) {
         // Whatever is wrong with it, its verdict says so.
         let Ok(transaction) = Transaction::decode(encoded) else { return };
-        if let Some(foreseen) = self.calls.passed_on(&self.ledger, from, &transaction, self.clock.both()) {
+        if let Some(foreseen) =
+            self.calls.passed_on(&self.ordering.storage.ledger, from, &transaction, self.ordering.clock.both())
+        {
             self.tell(foreseen);
         }
     }

@@ -20,8 +20,9 @@ mod recent;
 pub(crate) use kept::{newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
 
+use crate::ordering::Ordering;
 use crate::ordering::directory::Directory;
-use crate::peers::connections::Peers;
+use crate::peers::connections::Connections;
 use bytes::Bytes;
 use inbox::Inbox;
 use kept::{Kept, Lied};
@@ -32,11 +33,11 @@ use ledger_light::{Certificate, DoubleVote, Lie, Proof, Signed, Statement};
 use ledger_raft::{PeerMessage, SignedStatement};
 use ledger_replica::Observer;
 use ledger_replica::certifier::{Certifier, Effect, Era, Event};
-use ledger_storage::block_store::BlockStore;
 use passed::Passed;
 use recent::Recent;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
@@ -84,7 +85,7 @@ impl Certificates {
 
     /// The newest height for which this node has a certificate; 0 if there is none.
     pub(crate) fn certified(&self) -> u64 {
-        self.certified.load(Ordering::Relaxed)
+        self.certified.load(Relaxed)
     }
 
     /// The nodes that have lied, in words; empty if none has.
@@ -218,27 +219,25 @@ pub(crate) struct Certifying {
     pub certificates: Arc<Certificates>,
     /// Decides.
     pub certifier: Certifier<Keys>,
-    /// Shows what executing a block gave.
-    pub ledger: Arc<Ledger>,
-    /// The log, whose blocks are signed.
-    pub store: Arc<BlockStore>,
+    /// What executing gave, the log whose blocks are signed, and the members of the network.
+    pub ordering: Arc<Ordering>,
     /// The other nodes.
-    pub peers: Arc<Peers>,
-    /// The members of the network.
-    pub directory: Arc<Directory>,
+    pub connections: Arc<Connections>,
     /// This node's number.
     pub me: u64,
+    /// Executed blocks and proofs.
+    pub told: mpsc::UnboundedReceiver<Told>,
 }
 
 impl Certifying {
     /// Signs, hears and counts until the node stops.
-    pub(crate) async fn run(mut self, mut told: mpsc::UnboundedReceiver<Told>) {
+    pub(crate) async fn run(mut self) {
         let started = Instant::now();
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
         let (mut effects, mut written) = (Vec::new(), None);
         loop {
             let event = tokio::select! {
-                told = told.recv() => match told {
+                told = self.told.recv() => match told {
                     Some(Told::Event(event)) => event,
                     Some(Told::VotedTwice(proof)) => {
                         self.voted_twice(&proof).await;
@@ -249,7 +248,7 @@ impl Certifying {
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
                     Ok(signed) => Event::Heard { from, signed },
                     Err(reason) => {
-                        tracing::warn!(node = self.directory.name(from), code = reason.code.name(), %reason, "a statement cannot be read");
+                        tracing::warn!(node = self.ordering.directory.name(from), code = reason.code.name(), %reason, "a statement cannot be read");
                         continue;
                     }
                 },
@@ -257,7 +256,7 @@ impl Certifying {
                 () = until(self.certifier.wait(now())) => Event::Time,
             };
             self.certifier.step(now(), event, &mut effects);
-            self.certifier.step(now(), Event::Durable(self.store.durable_index()), &mut effects);
+            self.certifier.step(now(), Event::Durable(self.ordering.storage.log.store.durable_index()), &mut effects);
             for effect in effects.drain(..) {
                 self.act(effect, &mut written).await;
             }
@@ -268,14 +267,14 @@ impl Certifying {
         match effect {
             Effect::Tell(signed) => {
                 let message = PeerMessage::Statement(SignedStatement { signed: signed.to_bytes() });
-                for member in self.directory.members().iter().filter(|member| member.id != self.me) {
+                for member in self.ordering.directory.members().iter().filter(|member| member.id != self.me) {
                     // Lost if it is not connected; the newest is told again.
-                    self.peers.send(member.id, &message);
+                    self.connections.send(member.id, &message);
                 }
             }
             Effect::Certified { certificate, governs } => {
                 let height = certificate.statement.height;
-                self.certificates.certified.fetch_max(height, Ordering::Relaxed);
+                self.certificates.certified.fetch_max(height, Relaxed);
                 let newest = height == self.certificates.certified();
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());
@@ -290,7 +289,8 @@ impl Certifying {
     }
 
     async fn keep_proof(&self, certificate: Certificate, newest: bool, governs: bool, passes: bool) {
-        let (ledger, first) = (Arc::clone(&self.ledger), self.store.first_index());
+        let (ledger, first) =
+            (Arc::clone(&self.ordering.storage.ledger), self.ordering.storage.log.store.first_index());
         let certificates = Arc::clone(&self.certificates);
         self.keep(move |kept| match proof(&ledger, certificate, |_| false)? {
             Some(proof) => {
@@ -308,7 +308,7 @@ impl Certifying {
     async fn lied(&self, lie: &Lie) {
         let (node, height) = (lie.first.signature.node, lie.first.statement.height);
         tracing::error!(
-            node = self.directory.name(node),
+            node = self.ordering.directory.name(node),
             height,
             first = %lie.first.statement.results,
             second = %lie.second.statement.results,
@@ -318,8 +318,8 @@ impl Certifying {
     }
 
     async fn voted_twice(&self, proof: &DoubleVote) {
-        let (node, term) = (self.directory.name(proof.voter()), proof.term);
-        let [first, second] = proof.votes.each_ref().map(|(candidate, _)| self.directory.name(*candidate));
+        let (node, term) = (self.ordering.directory.name(proof.voter()), proof.term);
+        let [first, second] = proof.votes.each_ref().map(|(candidate, _)| self.ordering.directory.name(*candidate));
         tracing::error!(node, term, first, second, "a voter has voted for two nodes in one term; the proof is kept");
         self.keep_lie(proof.into(), proof.to_bytes()).await;
     }

@@ -1,6 +1,6 @@
 //! The service that other nodes call.
 
-use super::connections::Peers;
+use super::connections::Connections;
 use crate::ordering::directory::Member;
 use crate::peers::sync::{Reader, Source};
 use crate::process::caller::Caller;
@@ -14,23 +14,26 @@ use tokio::sync::watch;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
+/// Takes a message of another node; false when this one is stopping.
+pub(crate) type Deliver = Box<dyn Fn(u64, PeerMessage) -> bool + Send + Sync>;
+
 /// The service that takes the messages of other nodes. `deliver` answers false when the node is stopping.
-pub(crate) struct PeerService<D> {
-    peers: Arc<Peers>,
+pub(crate) struct PeerService {
+    connections: Arc<Connections>,
     source: Arc<Source>,
     members: watch::Receiver<Arc<[Member]>>,
-    deliver: D,
+    deliver: Deliver,
 }
 
-impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
+impl PeerService {
     /// Takes calls from these members only, as they change.
     pub(crate) fn new(
-        peers: Arc<Peers>,
+        connections: Arc<Connections>,
         source: Arc<Source>,
         members: watch::Receiver<Arc<[Member]>>,
-        deliver: D,
+        deliver: Deliver,
     ) -> Self {
-        Self { peers, source, members, deliver }
+        Self { connections, source, members, deliver }
     }
 
     /// The calling node, which must be a member now.
@@ -74,10 +77,10 @@ async fn removed(members: &mut watch::Receiver<Arc<[Member]>>, id: u64) {
 }
 
 #[tonic::async_trait]
-impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerService<D> {
+impl Peer for PeerService {
     async fn messages(&self, request: Request<Streaming<PeerFrame>>) -> Result<Response<PeerClosed>, Status> {
         let member = self.sender(&request)?;
-        self.peers.heard_of(member.id);
+        self.connections.heard_of(member.id);
         let mut frames = request.into_inner();
         let mut members = self.members.clone();
         let removed = removed(&mut members, member.id);

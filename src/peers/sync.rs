@@ -1,10 +1,10 @@
-//! Catching up: blocks and snapshots from other nodes, for a node that lacks more than replication brings.
+//! Block and snapshot sync: from other nodes, for a node that lacks more than replication brings.
 //!
 //! [`ledger_replica::catch_up`] decides which blocks are fetched, and which nodes are believed. Here are the connections
 //! and the threads that do it.
 //!
 //! ```text
-//! catch_up     carries out what the machine says
+//! sync         carries out what the machine says
 //!   first_look asks the other nodes what they have, when the node starts
 //!   blocks     streams of blocks, and block hashes
 //!   snapshot   manifests and chunks
@@ -21,12 +21,10 @@ mod snapshot;
 
 pub(crate) use serve::{Reader, Source};
 
-use crate::ordering::directory::{Directory, Member};
-use crate::ordering::orderer_slot::OrdererSlot;
+use crate::ordering::Ordering;
+use crate::ordering::directory::Member;
 use crate::peers::connections::Dialer;
 use crate::peers::question::{self, Answers, Bootstrap, Contact};
-use crate::process::failure::FailureHandle;
-use crate::storage::log::Log;
 use ledger::Ledger;
 use ledger_api::v1::BlockEntries;
 use ledger_base::rejection::{Code, Rejection};
@@ -34,7 +32,7 @@ use ledger_raft::ReceiptKey;
 use ledger_replica::Executor;
 use ledger_replica::catch_up::{self, ASK_TIME_MAX, Ballot, Batch, Behind, Caught, Got, Todo};
 use ledger_replica::space::Wrote;
-use ledger_storage::snapshot::{Snapshot, Snapshots};
+use ledger_storage::snapshot::Snapshot;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -43,29 +41,14 @@ use tonic::Streaming;
 /// How often progress is told.
 const PROGRESS_PERIOD: Duration = Duration::from_secs(2);
 
-/// Where fetched blocks and snapshots go; cheap to clone.
-#[derive(Clone)]
-pub(crate) struct Destination {
-    /// The log.
-    pub log: Log,
-    /// Executes blocks.
-    pub executor: Arc<Executor>,
-    /// The world state at some heights.
-    pub snapshots: Arc<Snapshots>,
-}
-
 /// Fetches what this node lacks.
 pub(crate) struct BlockSync {
     /// Set on a node that has joined.
     pub bootstrap: Option<Bootstrap>,
-    /// Where blocks and snapshots go.
-    pub into: Destination,
-    /// The members of the network.
-    pub directory: Arc<Directory>,
-    /// Ends the node if it cannot go on.
-    pub failure: FailureHandle,
-    /// Where progress is shown.
-    pub slot: Arc<OrdererSlot>,
+    /// Where blocks and snapshots go, and where progress is shown.
+    pub ordering: Arc<Ordering>,
+    /// Executes blocks.
+    pub executor: Arc<Executor>,
     /// How to call the others.
     pub dialer: Dialer,
     /// Whether the node may vote.
@@ -94,7 +77,7 @@ impl BlockSync {
         let mut fetching = Fetching { stream: None, told: Instant::now() };
         let mut todo = Todo::Ask;
         loop {
-            self.slot.show_progress(machine.aim());
+            self.ordering.slot.show_progress(machine.aim());
             let got = match todo {
                 Todo::Done(caught) => return Ok(caught),
                 Todo::Failed(reason) => return Err(reason),
@@ -139,18 +122,19 @@ impl BlockSync {
 
     /// Stores and executes blocks. A full disk gets the reserve before it is tried again.
     async fn take_in(&self, batch: &Arc<Batch>) -> Result<(), Rejection> {
-        let (Destination { log, executor, snapshots }, batch) = (self.into.clone(), Arc::clone(batch));
+        let (ordering, executor, batch) = (Arc::clone(&self.ordering), Arc::clone(&self.executor), Arc::clone(batch));
         let taken = tokio::task::spawn_blocking(move || {
-            let taken = batch.take_in(&log.store, &executor, &snapshots);
+            let storage = &ordering.storage;
+            let taken = batch.take_in(&storage.log.store, &executor, &storage.snapshots);
             // The machine tries again by itself.
-            let _again = log.space.wrote(Wrote::from(&taken));
+            let _again = storage.space.wrote(Wrote::from(&taken));
             taken
         });
         taken.await.map_err(|_| Rejection::new(Code::Internal, "the execution of fetched blocks panicked"))?
     }
 
     async fn install(&self, snapshot: Arc<Snapshot>) -> Result<(), Rejection> {
-        let store = Arc::clone(&self.into.log.store);
+        let store = Arc::clone(&self.ordering.storage.log.store);
         let begun = tokio::task::spawn_blocking(move || catch_up::install(&store, &snapshot)).await;
         begun.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with the log"))?
     }
@@ -163,7 +147,7 @@ impl BlockSync {
     }
 
     async fn offers(&self) -> Vec<question::Offer> {
-        question::all(self.question(&self.directory.members())).await
+        question::all(self.question(&self.ordering.directory.members())).await
     }
 
     fn question(&self, members: &[Member]) -> Answers {
@@ -174,7 +158,7 @@ impl BlockSync {
     }
 
     fn ledger(&self) -> &Arc<Ledger> {
-        self.into.executor.ledger()
+        self.executor.ledger()
     }
 
     /// Does the node stop?

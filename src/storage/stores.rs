@@ -21,8 +21,8 @@ use std::sync::Arc;
 
 /// Blocks of the log that stay in memory for followers that lack a few; more are in the cache of the operating system.
 const LOG_CACHE_BYTES: usize = 2 * 1024 * 1024;
+
 /// The opened stores.
-#[derive(Clone)]
 pub(crate) struct Stores {
     /// The beginning of the network.
     pub genesis: Genesis,

@@ -1,4 +1,4 @@
-//! The papers of a node: its certificate with the key, and the CAs that it carries. They lie in the data directory.
+//! The credentials of a node in its data directory: certificate, key, and the CAs whose keys it holds.
 
 use crate::process::config::Config;
 use crate::storage::files::{CERTIFICATE_FILE, KEY_FILE};

@@ -1,4 +1,4 @@
-//! The trust of an instance: the organisations on its ledger.
+//! The organisations on the ledger, for TLS.
 
 use crate::process::clock::Clock;
 use ledger::Ledger;
@@ -8,19 +8,19 @@ use ledger_identity::msp::Msps;
 use std::sync::Arc;
 
 /// The organisations on a ledger.
-pub(crate) struct Trust {
+pub(crate) struct Organisations {
     ledger: Arc<Ledger>,
     clock: Clock,
 }
 
-impl Trust {
+impl Organisations {
     /// Those of this ledger, as they change.
     pub(crate) fn new(ledger: &Arc<Ledger>, clock: Clock) -> Self {
         Self { ledger: Arc::clone(ledger), clock }
     }
 }
 
-impl TrustSource for Trust {
+impl TrustSource for Organisations {
     fn msps(&self) -> Arc<Msps> {
         self.ledger.msps()
     }

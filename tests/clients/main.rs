@@ -3,13 +3,12 @@
 //! | module | what happens |
 //! |---|---|
 //! | `python` | the package `clients/python`: its own tests, its types, its wheel, its README |
-//! | `console` | the sources and the bundle of the console; tests/interop shows it in a browser |
+//! | `console` | the files of the console, its types, its encoding; tests/interop shows it in a browser |
 //! | `languages` | the programs of docs/clients.md, typed as they stand |
 //!
 //! The interpreter is `$LEDGERD_TEST_PYTHON`, as `./test` prepares it.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
-#![expect(clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::indexing_slicing, reason = "tests")]
 
 mod console;
 mod languages;

@@ -21,7 +21,6 @@
     clippy::panic,
     clippy::indexing_slicing,
     clippy::print_stdout,
-    clippy::print_stderr,
     unreachable_pub,
     reason = "tests"
 )]

@@ -1,4 +1,4 @@
-//! The console, as a program that is no browser meets it: HTTP, JSON, gRPC-Web and signatures written down here once more.
+//! The console, as a program that is no browser meets it: HTTP, JSON and signatures written down here once more.
 
 use crate::own_network::isolated;
 use crate::support::{Ctl, Dev, Fleet, eventually, programs};
@@ -76,28 +76,27 @@ impl Browser {
     }
 
     fn post(&self, path: &str, body: &Value) -> Answer {
-        let headers = [("host", self.host.as_str()), ("origin", &self.origin)];
+        let headers = [("host", self.host.as_str()), ("origin", &self.origin), ("content-type", "application/json")];
         self.ask(&format!("POST {path}"), &headers, body.to_string().as_bytes())
     }
 
-    /// Calls over gRPC-Web, under the session if there is one. The message of the answer, or what was refused.
-    fn call<T: Message + Default>(&self, path: &str, request: &impl Message) -> Result<T, Answer> {
-        let encoded = request.encode_to_vec();
-        let frame = [&[0][..], &(encoded.len() as u32).to_be_bytes(), &encoded].concat();
+    /// Asks the HTTP API under the session, if there is one. The answer, or the one that rejects.
+    fn call(&self, line: &str, kind: &str, body: &[u8]) -> Result<Value, Answer> {
         let authorisation = format!("Session {}", self.session);
-        let mut headers = vec![("host", self.host.as_str()), ("origin", &self.origin)];
-        headers.push(("content-type", "application/grpc-web+proto"));
+        let mut headers = vec![("host", self.host.as_str()), ("origin", &self.origin), ("content-type", kind)];
         if !self.session.is_empty() {
             headers.push(("authorization", &authorisation));
         }
-        let answer = self.ask(&format!("POST /ledgerd.v1.{path}"), &headers, &frame);
-        match answer.body.split_first_chunk::<5>() {
-            Some(([0, length @ ..], rest)) if answer.status == 200 => {
-                let length = u32::from_be_bytes(*length) as usize;
-                Ok(T::decode(&rest[..length]).unwrap())
-            }
-            _ => Err(answer),
-        }
+        let answer = self.ask(line, &headers, body);
+        if answer.status == 200 { Ok(answer.json()) } else { Err(answer) }
+    }
+
+    fn read(&self, path: &str) -> Result<Value, Answer> {
+        self.call(&format!("GET {path}"), "", b"")
+    }
+
+    fn write(&self, path: &str, body: &Value) -> Result<Value, Answer> {
+        self.call(&format!("POST {path}"), "application/json", body.to_string().as_bytes())
     }
 
     /// Enrols by a link of `ledgerctl console`.
@@ -108,12 +107,11 @@ impl Browser {
         let pair = PrivatePkcs8KeyDer::from(key.to_pkcs8_der());
         let pair = KeyPair::from_pkcs8_der_and_sign_algo(&pair, &PKCS_ECDSA_P256_SHA256).unwrap();
         let request = CertificateParams::default().serialize_request(&pair).unwrap().der().to_vec();
-        let (name, secret) = (format!("{organisation}/{name}"), secret.to_owned());
-        let enrol = v1::EnrolRequest { name, secret, request: request.into() };
-        let enrolled: v1::EnrolResponse =
-            self.call("Enrolment/Enrol", &enrol).unwrap_or_else(|no| panic!("{}", no.head));
-        assert_eq!(enrolled.verdict.unwrap_or_default().message, "");
-        Tablet { key, certificate: enrolled.certificate.to_vec(), network: enrolled.network.unwrap().network.to_vec() }
+        let enrol =
+            json!({"name": format!("{organisation}/{name}"), "secret": secret, "request": hex::encode(request)});
+        let enrolled = self.write("/v1/enrol", &enrol).unwrap_or_else(|no| panic!("{}", no.head));
+        let bytes = |digits: &Value| hex::decode(digits.as_str().unwrap()).unwrap();
+        Tablet { key, certificate: bytes(&enrolled["certificate"]), network: bytes(&enrolled["network"]["network"]) }
     }
 
     fn challenge(&self) -> Value {
@@ -154,18 +152,17 @@ impl Browser {
     }
 
     fn height(&self) -> Result<u64, Answer> {
-        self.call::<v1::StatusResponse>("Gateway/Status", &v1::StatusRequest {}).map(|status| status.height)
+        self.read("/v1/status").map(|status| status["height"].as_u64().unwrap())
     }
 
-    /// Submits a call that this key signs. The code of its verdict, and its reason.
-    fn submit(&self, tablet: &Tablet, function: &str, args: &[&str]) -> (u32, String) {
-        let status: v1::StatusResponse =
-            self.call("Gateway/Status", &v1::StatusRequest {}).unwrap_or_else(|no| panic!("{}", no.head));
+    /// Submits a call that this key signs. The answer, or the rejection.
+    fn submit(&self, tablet: &Tablet, function: &str, args: &[&str]) -> Value {
+        let status = self.read("/v1/status").unwrap_or_else(|no| panic!("{}", no.head));
         let body = v1::TransactionBody {
             network: tablet.network.clone().into(),
             creator: ring::digest::digest(&ring::digest::SHA256, &tablet.certificate).as_ref().to_vec().into(),
             nonce: ring::rand::generate::<[u8; 16]>(&SystemRandom::new()).unwrap().expose().to_vec().into(),
-            not_after: status.clock + 10_000_000,
+            not_after: status["clock"].as_u64().unwrap() + 10_000_000,
             chaincode: "abac".into(),
             function: function.into(),
             args: args.iter().map(|arg| arg.as_bytes().to_vec().into()).collect(),
@@ -177,15 +174,9 @@ impl Browser {
             signature: signature.into(),
             certificate: tablet.certificate.clone().into(),
         };
-        let submit = v1::SubmitRequest {
-            transaction: transaction.encode_to_vec().into(),
-            first_attempt: true,
-            ..Default::default()
-        };
-        let answer: v1::SubmitResponse =
-            self.call("Gateway/Submit", &submit).unwrap_or_else(|no| panic!("{}", no.head));
-        let verdict = answer.verdict.unwrap_or_default();
-        (verdict.code, verdict.message)
+        let line = "POST /v1/transactions?first_attempt=true";
+        let answer = self.call(line, "application/octet-stream", &transaction.encode_to_vec());
+        answer.unwrap_or_else(|rejected| rejected.json())
     }
 }
 
@@ -208,9 +199,10 @@ fn a_browser_enrols_by_a_link_proves_its_key_reads_and_signs_what_it_changes() {
     assert_eq!((opened["id"].as_str(), opened["role"].as_str()), (Some("Org1/Tablet"), Some("member")));
     assert_eq!(opened["attributes"], json!({"Turtlebot4": "true"}));
     assert!(browser.height().is_ok_and(|height| height > 0));
-    assert_eq!(browser.submit(&tablet, "acquire", &["Turtlebot4/cmd_vel"]), (0, String::new()));
-    let (code, reason) = browser.submit(&tablet, "acquire", &["Husky/cmd_vel"]);
-    assert_eq!(code, 3001, "{reason}");
+    let acquired = browser.submit(&tablet, "acquire", &["Turtlebot4/cmd_vel"]);
+    assert_eq!(acquired["response"]["holder"], "Org1/Tablet", "{acquired}");
+    let rejected = browser.submit(&tablet, "acquire", &["Husky/cmd_vel"]);
+    assert_eq!(rejected["code"], "LGR-3001", "{rejected}");
     assert_eq!(dev.owner().json(&["robot", "show", "Turtlebot4"])["owner"], "Org1/Tablet");
 
     // A session ends when the page says so.
@@ -233,12 +225,8 @@ fn a_browser_enrols_by_a_link_proves_its_key_reads_and_signs_what_it_changes() {
     let opened = browser.open(&tablet);
     assert_eq!(opened["id"], "Org1/Tablet");
     dev.admin().run(&["identity", "revoke", "Tablet"]).ok();
-    let refused = browser.height().err().unwrap();
-    assert!(
-        refused.head.contains("grpc-status") || refused.body.windows(11).any(|at| at == b"grpc-status"),
-        "{}",
-        refused.head
-    );
+    let rejected = browser.height().err().unwrap();
+    assert_eq!((rejected.status, &rejected.json()["code"]), (403, &json!("LGR-2004")));
     assert_eq!(browser.answer(&tablet, &browser.challenge(), &browser.origin).status, 401);
 }
 
@@ -270,28 +258,29 @@ fn a_challenge_is_good_once_and_for_one_origin_and_nothing_is_answered_to_other_
     }
     assert_eq!(browser.ask("POST /session/challenge", &[("host", &host)], b"{}").status, 403, "no origin");
 
-    // What changes something without a signature is no call of the console; nor is what nodes tell each other.
-    for path in [
-        "Gateway/TransferLeadership",
-        "Enrolment/Renew",
-        "Enrolment/SealCa",
-        "Enrolment/TakeCa",
-        "Gateway/SubmitStream",
-        "Peer/Talk",
-    ] {
-        let refused = browser.call::<v1::StatusResponse>(path, &v1::StatusRequest {}).err().unwrap();
-        assert_eq!(refused.status, 404, "{path}");
+    // A token is of use to its own page and to programs, and to nobody else's page.
+    let authorisation = format!("Session {}", browser.session);
+    let as_page = |site: &str| {
+        let headers = [("host", host.as_str()), ("authorization", &authorisation), ("sec-fetch-site", site)];
+        browser.ask("GET /v1/status", &headers, b"").status
+    };
+    assert_eq!(["same-origin", "cross-site", "same-site"].map(as_page), [200, 401, 401]);
+
+    // Calls of gRPC, what changes something without a signature, and what nodes tell each other have no path.
+    for path in ["/ledgerd.v1.Gateway/Status", "/ledgerd.v1.Gateway/Submit", "/v1/leadership", "/ledgerd.v1.Peer/Talk"]
+    {
+        let rejected = browser.write(path, &json!({})).err().unwrap();
+        assert_eq!(rejected.status, 404, "{path}");
     }
-    let unsigned = v1::SubmitRequest { transaction: b"anything".to_vec().into(), ..Default::default() };
-    let answer: v1::SubmitResponse =
-        browser.call("Gateway/Submit", &unsigned).unwrap_or_else(|no| panic!("{}", no.head));
-    assert_eq!(answer.verdict.unwrap().code, 1001);
+    let line = "POST /v1/transactions";
+    let unsigned = browser.call(line, "application/octet-stream", b"anything").err().unwrap();
+    assert_eq!((unsigned.status, &unsigned.json()["code"]), (400, &json!("LGR-1001")));
 
     // Sizes: a request for a session, and a call.
     let large = json!({ "certificate": "00".repeat(64 * 1024) });
     assert!([413, 0].contains(&browser.post("/session/open", &large).status));
-    let large = v1::SubmitRequest { transaction: vec![0; 2 << 20].into(), ..Default::default() };
-    assert!(browser.call::<v1::SubmitResponse>("Gateway/Submit", &large).is_err());
+    let large = browser.call(line, "application/octet-stream", &vec![0; 2 << 20]).err().unwrap();
+    assert!([413, 0].contains(&large.status), "{}", large.head);
     assert!(browser.height().is_ok(), "others do not feel it");
 
     // A flood of keys that are none is not even looked at; whoever has a session goes on.

@@ -7,7 +7,6 @@
     clippy::panic,
     clippy::indexing_slicing,
     clippy::print_stdout,
-    clippy::print_stderr,
     unreachable_pub,
     reason = "tests"
 )]
@@ -32,6 +31,7 @@ mod fabric;
 mod footprint;
 mod formats;
 mod histories;
+mod http;
 mod instances;
 mod join;
 mod languages;

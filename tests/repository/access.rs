@@ -5,7 +5,7 @@ use std::path::Path;
 
 /// The layers of `crates/abac`, from the lowest: modules that stand side by side, each a file and perhaps a folder.
 const LAYERS: [&[&str]; 7] = [
-    &["arguments", "fixture", "nearest", "timestamp"],
+    &["arguments", "fixture", "nearest"],
     &["records"],
     &["rules"],
     &["policy"],

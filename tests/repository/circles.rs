@@ -257,3 +257,59 @@ fn no_crate_has_a_circle_inside() {
     }
     assert!(found.is_empty(), "move what both need down, into a file of its own:\n{}", found.join("\n"));
 }
+
+/// Most folders in the `src` of the node and of the bridge: a newcomer sees them at one look.
+const FOLDERS_MAX: usize = 8;
+/// Most files beside them.
+const FILES_MAX: usize = 8;
+
+#[test]
+fn the_node_and_the_bridge_have_few_folders_and_few_files_at_the_top() {
+    for place in ["src", "crates/ros-bridge/src"] {
+        let src = root().join(place);
+        let sources = files(&src, ".rs");
+        let top: BTreeSet<_> = sources.iter().filter_map(|path| path.strip_prefix(&src).ok()?.iter().next()).collect();
+        let (top_files, folders): (Vec<_>, Vec<_>) = top.into_iter().partition(|name| src.join(name).is_file());
+        assert!(folders.len() <= FOLDERS_MAX, "{place} has {} folders of {FOLDERS_MAX}: {folders:?}", folders.len());
+        // The face of a folder belongs to it.
+        let alone =
+            |name: &&&std::ffi::OsStr| !folders.iter().any(|folder| *folder == Path::new(name).with_extension(""));
+        let alone: Vec<_> = top_files.iter().filter(alone).collect();
+        assert!(alone.len() <= FILES_MAX, "{place} has {} files of {FILES_MAX}: {alone:?}", alone.len());
+    }
+}
+
+#[test]
+fn the_paths_of_a_file_are_read_with_groups_and_renames_and_without_comments_strings_and_tests() {
+    let code = code_without_tests(
+        "use crate::{a::B, c::{self, D as E}};\n// crate::no\nlet text = \"crate::no \\\" crate::no\";\nlet quote = '\"'; super::f();\n\
+         $crate::no; ledger_crate::no;\n#[cfg(test)]\nmod tests { use crate::no; }",
+    );
+    let found: BTreeSet<String> = paths(&code).iter().map(|path| path.join("::")).collect();
+    for wanted in ["crate::a::B", "crate::c::self", "crate::c::D", "super::f"] {
+        assert!(found.contains(wanted), "{wanted}: {found:?}");
+    }
+    assert!(!found.iter().any(|path| path.ends_with("no")), "{found:?}");
+}
+
+#[test]
+fn a_path_is_followed_from_the_module_that_has_it() {
+    let module: Module = ["peers", "sync"].map(str::to_owned).into();
+    let at =
+        |path: &[&str]| absolute(&path.iter().map(|part| (*part).to_owned()).collect::<Vec<_>>(), &module).join("::");
+    assert_eq!(at(&["crate", "trust", "ca"]), "trust::ca");
+    assert_eq!(at(&["super", "service", "X"]), "peers::service::X");
+    assert_eq!(at(&["super", "super", "X"]), "X");
+    assert_eq!(at(&["self", "ask", "X"]), "peers::sync::ask::X");
+}
+
+#[test]
+fn a_circle_is_found_and_named_and_a_chain_is_not() {
+    let tied = |pairs: &[(&str, &str)]| -> Arrows {
+        let room = |name: &str| vec![name.to_owned()];
+        pairs.iter().map(|(from, to)| ((room(from), room(to)), format!("{from} names {to}::X"))).collect()
+    };
+    assert_eq!(circles(&tied(&[("a", "b"), ("b", "c"), ("a", "c")])), Vec::<String>::new());
+    let found = circles(&tied(&[("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")]));
+    assert_eq!(found, ["a, b, c are one circle:\n    a names b::X\n    b names c::X\n    c names a::X"]);
+}

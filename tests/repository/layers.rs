@@ -7,13 +7,12 @@ use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing. A package of tests alone, which stands
 /// in a folder `tests`, may use all of them, and none may use it.
-const LAYERS: [(&str, &[&str]); 25] = [
+const LAYERS: [(&str, &[&str]); 24] = [
     // The foundation: no cryptography beyond a hash, no network, no chain.
     ("ledger-base", &[]),
     // The paper's experiment with a robot that moves.
     ("arena", &["ledger-api", "ledger-base", "ledger-gate", "ledgerd", "ros-bridge", "ros-message"]),
     // Files of ROS 2: recordings.
-    ("mcap", &[]),
     // What each process tells a collector of its part in a message: nothing of a ledger but ids.
     ("ledger-traces", &["ledger-base"]),
     // Keys and certificates: no file, no chain.
@@ -88,7 +87,6 @@ const LAYERS: [(&str, &[&str]); 25] = [
             "ledger-identity",
             "ledger-light",
             "ledger-storage",
-            "mcap",
             "ros-bridge",
             "ros-message",
         ],
@@ -108,7 +106,6 @@ const LAYERS: [(&str, &[&str]); 25] = [
             "ledger-light",
             "ledger-raft",
             "ledger-storage",
-            "mcap",
         ],
     ),
     (

@@ -37,7 +37,7 @@
 //! | `policy` | who may: Cedar, the policies on the ledger, decisions that are remembered |
 //! | `rules` | who wins when several may: a file for each rule, and the table of them |
 //! | `records` | what the state holds: robots, services, grants, keys and indexes |
-//! | `arguments`, `timestamp` | argument parsing, RFC 3339 |
+//! | `arguments` | argument parsing |
 
 mod arguments;
 mod calls;
@@ -48,7 +48,6 @@ mod lifecycle;
 mod policy;
 mod records;
 mod rules;
-mod timestamp;
 
 pub use calls::authorize::Authorization;
 pub use calls::caller::Caller;

@@ -5,6 +5,7 @@
 //! | [`hash`] | SHA-256 values |
 //! | [`rejection`] | rejections and their stable codes |
 //! | [`invariant`] | invariants, and the end of a process that breaks one |
+//! | [`moment`] | moments in time as text |
 //! | [`mutation`] | deliberate bugs that the simulation must notice |
 //! | [`durable`] | files that survive a crash whole |
 //! | [`settings`] | TOML files, read setting by setting |
@@ -16,6 +17,7 @@
 pub mod durable;
 pub mod hash;
 pub mod invariant;
+pub mod moment;
 pub mod mutation;
 pub mod nearest;
 pub mod progress;

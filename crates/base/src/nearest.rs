@@ -3,7 +3,7 @@
 //! Edits are counted in integers, because a suggestion becomes part of a verdict and must be equal on every node.
 //!
 //! ```
-//! assert_eq!(nearest::nearest("turtelbot4", ["Husky", "Turtlebot4"]), Some("Turtlebot4"));
+//! assert_eq!(ledger_base::nearest::nearest("turtelbot4", ["Husky", "Turtlebot4"]), Some("Turtlebot4"));
 //! assert_eq!(ledger_base::nearest::did_you_mean("Huski", ["Husky"], "robot list"), "did you mean \"Husky\"?");
 //! ```
 

@@ -11,6 +11,7 @@
 //! was killed can be read up to its last second. docs/record.md has the details.
 
 mod disk;
+mod items;
 mod reading;
 mod rows;
 
@@ -23,11 +24,12 @@ use disk::Disk;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_contract::ServiceState;
-use mcap::{Stamp, Writer};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{McapResult, WriteOptions};
 use ros_message::Library;
 use rows::Row;
 use std::collections::BTreeMap;
-use std::io;
 use std::path::Path;
 
 /// The channel of records.
@@ -46,13 +48,19 @@ const DEFINITION: &str = "ros2msg";
 /// The encoding of messages.
 pub(crate) const CDR: &str = "cdr";
 
+/// Bytes at which a chunk ends, if it was not ended before.
+const CHUNK_BYTES: u64 = 1024 * 1024;
+
+/// Writes MCAP. It never seeks: a chunk comes into the file as a whole, so that a killed recorder loses at most its last one.
+type Writer = mcap::Writer<NoSeek<Disk>>;
+
 /// A channel of a service.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Channel(u16);
 
 /// A recording that is being written.
 pub(crate) struct Recording {
-    writer: Writer<Disk>,
+    writer: Writer,
     disk: Disk,
     library: Library,
     network: Hash,
@@ -69,14 +77,17 @@ impl Recording {
     /// `ALREADY_EXISTS` and `BAD_FILE`.
     pub(crate) fn create(path: &Path, replace: bool, network: Hash, library: Library) -> Result<Self, Rejection> {
         let disk = Disk::create(path, replace)?;
-        let created = (|| -> io::Result<_> {
-            let library = concat!("ledgerctl ", env!("CARGO_PKG_VERSION"));
-            let mut writer = Writer::begin(disk.clone(), "ros2", library)?;
-            let records = Row::open(&mut writer, RECORDS, rows::RECORD)?;
-            let events = Row::open(&mut writer, EVENTS, rows::EVENT)?;
-            Ok((writer, records, events))
-        })();
-        let (writer, records, events) = created.map_err(|error| disk.refused(&error))?;
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library(concat!("ledgerctl ", env!("CARGO_PKG_VERSION")))
+            .compression(None)
+            .chunk_size(Some(CHUNK_BYTES))
+            .disable_seeking(true)
+            // Chunks have sums of their own.
+            .calculate_data_section_crc(false);
+        let mut writer = options.create(NoSeek::new(disk.clone())).map_err(|error| disk.refused(&error))?;
+        let records = Row::open(&mut writer, &disk, RECORDS, rows::RECORD)?;
+        let events = Row::open(&mut writer, &disk, EVENTS, rows::EVENT)?;
         Ok(Self { writer, disk, library, network, records, events, counts: BTreeMap::new() })
     }
 
@@ -92,11 +103,14 @@ impl Recording {
         if let Some(kind) = &kind {
             about.insert("topic_type_hash".to_owned(), kind.type_hash());
         }
-        let schema = match &kind {
-            Some(kind) => self.writer.schema(kind.name(), DEFINITION, &kind.definition()),
-            None => self.writer.schema(&service.type_name, "", ""),
-        };
-        let channel = self.writer.channel(schema, topic, CDR, &about);
+        let channel = (|| -> McapResult<u16> {
+            let schema = match &kind {
+                Some(kind) => self.writer.add_schema(kind.name(), DEFINITION, kind.definition().as_bytes())?,
+                None => self.writer.add_schema(&service.type_name, "", b"")?,
+            };
+            self.writer.add_channel(schema, topic, CDR, &about)
+        })();
+        let channel = channel.map_err(|error| self.disk.refused(&error))?;
         self.facts(
             "ledger.service",
             [
@@ -118,8 +132,9 @@ impl Recording {
     /// # Errors
     /// `BAD_FILE` if the file cannot be written.
     pub(crate) fn facts<const N: usize>(&mut self, name: &str, facts: [(&str, String); N]) -> Result<(), Rejection> {
-        let facts = facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
-        self.writer.metadata(name, &facts).map_err(|error| self.disk.refused(&error))
+        let metadata = facts.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+        let metadata = Metadata { name: name.to_owned(), metadata };
+        self.writer.write_metadata(&metadata).map_err(|error| self.disk.refused(&error))
     }
 
     /// Adds a message, and what the ledger says about it.
@@ -130,10 +145,11 @@ impl Recording {
         let Self { writer, disk, records, counts, .. } = self;
         let count = counts.entry(channel.0).or_default();
         let (log_time, publish_time) = (nanoseconds(record.time), nanoseconds(record.signed));
-        let stamp = Stamp { number: *count, log_time, publish_time };
+        let sequence = *count;
         *count = count.wrapping_add(1);
-        writer.message(channel.0, stamp, payload).map_err(|error| disk.refused(&error))?;
-        records.write(writer, disk, (log_time, publish_time), &record.written(stamp.number))
+        let header = MessageHeader { channel_id: channel.0, sequence, log_time, publish_time };
+        writer.write_to_known_channel(&header, payload).map_err(|error| disk.refused(&error))?;
+        records.write(writer, disk, (log_time, publish_time), &record.written(sequence))
     }
 
     /// Adds an event.
@@ -161,7 +177,7 @@ impl Recording {
     /// `BAD_FILE` if the file cannot be written.
     pub(crate) fn finish(mut self) -> Result<u64, Rejection> {
         self.flush()?;
-        let Self { writer, disk, .. } = self;
+        let Self { mut writer, disk, .. } = self;
         writer.finish().map_err(|error| disk.refused(&error))?;
         disk.sync()
     }

@@ -1,6 +1,7 @@
 //! Moments and spans for people. Everywhere else times are microseconds since the UNIX epoch.
 
 use chrono::{DateTime, Local};
+pub(crate) use ledger_base::moment::rfc3339;
 pub(crate) use ledger_base::progress::span;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -16,14 +17,6 @@ pub(crate) fn now() -> u64 {
 /// A moment in the local time of this machine, to the second.
 pub(crate) fn moment(micros: u64) -> String {
     local(micros, "%Y-%m-%d %H:%M:%S %:z")
-}
-
-/// A moment in the form of RFC 3339, in UTC and to the microsecond; for programs.
-pub(crate) fn rfc3339(micros: u64) -> String {
-    i64::try_from(micros)
-        .ok()
-        .and_then(DateTime::from_timestamp_micros)
-        .map_or_else(|| format!("{micros} µs"), |utc| utc.format("%Y-%m-%dT%H:%M:%S%.6fZ").to_string())
 }
 
 /// A time of day in the local time of this machine, to the millisecond; for streams.

@@ -1,7 +1,5 @@
 //! The findings of `ledgerctl doctor` on a machine without a node. Each finding is provoked. tests/node/doctor.rs provokes the others.
 
-#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
-
 use crate::machine::{Machine, closed_address, transcript};
 use serde_json::Value;
 use std::fs;

@@ -1,7 +1,5 @@
 //! The output and exit code of `ledgerctl`, for everything that needs no node.
 
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
-
 use crate::machine::{Machine, closed_address, transcript};
 use std::process::Stdio;
 

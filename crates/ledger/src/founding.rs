@@ -1,4 +1,4 @@
-//! Who governs a network when it is founded: where a light client begins that knows only the network's name.
+//! The governance of a network at its foundation: a light client that knows only the name of the network begins with it.
 
 use crate::chaincode::Registry;
 use crate::facts;

@@ -1,5 +1,4 @@
 //! A new leader orders only when it has executed everything that was there before it.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 use crate::cluster::Cluster;
 use ledger_raft::Lane;

@@ -1,7 +1,6 @@
 //! Logs that begin above 1, nodes that are too far behind for them, and nodes that have lost their disk.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
-use crate::cluster::{Cluster, Faults};
+use crate::cluster::{CALM, Cluster, Faults};
 use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane, LogBegin, PeerMessage, Role};
 
@@ -149,7 +148,7 @@ fn logs_may_be_cut_off_under_load_while_messages_are_lost() {
         }
         cluster.run_units(10);
     }
-    cluster.faults = cluster::CALM;
+    cluster.faults = CALM;
     order(&mut cluster, 5);
     cluster.until("all have all", 100, Cluster::converged);
     assert!(cluster.status(1).first > 100);

@@ -5,7 +5,6 @@
 //! In every other storm the members follow wishes as the ledger would record them, through the planner.
 //!
 //! `LEDGER_RAFT_SEED=n ./test replica::chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
 
 use crate::cluster::{CALM, Cluster, Faults};
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};

@@ -1,5 +1,4 @@
 //! Wrong clocks, on small clusters.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 use crate::cluster::Cluster;
 use ledger::block::Payload;

@@ -1,7 +1,5 @@
 //! One voter with a simulated disk and no threads: what its replica does with what happens.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
-
 use crate::cluster::names::Names;
 use bytes::Bytes;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};

@@ -1,5 +1,7 @@
 //! Replicas on simulated disks and networks.
 
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
+
 mod barrier;
 mod catch_up;
 mod chaos;

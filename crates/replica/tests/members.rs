@@ -1,5 +1,4 @@
 //! The life of members: in as a learner, a voter, the leader, demoted, out, and in again under another id.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 use crate::cluster::Cluster;
 use ledger_base::rejection::Code;

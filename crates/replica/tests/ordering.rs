@@ -1,5 +1,4 @@
 //! The promises of ordering, on small clusters without random faults.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 use crate::cluster::{ALARM, Cluster, UNIT, transactions};
 use ledger::block::Payload;

@@ -1,5 +1,4 @@
 //! Linearizable reads: no answer is older than the question, whoever led meanwhile. `cluster` checks that of every answer.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 use crate::cluster::{Cluster, Faults};
 use ledger_raft::{Input, Lane, Role};

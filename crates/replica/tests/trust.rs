@@ -1,7 +1,5 @@
 //! Which attestations make a snapshot believed.
 
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
-
 use bytes::Bytes;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger_base::hash::Hash;

@@ -1,7 +1,5 @@
 //! Votes with real certificates: whose signature is believed, and on what.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
-
 use bytes::Bytes;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::{Ledger, Registry};

@@ -5,8 +5,8 @@
 //! renewed until it is released, ends otherwise, or the bridge ends.
 
 mod answer;
-mod desk;
-mod keeping;
+mod kept;
+mod robot;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -14,15 +14,18 @@ use futures::future::{BoxFuture, FutureExt};
 use ledger_base::hash::Hash;
 use tokio::task::JoinSet;
 
-use self::{answer::Answer, desk::Desk};
+use self::{answer::Answer, robot::RobotGrants};
 use crate::{
-    dds::{Exchange, Server},
     error::Result,
-    gateway::Gateway,
-    mark::Mark,
-    names::{TopicName, TypeName},
-    roster::Roster,
-    route::{Stop, local::Local, stopped},
+    graph::{
+        dds::{Exchange, Server},
+        local::LocalGraph,
+        mark::Mark,
+        names::{TopicName, TypeName},
+    },
+    ledger::gateway::Gateway,
+    routes::table::Roster,
+    shutdown::{Shutdown, requested},
 };
 
 const TYPE: &str = "std_srvs/srv/Trigger";
@@ -31,24 +34,29 @@ const REQUEST_BYTES_MAX: usize = 1024;
 
 /// Serves the robots of a bridge.
 pub(crate) struct Grants {
-    pub(crate) gateway: Arc<dyn Gateway>,
-    pub(crate) local: Local,
-    pub(crate) roster: Arc<Roster>,
-    pub(crate) network: Hash,
+    gateway: Arc<dyn Gateway>,
+    local: LocalGraph,
+    roster: Arc<Roster>,
+    network: Hash,
 }
 
 /// The action that a request asks for.
-type Act = fn(Arc<Desk>) -> BoxFuture<'static, Answer>;
+type Act = fn(Arc<RobotGrants>) -> BoxFuture<'static, Answer>;
 
 const ACTS: [(&str, Act); 3] = [
-    ("acquire", |desk| async move { desk.acquire().await }.boxed()),
-    ("release", |desk| async move { desk.release().await }.boxed()),
-    ("stop", |desk| async move { desk.stop().await }.boxed()),
+    ("acquire", |robot_grants| async move { robot_grants.acquire().await }.boxed()),
+    ("release", |robot_grants| async move { robot_grants.release().await }.boxed()),
+    ("stop", |robot_grants| async move { robot_grants.stop().await }.boxed()),
 ];
 
 impl Grants {
+    /// Serves the robots of these routes.
+    pub(crate) fn new(gateway: Arc<dyn Gateway>, local: LocalGraph, roster: Arc<Roster>, network: Hash) -> Self {
+        Self { gateway, local, roster, network }
+    }
+
     /// Runs until it is told to end.
-    pub(crate) async fn run(self, mut stop: Stop) {
+    pub(crate) async fn run(self, mut shutdown: Shutdown) {
         let mut routes = self.roster.topics();
         // By the robots' names in ROS. A robot whose servers are dropped leaves the graph.
         let mut served: BTreeMap<String, (String, JoinSet<()>)> = BTreeMap::new();
@@ -75,30 +83,30 @@ impl Grants {
                 }
             }
             tokio::select! {
-                () = stopped(&mut stop) => return,
+                () = requested(&mut shutdown) => return,
                 changed = routes.changed() => if changed.is_err() { return },
             }
         }
     }
 
     fn serve(&self, robot: &str, name: &TopicName) -> Result<JoinSet<()>> {
-        let desk = Arc::new(Desk::new(Arc::clone(&self.gateway), Arc::clone(&self.roster), robot, name));
+        let robot_grants = Arc::new(RobotGrants::new(Arc::clone(&self.gateway), Arc::clone(&self.roster), robot, name));
         let (mark, of) = (Mark::new(&self.network, robot), TypeName::parse(TYPE)?);
         let mut tasks = JoinSet::new();
         for (act, does) in ACTS {
             let exchange = Exchange::new(&TopicName::parse(&format!("{name}/{act}"))?, &of);
             let server = self.local.participant().server(&exchange, mark, REQUEST_BYTES_MAX)?;
-            tasks.spawn(serve(server, Arc::clone(&desk), does));
+            tasks.spawn(serve(server, Arc::clone(&robot_grants), does));
         }
-        tasks.spawn(async move { desk.keep().await });
+        tasks.spawn(async move { robot_grants.keep().await });
         Ok(tasks)
     }
 }
 
 /// Answers one request after the other: a stop never waits for an acquisition, which has a server of its own.
-async fn serve(mut server: Server, desk: Arc<Desk>, act: Act) {
+async fn serve(mut server: Server, robot_grants: Arc<RobotGrants>, act: Act) {
     while let Some(request) = server.next().await {
-        let answer = act(Arc::clone(&desk)).await;
+        let answer = act(Arc::clone(&robot_grants)).await;
         if let Err(error) = server.reply(&request.caller, &answer.encode()) {
             tracing::warn!(%error, "an answer about a grant was not handed over");
         }

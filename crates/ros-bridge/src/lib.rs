@@ -8,28 +8,18 @@
 //! and on the robot's side the gate (`ledger_gate`), which the bridge drives.
 //!
 //! # Map
+//! Each names those below it only.
+//!
 //! | module | what is in it |
 //! |---|---|
-//! | `bridge` | [`run`], [`Bridge`]: a running bridge and its summary |
-//! | [`config`] | what it is told to do |
-//! | `table`, `discover` | which routes there are to be: set, read again, or discovered on the ledger |
-//! | `keeper`, `roster` | keeps them open; how they stand |
-//! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
+//! | `bridge` | [`run`], [`Bridge`]: construction, running, the end; its certificate |
+//! | `monitor` | log, `/diagnostics`, rogue publishers, [`BridgeMonitor`] for the program that runs it |
+//! | [`config`] | `bridge.toml`: who it is, which graph it joins, its routes; [`Guarded`] |
 //! | `grants` | a robot's grant from ROS: `/<robot>/acquire`, `release`, `stop` |
-//! | `guarded` | [`Guarded`]: where in the graph of a robot nobody but a bridge should publish |
-//! | `gateway`, `service` | what is asked of the ledger, and what it answers |
-//! | `standing` | asks how a robot stands |
-//! | `count`, `report` | what a route has done; what the bridge says about itself |
-//! | [`sight`] | the bridge as whoever watches it sees it |
-//! | [`domain`], [`reach`], `addresses` | which ROS domain it joins, with which hosts, and when it must do so anew |
-//! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
-//! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
-//! | [`qos`] | the quality-of-service settings of a route |
-//! | [`dds`] | participant, reader and writer of a ROS domain |
-//! | [`shm`] | publisher and subscriber over iceoryx2 shared memory |
-//! | [`queue`] | the queue between them and whoever takes the samples, limited in bytes |
-//! | [`stop`] | the message that makes a robot stand still |
-//! | [`error`] | everything that can go wrong, and what to do then |
+//! | `routes` | one topic, service or action each: `kind` says what a kind is, `kinds` is their table, a file or folder for each; `table` and `discovery` say which routes there are; `counters` |
+//! | `ledger` | `gateway`, what is asked of the ledger; `robot_state`, the certified state of a robot |
+//! | `graph` | ROS 2: [`dds`] and [`shm`], the transports; `local`, both of them for a route; [`names`], [`qos`], [`domain`], [`reach`], [`queue`]; [`mark`] and [`loop_filter`], which keep messages from going in circles; `messages` |
+//! | [`error`], `log`, `shutdown` | what can go wrong, and what to do then; limited log messages; the end of tasks |
 //!
 //! # Example
 //! ```no_run
@@ -48,44 +38,19 @@
 //! # Ok(()) }
 //! ```
 
-mod addresses;
 mod bridge;
 pub mod config;
-mod count;
-pub mod dds;
-mod discover;
-pub mod domain;
-pub mod door;
 pub mod error;
-#[cfg(test)]
-mod fake;
-mod fit;
-mod gateway;
 mod grants;
-mod guarded;
-mod keeper;
-pub mod mark;
-pub mod names;
-mod place;
-pub mod qos;
-pub mod queue;
-pub mod reach;
-mod renewal;
-mod report;
-mod roster;
-mod route;
-mod service;
-pub mod shm;
-pub mod sight;
-mod standing;
-pub mod stop;
-mod table;
-mod typed;
+mod graph;
+mod ledger;
+mod log;
+mod monitor;
+mod routes;
+mod shutdown;
 
-pub use bridge::{Bridge, Summary, context_of, run};
-pub use config::{Config, IdentitySource};
-pub use count::{BOUNDS_US, Latency, RouteSummary, Spread};
-pub use gateway::Tally;
-pub use guarded::Guarded;
-pub use renewal::keep_renewed;
-pub use report::{Level, Status};
+pub use bridge::{Bridge, Summary, keep_renewed, run};
+pub use config::{Config, Guarded, IdentitySource, context_of};
+pub use graph::{dds, domain, loop_filter, mark, messages::stop, names, qos, queue, reach, shm};
+pub use monitor::{BridgeMonitor, BridgeStatus, BridgeView, Level, RouteView, Status};
+pub use routes::counters::{BOUNDS_US, Latency, RouteSummary, Spread, Tally};

@@ -1,6 +1,5 @@
 //! Services of ROS 2: servers and clients of ours, and those of others. CycloneDDS in Python has its numbers in front of messages.
 //! `ros2-client` has them beside, as Fast DDS does.
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::time::Duration;
 use testkit::own_network as network;

@@ -1,5 +1,4 @@
 //! The other side is CycloneDDS, the DDS of `rmw_cyclonedds`, in Python.
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::{
     process::Command,

@@ -1,5 +1,4 @@
 //! Two participants of ours on a network of their own.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 use rustdds::{
     DataReaderStatus, DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, RTPSEntity,
@@ -19,8 +18,8 @@ use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample, XCDR2};
 use ros_bridge::{
     dds::{Change, Participant, Reader, Role, Writer},
-    door::Door,
     error::Error,
+    loop_filter::LoopFilter,
     mark::Mark,
     names::{TopicName, TypeName},
     qos::{Durability, Qos, Reliability},
@@ -453,9 +452,9 @@ fn mark() -> Mark {
     Mark::new(&Hash([7; 32]), "T/cmd_vel")
 }
 
-fn door(network: u8) -> Arc<Door> {
+fn door(network: u8) -> Arc<LoopFilter> {
     let mark = Mark::new(&Hash([network; 32]), "T/cmd_vel");
-    Arc::new(Door::new(mark, "T/cmd_vel", Duration::from_secs(1), Arc::default()))
+    Arc::new(LoopFilter::new(mark, "T/cmd_vel", Duration::from_secs(1), Arc::default()))
 }
 
 #[tokio::test]

@@ -1,5 +1,4 @@
 //! Datagrams made by hand, which a process of the bridge's host sends to its DDS: none of them costs more than it brings.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::{net::UdpSocket, time::Duration};
 use testkit::own_network as network;

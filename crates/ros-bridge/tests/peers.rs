@@ -1,5 +1,4 @@
 //! A bridge's DDS beside software that we did not write: CycloneDDS and Fast DDS, both ways, in every quality of service.
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod streamed;
 

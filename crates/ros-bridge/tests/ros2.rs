@@ -1,6 +1,5 @@
 //! A bridge in the graph of a real ROS 2: `ros2`, rclpy and tf2 are the judges. rclpy is that of PyPI where no ROS 2 is sourced. A test
 //! that needs more than that says there that it is skipped, and only what reads the output of `ros2` is tested.
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
 mod said;
 

@@ -1,5 +1,4 @@
 //! Shared memory between two nodes, and between two processes.
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 #[path = "../examples/shared_memory.rs"]
 #[expect(dead_code, reason = "an example, run as a program")]
@@ -21,7 +20,7 @@ use iceoryx2::{
 use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_LE, Sample};
 use ros_bridge::{
-    door::Door,
+    loop_filter::LoopFilter,
     mark::Mark,
     names::TopicName,
     queue::{Incoming, Limits},
@@ -143,7 +142,7 @@ async fn what_a_bridge_publishes_is_not_taken_in_by_another_one_of_its_network()
     let topic = topic("mark");
     let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let mark = |network| Mark::new(&Hash([network; 32]), "T/cmd_vel");
-    let door = Arc::new(Door::new(mark(7), "T/cmd_vel", Duration::from_secs(1), Arc::default()));
+    let door = Arc::new(LoopFilter::new(mark(7), "T/cmd_vel", Duration::from_secs(1), Arc::default()));
     let mut subscriber = here.subscriber_behind(&topic, Limits::default(), Arc::clone(&door)).await.unwrap();
     let bridge = there.marked_publisher(&topic, mark(7)).await.unwrap();
     let other_network = there.marked_publisher(&topic, mark(8)).await.unwrap();

@@ -36,9 +36,11 @@ impl List {
             KeyKind::P384 => &[0x06, 0x08, 0x2a, 0x86, 0x48, 0xce, 0x3d, 0x04, 0x03, 0x03],
         };
         let algorithm = tagged(0x30, algorithm);
-        let mut parts = vec![tagged(0x02, &[1]), algorithm.clone(), issuer.to_vec(), time(self.this_update)];
-        parts.extend(self.next_update.map(time));
-        let entry = |serial: &Vec<u8>| tagged(0x30, &[tagged(0x02, serial), time(self.this_update)].concat());
+        let mut parts =
+            vec![tagged(0x02, &[1]), algorithm.clone(), issuer.to_vec(), generalized_time(self.this_update)];
+        parts.extend(self.next_update.map(generalized_time));
+        let entry =
+            |serial: &Vec<u8>| tagged(0x30, &[tagged(0x02, serial), generalized_time(self.this_update)].concat());
         if !self.serials.is_empty() {
             parts.push(tagged(0x30, &self.serials.iter().flat_map(entry).collect::<Vec<_>>()));
         }
@@ -71,18 +73,9 @@ fn tagged(tag: u8, content: &[u8]) -> Vec<u8> {
 }
 
 /// A GeneralizedTime of seconds since the UNIX epoch.
-fn time(seconds: u64) -> Vec<u8> {
-    let days = i64::try_from(seconds / 86_400).unwrap();
-    // The civil date of a count of days (Howard Hinnant's algorithm).
-    let shifted = days + 719_468;
-    let era = shifted.div_euclid(146_097);
-    let of_era = shifted.rem_euclid(146_097);
-    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
-    let year = year_of_era + era * 400 + i64::from(month <= 2);
-    let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
+fn generalized_time(seconds: u64) -> Vec<u8> {
+    let at = time::OffsetDateTime::from_unix_timestamp(i64::try_from(seconds).unwrap()).unwrap();
+    let ((year, month, day), (hour, minute, second)) = (at.to_calendar_date(), at.to_hms());
+    let month = u8::from(month);
     tagged(0x18, format!("{year:04}{month:02}{day:02}{hour:02}{minute:02}{second:02}Z").as_bytes())
 }

@@ -53,6 +53,9 @@ pub fn fast_dds() -> PathBuf {
     let text = std::fs::read(source("fastdds/stream.cpp")).expect("the source is there");
     let version = text.iter().fold(0_u64, |hash, byte| hash.wrapping_mul(0x0100_0000_01b3) ^ u64::from(*byte));
     let program = crate::scratch().join(format!("fastdds-stream-{version:016x}"));
+    // Tests run in many processes: the first one builds, the others wait for it.
+    let lock = std::fs::File::create(program.with_extension("lock")).expect("a file to lock");
+    lock.lock().expect("the file can be locked");
     if !program.exists() {
         let building = program.with_extension(std::process::id().to_string());
         let mut command = Command::new("g++");

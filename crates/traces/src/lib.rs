@@ -6,7 +6,7 @@
 //! ```text
 //! lib        which messages are traced, and their steps
 //! settings   the section [traces]
-//! otlp       the messages of the OpenTelemetry protocol
+//! otlp       steps as messages of the OpenTelemetry protocol
 //! send       hands them to the collector, beside the work
 //! ```
 //!
@@ -19,6 +19,7 @@ mod settings;
 pub use settings::Settings;
 
 use ledger_base::hash::Hash;
+use opentelemetry_proto::tonic::trace::v1::Span;
 use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
@@ -36,7 +37,7 @@ struct Telling {
     one_in: u64,
     /// The process among others of its program, such as `Org1/node1`.
     instance: String,
-    steps: mpsc::Sender<otlp::Span>,
+    steps: mpsc::Sender<Span>,
 }
 
 /// A step of a message in this process.

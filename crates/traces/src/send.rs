@@ -1,14 +1,14 @@
 //! Hands steps to the collector: together, beside the work, and never twice. A collector that does not answer misses them.
 
-use crate::otlp::{self, EXPORT, Export, Exported, Resource, Span};
+use crate::otlp;
+use opentelemetry_proto::tonic::collector::trace::v1::trace_service_client::TraceServiceClient;
+use opentelemetry_proto::tonic::resource::v1::Resource;
+use opentelemetry_proto::tonic::trace::v1::Span;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::Receiver;
 use tokio::time::{sleep, timeout};
-use tonic::client::Grpc;
-use tonic::codegen::http::uri::PathAndQuery;
-use tonic::transport::{Channel, Endpoint};
-use tonic::{Request, Status};
-use tonic_prost::ProstCodec;
+use tonic::Status;
+use tonic::transport::Endpoint;
 
 /// How long steps wait for others to go with.
 const GATHER: Duration = Duration::from_millis(500);
@@ -21,7 +21,7 @@ const SAID_EVERY: Duration = Duration::from_secs(300);
 
 /// Runs until nobody tells steps any more.
 pub(crate) async fn run(endpoint: Endpoint, resource: Resource, mut told: Receiver<Span>) {
-    let mut client = Grpc::new(endpoint.connect_lazy());
+    let mut client = TraceServiceClient::new(endpoint.connect_lazy());
     let mut said: Option<Instant> = None;
     while let Some(first) = told.recv().await {
         sleep(GATHER).await;
@@ -30,10 +30,10 @@ pub(crate) async fn run(endpoint: Endpoint, resource: Resource, mut told: Receiv
             spans.push(next);
         }
         let steps = spans.len();
-        let outcome = timeout(ANSWER_MAX, export(&mut client, otlp::export(&resource, spans))).await;
+        let outcome = timeout(ANSWER_MAX, client.export(otlp::export(&resource, spans))).await;
         match outcome.unwrap_or_else(|_| Err(Status::deadline_exceeded("no answer in time"))) {
-            Ok(()) if said.take().is_some() => tracing::info!("the collector of traces takes steps again"),
-            Ok(()) => {}
+            Ok(_) if said.take().is_some() => tracing::info!("the collector of traces takes steps again"),
+            Ok(_) => {}
             Err(status) if said.is_none_or(|at| at.elapsed() > SAID_EVERY) => {
                 said = Some(Instant::now());
                 let error = status.message();
@@ -42,10 +42,4 @@ pub(crate) async fn run(endpoint: Endpoint, resource: Resource, mut told: Receiv
             Err(_) => {}
         }
     }
-}
-
-async fn export(client: &mut Grpc<Channel>, steps: Export) -> Result<(), Status> {
-    client.ready().await.map_err(|error| Status::unavailable(error.to_string()))?;
-    let codec = ProstCodec::<Export, Exported>::default();
-    client.unary(Request::new(steps), PathAndQuery::from_static(EXPORT), codec).await.map(drop)
 }

@@ -1,4 +1,4 @@
-//! The application: files that are part of this program. `console/build.mjs` makes them of the sources in `console/`.
+//! The application: files that are part of this program, served as they stand in `console/`.
 
 use axum::Router;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
@@ -7,30 +7,111 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use ledger_base::hash::Hash;
 
-/// Path, type and content of each file.
-const FILES: [(&str, &str, &[u8]); 4] = [
-    ("/", "text/html; charset=utf-8", include_bytes!("../../../console/dist/index.html")),
-    ("/console.js", "text/javascript; charset=utf-8", include_bytes!("../../../console/dist/console.js")),
-    ("/console.css", "text/css; charset=utf-8", include_bytes!("../../../console/dist/console.css")),
-    ("/icon.svg", "image/svg+xml", include_bytes!("../../../console/dist/icon.svg")),
-];
+/// A file: its path, and its content.
+type File = (&'static str, &'static [u8]);
 
-/// Serves them.
+/// The files below `console/`, each at its own path.
+macro_rules! files {
+    ($($path:literal)*) => { [$((concat!("/", $path), include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/console/", $path)) as &[u8]),)*] };
+}
+
+const FILES: &[File] = &files! {
+    "index.html"
+    "console.css"
+    "icon.svg"
+    "main.js"
+    "data/api.js"
+    "data/bytes.js"
+    "data/der.js"
+    "data/diff.js"
+    "data/identity.js"
+    "data/ledger.js"
+    "data/live.js"
+    "data/messages.js"
+    "data/payload.js"
+    "data/proof.js"
+    "data/session.js"
+    "data/transaction.js"
+    "pages/block.js"
+    "pages/blocks.js"
+    "pages/can.js"
+    "pages/enrol.js"
+    "pages/feed.js"
+    "pages/flow.js"
+    "pages/identities.js"
+    "pages/nodes.js"
+    "pages/policies.js"
+    "pages/robot.js"
+    "pages/robots.js"
+    "pages/transaction.js"
+    "view/chart.js"
+    "view/dom.js"
+    "view/parts.js"
+};
+
+/// The path of the start page.
+const START: &str = "/index.html";
+
+/// Serves them; the start page at `/`.
 pub(super) fn router() -> Router {
-    let mut router = Router::new();
-    for (path, kind, content) in FILES {
-        let mark = format!("\"{}\"", Hash::of(&[content]));
-        router =
-            router.route(path, get(move |headers: HeaderMap| async move { answer(&headers, kind, content, &mark) }));
+    FILES.iter().fold(Router::new(), |router, (path, content)| {
+        let (kind, tag) = (kind(path), format!("\"{}\"", Hash::of(&[content])));
+        let path = if *path == START { "/" } else { path };
+        router.route(path, get(move |headers: HeaderMap| async move { answer(&headers, kind, content, &tag) }))
+    })
+}
+
+fn kind(path: &str) -> &'static str {
+    match path.rsplit_once('.').map(|(_, end)| end) {
+        Some("html") => "text/html; charset=utf-8",
+        Some("css") => "text/css; charset=utf-8",
+        Some("svg") => "image/svg+xml",
+        _ => "text/javascript; charset=utf-8",
     }
-    router
 }
 
 /// The file, unless the browser has this very one.
-fn answer(headers: &HeaderMap, kind: &'static str, content: &'static [u8], mark: &str) -> Response {
-    let kept = [(CACHE_CONTROL, "no-cache"), (ETAG, mark)];
-    if headers.get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == mark.as_bytes()) {
-        return (StatusCode::NOT_MODIFIED, kept.map(|(name, value)| (name, value.to_owned()))).into_response();
+fn answer(headers: &HeaderMap, kind: &'static str, content: &'static [u8], tag: &str) -> Response {
+    let kept = [(CACHE_CONTROL, "no-cache".to_owned()), (ETAG, tag.to_owned())];
+    if headers.get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
+        return (StatusCode::NOT_MODIFIED, kept).into_response();
     }
-    (kept.map(|(name, value)| (name, value.to_owned())), [(CONTENT_TYPE, kind)], content).into_response()
+    (kept, [(CONTENT_TYPE, kind)], content).into_response()
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// Not served: a file of types alone.
+    const TYPES: &str = "/answers.js";
+
+    /// The paths of the scripts below a directory of `console/`.
+    fn scripts(top: &Path, below: &str) -> Vec<String> {
+        let entries =
+            std::fs::read_dir(top.join(below)).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let scripts = entries.filter(|name| name.ends_with(".js"));
+        scripts
+            .map(|name| format!("{}/{name}", if below.is_empty() { String::new() } else { format!("/{below}") }))
+            .collect()
+    }
+
+    #[test]
+    fn every_script_is_served_and_each_kind_has_its_type() {
+        let top = Path::new(env!("CARGO_MANIFEST_DIR")).join("console");
+        let mut wanted: Vec<_> =
+            ["", "data", "pages", "view"].into_iter().flat_map(|below| scripts(&top, below)).collect();
+        wanted.retain(|path| path != TYPES);
+        let mut served: Vec<_> =
+            FILES.iter().map(|(path, _)| (*path).to_owned()).filter(|path| path.ends_with(".js")).collect();
+        wanted.sort();
+        served.sort();
+        assert_eq!(served, wanted);
+        assert_eq!(
+            ["/index.html", "/console.css", "/icon.svg"].map(kind).map(|kind| kind.split(';').next()),
+            [Some("text/html"), Some("text/css"), Some("image/svg+xml"),]
+        );
+    }
 }

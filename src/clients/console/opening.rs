@@ -6,18 +6,18 @@
 //! | `POST /session/open` with `{"certificate","challenge","signature"}` | `{"session","id","role","attributes","silence_s"}` |
 //! | `POST /session/end` with the session in `authorization` | nothing |
 //!
-//! Bytes are hexadecimal digits. The signature is over [`to_sign`]. A refusal has the four parts of every refusal.
+//! Bytes are hexadecimal digits. The signature is over [`to_sign`]. A rejection is that of [`Rejected`].
 
 use super::Shared;
 use super::guard::Origin;
 use super::sessions::QUIET_MAX;
+use crate::clients::http::{self, Rejected};
 use crate::process::page_connections::Source;
 use axum::Router;
-use axum::body::Bytes;
-use axum::extract::{ConnectInfo, Extension, State};
-use axum::http::header::{AUTHORIZATION, CACHE_CONTROL, CONTENT_TYPE};
+use axum::extract::{ConnectInfo, Extension, Request, State};
+use axum::http::header::AUTHORIZATION;
 use axum::http::{HeaderMap, StatusCode};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use axum::routing::post;
 use ledger_api::tls::client_identity;
 use ledger_base::rejection::{Code, Rejection};
@@ -39,6 +39,9 @@ const SCHEME: &str = "Session ";
 /// Bytes of a token.
 const TOKEN_BYTES: usize = 32;
 
+/// The form of a request to open a session.
+const OPEN: &str = r#"{"certificate":"…","challenge":"…","signature":"…"}, in hexadecimal digits"#;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Open {
@@ -59,12 +62,14 @@ struct Opened {
     silence_s: u64,
 }
 
+/// The endpoints, as docs/http.md lists them.
+pub(crate) const SESSION_ENDPOINTS: [(&str, &str); 3] =
+    [("POST", "/session/challenge"), ("POST", "/session/open"), ("POST", "/session/end")];
+
 pub(super) fn router(shared: Arc<Shared>) -> Router {
-    Router::new()
-        .route("/session/challenge", post(challenge))
-        .route("/session/open", post(open))
-        .route("/session/end", post(end))
-        .with_state(shared)
+    let handlers = [post(challenge), post(open), post(end)];
+    let endpoints = SESSION_ENDPOINTS.into_iter().zip(handlers);
+    endpoints.fold(Router::new(), |router, ((_, path), handler)| router.route(path, handler)).with_state(shared)
 }
 
 /// The token in the headers of a call.
@@ -86,7 +91,7 @@ fn to_sign(network: &[u8], node: &str, origin: &str, challenge: &[u8]) -> Vec<u8
 
 impl Shared {
     fn now(&self) -> u64 {
-        self.parts.gateway.clock.wall()
+        self.parts.gateway.clock().wall()
     }
 
     fn node(&self) -> String {
@@ -109,7 +114,7 @@ impl Shared {
         }
         let key = Certificate::parse(&certificate)?.public_key_info;
         let key = PublicKey::from_spki(&key).map_err(|error| refused(&error.to_string()))?;
-        let network = self.parts.gateway.ledger.network();
+        let network = self.parts.gateway.ledger().network();
         let signed = to_sign(&network.0, &self.node(), origin, &challenge);
         key.verify(&signed, &signature)
             .map_err(|_| refused("the challenge is not signed by the key of the certificate"))?;
@@ -123,10 +128,7 @@ impl Shared {
         Ok(identity)
     }
 
-    fn open(&self, body: &[u8], origin: &str, from: IpAddr) -> Result<Opened, Rejection> {
-        let open = serde_json::from_slice(body).map_err(|error| {
-            Rejection::new(Code::BadArgument, "the request cannot be read").found(error.to_string())
-        })?;
+    fn open(&self, open: Open, origin: &str, from: IpAddr) -> Result<Opened, Rejection> {
         self.tries().take(from, self.now())?;
         let identity = Arc::new(self.proven(open, origin)?);
         self.tries().give_back(from);
@@ -141,29 +143,28 @@ impl Shared {
     }
 }
 
-async fn challenge(State(shared): State<Arc<Shared>>) -> Response {
+async fn challenge(State(shared): State<Arc<Shared>>) -> Result<Response, Rejected> {
     let Some(made) = shared.challenges.make(shared.now()) else {
-        return refusal(&Rejection::new(Code::Internal, "the operating system gives no randomness"));
+        return Err(Rejection::new(Code::Internal, "the operating system gives no randomness").into());
     };
-    let network = shared.parts.gateway.ledger.network();
-    told(
-        StatusCode::OK,
-        &json!({
-            "network": network, "node": shared.node(), "challenge": hex::encode(made), "clock": shared.now()
-        }),
-    )
+    let network = shared.parts.gateway.ledger().network();
+    http::answer(&json!({
+        "network": network, "node": shared.node(), "challenge": hex::encode(made), "clock": shared.now()
+    }))
 }
 
 async fn open(
     State(shared): State<Arc<Shared>>,
     ConnectInfo(Source(from)): ConnectInfo<Source>,
     Extension(Origin(origin)): Extension<Origin>,
-    body: Bytes,
-) -> Response {
-    match shared.open(&body, &origin, from) {
-        Ok(opened) => told(StatusCode::OK, &opened),
-        Err(refused) => refusal(&refused),
-    }
+    request: Request,
+) -> Result<Response, Rejected> {
+    let asked = http::json_body(request, OPEN).await?;
+    let opened = shared.open(asked, &origin, from).map_err(|rejection| match rejection.code {
+        Code::Overloaded | Code::Internal => Rejected::from(rejection),
+        _ => Rejected::from(rejection).with_status(StatusCode::UNAUTHORIZED),
+    })?;
+    http::answer(&opened)
 }
 
 async fn end(State(shared): State<Arc<Shared>>, headers: HeaderMap) -> StatusCode {
@@ -171,28 +172,4 @@ async fn end(State(shared): State<Arc<Shared>>, headers: HeaderMap) -> StatusCod
         shared.sessions.leave(&token);
     }
     StatusCode::NO_CONTENT
-}
-
-fn refusal(refused: &Rejection) -> Response {
-    let status = match refused.code {
-        Code::BadArgument => StatusCode::BAD_REQUEST,
-        Code::Overloaded => StatusCode::TOO_MANY_REQUESTS,
-        Code::Internal => StatusCode::INTERNAL_SERVER_ERROR,
-        _ => StatusCode::UNAUTHORIZED,
-    };
-    let Rejection { code, message, found, wanted, next, .. } = refused;
-    told(
-        status,
-        &json!({
-            "code": code.to_string(), "message": message, "found": found, "wanted": wanted, "next": next
-        }),
-    )
-}
-
-fn told(status: StatusCode, body: &impl Serialize) -> Response {
-    let kind = [(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")];
-    match serde_json::to_vec(body) {
-        Ok(body) => (status, kind, body).into_response(),
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
 }

@@ -16,6 +16,8 @@ pub(super) const LIFE_MAX: Duration = Duration::from_secs(12 * 60 * 60);
 const EACH_MAX: usize = 16;
 /// Most sessions; beyond it the oldest one of all ends.
 const ALL_MAX: usize = 1024;
+/// Most calls and streams of one session at a time: a page with many services has a stream for each.
+pub(super) const CALLS_MAX: usize = 64;
 
 /// The open sessions, by the hash of their tokens: whoever reads this memory can still open none.
 #[derive(Default)]
@@ -91,12 +93,15 @@ fn oldest(open: &HashMap<Hash, Arc<Session>>, which: impl Fn(&Session) -> bool) 
 }
 
 impl Session {
-    /// Counts a call.
-    pub(super) fn begin(self: &Arc<Self>, now: Instant) -> Busy {
+    /// Counts a call; none if too many are under way.
+    pub(super) fn begin(self: &Arc<Self>, now: Instant) -> Option<Busy> {
         let mut calls = self.lock();
+        if calls.open >= CALLS_MAX {
+            return None;
+        }
         calls.open += 1;
         calls.last = now;
-        Busy(Arc::clone(self))
+        Some(Busy(Arc::clone(self)))
     }
 
     /// Waits for its end.
@@ -167,13 +172,24 @@ mod tests {
         assert!(sessions.find(b"unknown", start).is_none());
         sessions.leave(b"leaves");
         assert!(sessions.find(b"leaves", start).is_none());
-        let stream = sessions.find(b"talks ", start).unwrap().begin(start);
+        let stream = sessions.find(b"talks ", start).unwrap().begin(start).unwrap();
         assert!(sessions.find(b"silent", start + QUIET_MAX - second).is_some());
         assert!(sessions.find(b"silent", start + QUIET_MAX).is_none());
         assert!(sessions.find(b"silent", start).is_none(), "it does not come back");
         assert!(sessions.find(b"talks ", start + LIFE_MAX - second).is_some(), "a stream is open");
         assert!(sessions.find(b"talks ", start + LIFE_MAX).is_none());
         assert!(*stream.0.ended.borrow(), "its stream is told");
+    }
+
+    #[test]
+    fn the_calls_of_one_session_are_limited_and_end_when_they_are_dropped() {
+        let (sessions, start) = (Sessions::default(), Instant::now());
+        sessions.enter(b"Salma's", identity("Salma"), start);
+        let session = sessions.find(b"Salma's", start).unwrap();
+        let mut calls: Vec<_> = (0..CALLS_MAX).map(|_| session.begin(start).unwrap()).collect();
+        assert!(session.begin(start).is_none());
+        calls.pop();
+        assert!(session.begin(start).is_some());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::Questions;
 use crate::clients::audit::Audit;
-use crate::ordering::reads::ReadIndex;
+use crate::ordering::Ordering;
 use ledger::Ledger;
 use ledger_api::v1::{AuditRequest, AuditResponse, AuditRow};
 use ledger_base::rejection::{Code, Rejection};
@@ -20,10 +20,8 @@ const ROWS_MAX: u32 = 1000;
 pub(crate) struct Answers {
     /// The index.
     pub audit: Arc<Audit>,
-    /// Knows the owners of robots.
-    pub ledger: Arc<Ledger>,
-    /// Makes the state as new as what was committed when somebody asked.
-    pub current: ReadIndex,
+    /// The ledger, its blocks, and readers that wait for a current state.
+    pub ordering: Arc<Ordering>,
     /// The turns to read.
     pub questions: Questions,
 }
@@ -35,10 +33,10 @@ impl Answers {
         request: AuditRequest,
     ) -> Result<AuditResponse, Rejection> {
         // Also a node without a leader tells what it knows.
-        let _perhaps_older = self.current.reach().await;
+        let _perhaps_older = self.ordering.reads.reach().await;
         self.audit.refresh().await?;
         let turn = self.questions.turn(&reader).await;
-        let (audit, ledger) = (Arc::clone(&self.audit), Arc::clone(&self.ledger));
+        let (audit, ledger) = (Arc::clone(&self.audit), Arc::clone(&self.ordering.storage.ledger));
         let found = tokio::task::spawn_blocking(move || {
             let mut owners = Owners { ledger: &ledger, reader: &reader, known: BTreeMap::new() };
             audit.find(&question(request), |row| owners.may_see(row)).map(|found| (found, ledger.tip().height))

@@ -21,16 +21,23 @@ impl Proofs {
                 .found(format!("{} bytes", id.len()))
                 .wanted("32 bytes")
         })?;
-        if self.ledger.transaction(&id)?.is_none() {
-            self.current.reach().await?;
+        if self.ordering.storage.ledger.transaction(&id)?.is_none() {
+            self.ordering.reads.reach().await?;
         }
-        let TransactionRecord { height, index, .. } = self.ledger.transaction(&id)?.ok_or_else(|| {
-            Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
-                .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
-        })?;
-        let proof = self.certificates.covering(&self.ledger, height, index).await?.ok_or_else(|| no_proof(height))?;
+        let TransactionRecord { height, index, .. } =
+            self.ordering.storage.ledger.transaction(&id)?.ok_or_else(|| {
+                Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}")).next(
+                    "if it was submitted just now, ask again; a call that is refused before ordering has no record",
+                )
+            })?;
+        let proof = self
+            .peers
+            .certificates
+            .covering(&self.ordering.storage.ledger, height, index)
+            .await?
+            .ok_or_else(|| no_proof(height))?;
         let turn = self.questions.turn(&reader).await;
-        let (ledger, blocks) = (Arc::clone(&self.ledger), Arc::clone(&self.blocks));
+        let (ledger, blocks) = (Arc::clone(&self.ordering.storage.ledger), Arc::clone(&self.ordering.storage.blocks));
         let made = tokio::task::spawn_blocking(move || make(&ledger, &blocks, &reader, (height, index), proof));
         let link = made.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked"))??;
         drop(turn);

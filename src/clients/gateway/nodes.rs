@@ -2,7 +2,6 @@
 
 use super::Description;
 use crate::ordering::directory::Member;
-use crate::peers::connections::Dialer;
 use futures::future::join_all;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::v1::{NodeStatus, NodesResponse, StatusRequest, StatusResponse};
@@ -21,15 +20,14 @@ const ANSWER_BYTES_MAX: usize = 256 * 1024;
 /// Asks the other nodes how they are.
 pub(crate) struct Nodes {
     description: Arc<Description>,
-    dialer: Dialer,
     /// The last answers of the others, and when they came. Others who ask meanwhile wait for the same answers.
     kept: Mutex<Option<(Instant, Vec<NodeStatus>)>>,
 }
 
 impl Nodes {
     /// Asks with the connections of this node.
-    pub(crate) fn new(description: Arc<Description>, dialer: Dialer) -> Self {
-        Self { description, dialer, kept: Mutex::default() }
+    pub(crate) fn new(description: Arc<Description>) -> Self {
+        Self { description, kept: Mutex::default() }
     }
 
     /// Every node of the network, as it describes itself.
@@ -49,7 +47,7 @@ impl Nodes {
         if let Some((_, nodes)) = kept.as_ref().filter(|(since, _)| since.elapsed() < KEPT_FOR) {
             return nodes.clone();
         }
-        let members = self.description.links.directory.members();
+        let members = self.description.ordering.directory.members();
         let others = members.iter().filter(|member| member.id != self.description.me.id);
         let nodes = join_all(others.map(async |member| {
             let answer = tokio::time::timeout(PATIENCE, self.ask(member)).await;
@@ -62,7 +60,7 @@ impl Nodes {
     }
 
     async fn ask(&self, member: &Member) -> Result<StatusResponse, String> {
-        let channel = self.dialer.channel(member).await?;
+        let channel = self.description.peers.dialer.channel(member).await?;
         let mut gateway = GatewayClient::new(channel).max_decoding_message_size(ANSWER_BYTES_MAX);
         let answer = gateway.status(StatusRequest {}).await.map_err(|status| status.message().to_owned())?;
         Ok(answer.into_inner())

@@ -1,11 +1,9 @@
 //! Proofs, for readers that believe no single node.
 
 use super::{Questions, status};
-use crate::ordering::reads::ReadIndex;
-use crate::peers::quorum_certificates::Certificates;
-use crate::storage::blocks::Blocks;
+use crate::ordering::Ordering;
+use crate::peers::Peers;
 use bytes::Bytes;
-use ledger::Ledger;
 use ledger_api::v1::{GovernanceChange, GovernanceStep, ProveRequest, ProveResponse};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
@@ -27,16 +25,10 @@ const VERDICTS_MAX: usize = 32;
 
 /// The proofs that a node can give.
 pub(crate) struct Proofs {
-    /// The ledger.
-    pub ledger: Arc<Ledger>,
-    /// Executed blocks.
-    pub blocks: Arc<Blocks>,
-    /// The document that the name of the network is made of.
-    pub genesis: Bytes,
-    /// The certificates.
-    pub certificates: Arc<Certificates>,
-    /// Makes the state as new as what was committed when somebody asked.
-    pub current: ReadIndex,
+    /// The ledger, its blocks, and readers that wait for a current state.
+    pub ordering: Arc<Ordering>,
+    /// What is certified, and whether the leader is reached.
+    pub peers: Arc<Peers>,
     /// The turns to read.
     pub questions: Questions,
 }
@@ -61,14 +53,14 @@ impl Proofs {
     }
 
     async fn walk(&self, reader: &Identity, after: u64, steps: &Steps) -> Result<(), Rejection> {
-        let genesis = if after == 0 { self.genesis.clone() } else { Bytes::new() };
+        let genesis = if after == 0 { self.ordering.storage.document.clone() } else { Bytes::new() };
         let (mut step, mut bytes, mut reached) = (GovernanceStep { genesis, ..Default::default() }, 0, after);
         // What changes while the reader is slow comes with its next question.
-        let newest = self.certificates.newest(&self.ledger)?;
+        let newest = self.peers.certificates.newest(&self.ordering.storage.ledger)?;
         let until = newest.as_ref().map_or(0, |newest| newest.certificate.statement.height);
         loop {
             let turn = self.questions.turn(reader).await;
-            let mut changes = self.ledger.changes(reached, CHANGES_AT_ONCE)?;
+            let mut changes = self.ordering.storage.ledger.changes(reached, CHANGES_AT_ONCE)?;
             drop(turn);
             changes.retain(|change| change.height <= until);
             if changes.is_empty() {
@@ -79,7 +71,7 @@ impl Proofs {
                 let writes = change.to_bytes();
                 bytes += writes.len();
                 step.changes.push(GovernanceChange { height: reached, writes });
-                let proof = self.certificates.governing(reached)?.filter(|_| reached < until);
+                let proof = self.peers.certificates.governing(reached)?.filter(|_| reached < until);
                 if proof.is_some() || bytes > STEP_BYTES {
                     step.proof = proof.as_ref().map(Proof::to_bytes).unwrap_or_default();
                     bytes = 0;
@@ -102,12 +94,12 @@ impl Proofs {
                 .found(verdicts.len().to_string())
                 .wanted(format!("at most {VERDICTS_MAX}")));
         }
-        self.current.reach_height(height).await?;
+        self.ordering.reads.reach_height(height).await?;
         let wanted = |fact: &Fact<'_>| matches!(fact, Fact::Verdict { index, .. } if verdicts.contains(index));
-        match self.certificates.prove(&self.ledger, height, wanted).await? {
+        match self.peers.certificates.prove(&self.ordering.storage.ledger, height, wanted).await? {
             Some(proof) => Ok(ProveResponse { proof: proof.to_bytes() }),
             None => Err(Rejection::new(Code::NotFound, format!("this node has no proof of block {height}"))
-                .found(format!("certified up to block {}", self.certificates.certified()))
+                .found(format!("certified up to block {}", self.peers.certificates.certified()))
                 .wanted("a recent block with control writes, or the first one of 200 ms, signed by enough voters")
                 .next(
                     "ask again in a moment; if it lasts, look at ledgerctl status: do voters of two organisations run?",

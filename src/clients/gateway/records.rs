@@ -1,14 +1,11 @@
 //! Questions about the committed state and the chain.
 
 use super::{Questions, status};
-use crate::ordering::reads::ReadIndex;
+use crate::ordering::Ordering;
 use crate::ordering::waiters::verdict_of;
-use crate::peers::chain_monitor::ChainMonitor;
-use crate::peers::reachability::Reachability;
-use crate::process::clock::Clock;
-use crate::storage::blocks::Blocks;
+use crate::peers::Peers;
 use bytes::Bytes;
-use ledger::{Ledger, Outcome};
+use ledger::Outcome;
 use ledger_api::v1::{Block, EventRecord, QueryRequest, QueryResponse, TransactionRecord, Verdict};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -20,18 +17,10 @@ use tonic::Status;
 
 /// The state, blocks and transactions of a node.
 pub(crate) struct Records {
-    /// The ledger.
-    pub ledger: Arc<Ledger>,
-    /// Executed blocks.
-    pub blocks: Arc<Blocks>,
-    /// Makes the state as new as what was committed when somebody asked.
-    pub current: ReadIndex,
-    /// The node's clock.
-    pub clock: Clock,
-    /// Knows since when no leader is reached.
-    pub company: Arc<ChainMonitor>,
-    /// The ways to the leader.
-    pub links: Reachability,
+    /// The ledger, its blocks, and readers that wait for a current state.
+    pub ordering: Arc<Ordering>,
+    /// What is certified, and whether the leader is reached.
+    pub peers: Arc<Peers>,
     /// The turns to read.
     pub questions: Questions,
 }
@@ -40,18 +29,28 @@ impl Records {
     pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
         // A current state has every height that any node has told.
         let reached = match request.may_be_stale {
-            true => self.current.reach_height(request.min_height).await,
-            false => self.current.reach().await.map(drop),
+            true => self.ordering.reads.reach_height(request.min_height).await,
+            false => self.ordering.reads.reach().await.map(drop),
         };
         reached.map_err(|rejection| status(&rejection))?;
         let turn = self.questions.turn(caller).await;
-        let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
+        let answer = self.ordering.storage.ledger.query(
+            caller,
+            self.ordering.clock.now(),
+            &request.chaincode,
+            &request.function,
+            &request.args,
+        );
         drop(turn);
         let (verdict, response, height) = match answer {
             Ok((response, height)) => (Verdict::default(), response, height),
-            Err(rejection) => ((&rejection).into(), Bytes::new(), self.ledger.tip().height),
+            Err(rejection) => ((&rejection).into(), Bytes::new(), self.ordering.storage.ledger.tip().height),
         };
-        let cut_off = if request.may_be_stale { self.company.cut_off_for(&self.links) } else { Duration::ZERO };
+        let cut_off = if request.may_be_stale {
+            self.peers.monitor.cut_off_for(&self.peers.reachability)
+        } else {
+            Duration::ZERO
+        };
         Ok(QueryResponse {
             verdict: Some(verdict),
             response,
@@ -63,17 +62,17 @@ impl Records {
 
     /// Block time of a height; 0 if it is not known any more.
     fn time_of(&self, height: u64) -> Result<u64, Rejection> {
-        let tip = self.ledger.tip();
+        let tip = self.ordering.storage.ledger.tip();
         if tip.height == height {
             return Ok(tip.time);
         }
-        Ok(self.ledger.block_hashes(height)?.map_or(0, |block| block.time))
+        Ok(self.ordering.storage.ledger.block_hashes(height)?.map_or(0, |block| block.time))
     }
 
     /// A block. One that this node does not have yet may be committed.
     pub(super) async fn block(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {
-        if height > self.ledger.tip().height {
-            self.current.reach().await?;
+        if height > self.ordering.storage.ledger.tip().height {
+            self.ordering.reads.reach().await?;
         }
         let _turn = self.questions.turn(caller).await;
         self.block_here(caller, height)
@@ -83,7 +82,7 @@ impl Records {
     pub(super) async fn transaction(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
         match self.in_turn(caller, id).await {
             Err(rejection) if rejection.code == Code::NotFound => {
-                self.current.reach().await?;
+                self.ordering.reads.reach().await?;
                 self.in_turn(caller, id).await
             }
             found => found,
@@ -97,21 +96,22 @@ impl Records {
 
     fn block_here(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {
         if height == 0 {
-            let result = self.ledger.result(0)?.ok_or_else(|| self.no_block(0))?;
+            let result = self.ordering.storage.ledger.result(0)?.ok_or_else(|| self.no_block(0))?;
             return Ok(Block {
-                hash: self.ledger.network().0.to_vec().into(),
+                hash: self.ordering.storage.ledger.network().0.to_vec().into(),
                 time: result.time,
                 previous_hash: Hash::ZERO.0.to_vec().into(),
-                root: self.ledger.network().0.to_vec().into(),
+                root: self.ordering.storage.ledger.network().0.to_vec().into(),
                 state_digest: result.digest.clone(),
                 kind: "genesis".into(),
                 ..Block::default()
             });
         }
-        let outcome = self.blocks.get(height)?.ok_or_else(|| self.no_block(height))?;
+        let outcome = self.ordering.storage.blocks.get(height)?.ok_or_else(|| self.no_block(height))?;
         let transactions = (0..outcome.transactions.len()).map(|index| self.record(caller, &outcome, index)).collect();
         let own = outcome.events.iter().filter(|emitted| emitted.index.is_none());
-        let events = own.filter(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok()).cloned();
+        let events =
+            own.filter(|emitted| self.ordering.storage.ledger.may_read(caller, &emitted.event).is_ok()).cloned();
         Ok(Block {
             height,
             term: outcome.header.term,
@@ -137,17 +137,17 @@ impl Records {
                 .found(format!("{} bytes", id.len()))
                 .wanted("32 bytes")
         })?;
-        let place = self.ledger.transaction(&id)?.ok_or_else(|| {
+        let place = self.ordering.storage.ledger.transaction(&id)?.ok_or_else(|| {
             Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
                 .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
         })?;
-        let outcome = self.blocks.get(place.height)?.ok_or_else(|| self.no_block(place.height))?;
+        let outcome = self.ordering.storage.blocks.get(place.height)?.ok_or_else(|| self.no_block(place.height))?;
         Ok(self.record(caller, &outcome, place.index as usize))
     }
 
     fn no_block(&self, height: u64) -> Rejection {
         Rejection::new(Code::NotFound, format!("this node has no block {height}"))
-            .wanted(format!("a height from 0 to {}", self.ledger.tip().height))
+            .wanted(format!("a height from 0 to {}", self.ordering.storage.ledger.tip().height))
     }
 
     /// One transaction of a block. Its bytes are only shown to those who may read all the events that it caused.
@@ -157,11 +157,11 @@ impl Records {
         let result = outcome.results.get(index).cloned().unwrap_or_default();
         let creator = ledger::transaction::Transaction::decode(encoded.clone())
             .ok()
-            .and_then(|transaction| self.ledger.creator_name(&transaction.creator()));
+            .and_then(|transaction| self.ordering.storage.ledger.creator_name(&transaction.creator()));
         let caused: Vec<_> = outcome.events.iter().filter(|emitted| emitted.index == Some(position)).collect();
         let events: Vec<_> = caused
             .iter()
-            .filter(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok())
+            .filter(|emitted| self.ordering.storage.ledger.may_read(caller, &emitted.event).is_ok())
             .map(|emitted| event_record((*emitted).clone()))
             .collect();
         let readable = events.len() == caused.len();

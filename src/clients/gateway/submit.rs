@@ -3,9 +3,8 @@
 use super::Looks;
 use super::intake::Intake;
 use super::looks::Look;
-use crate::ordering::reads::{Known, Question, ReadIndex};
+use crate::ordering::reads::{Known, Question};
 use crate::ordering::waiters::{Answers, Client};
-use crate::process::scheduler_slices::Turns;
 use futures::FutureExt;
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_base::rejection::{Code, Rejection};
@@ -42,10 +41,6 @@ pub(crate) struct Submissions {
     pub shares: Arc<Shares>,
     /// The turns to look at transactions.
     pub looks: Arc<Looks>,
-    /// Makes the state as new as what was committed when somebody asked.
-    pub current: ReadIndex,
-    /// How long the turns of the node's threads are.
-    pub turns: Turns,
 }
 
 /// The answers of a stream.
@@ -139,11 +134,11 @@ impl Serving {
     /// Does the next job, for as long as others allow.
     async fn work(&mut self, requests: &mut Requests) {
         let Some(job) = self.desk.next() else { return };
-        self.node.turns.adapt(self.desk.waiting() >= MANY_WAIT);
+        self.node.intake.ordering.turns.adapt(self.desk.waiting() >= MANY_WAIT);
         // Not with a turn, as nobody else could have it meanwhile.
         let height = self.desk.min_height(job);
         if height > self.node.intake.height() {
-            let current = self.node.current.clone();
+            let current = self.node.intake.ordering.reads.clone();
             match self.meanwhile(job, requests, current.reach_told(height)).await {
                 Some(Ok(())) => self.desk.reached(job),
                 Some(Err(reason)) => {
@@ -166,7 +161,7 @@ impl Serving {
             start.elapsed() < SLICE
         });
         if self.desk.asks() {
-            self.question = Some(self.node.current.ask());
+            self.question = Some(self.node.intake.ordering.reads.ask());
         }
         drop(turn);
         if self.desk.next().is_some() {
@@ -238,14 +233,14 @@ impl Submissions {
             Ok(arrived) => arrived,
             Err(answer) => return drop(answers.send(Ok(*answer))),
         };
-        if let Err(reason) = self.current.reach_told(arrived.ticket.min_height).await {
+        if let Err(reason) = self.intake.ordering.reads.reach_told(arrived.ticket.min_height).await {
             return refuse_unordered(arrived, &reason);
         }
         let lane = arrived.ticket.lane;
         let turn = self.looks.turn(lane, &share).await;
         let Some(item) = self.intake.carry_out(self.intake.admitting().look_alone(arrived)) else { return };
         drop(turn);
-        let known = self.current.reach().await;
+        let known = self.intake.ordering.reads.reach().await;
         let _turn = self.looks.turn(lane, &share).await;
         let _never_held_twice = self.intake.carry_out(self.intake.admitting().look_again(item, &known));
     }

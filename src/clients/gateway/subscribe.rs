@@ -6,15 +6,13 @@
 use super::audience::Listener;
 use super::{Audience, Questions, check, status};
 use crate::clients::rejections::Rejections;
-use crate::ordering::reads::ReadIndex;
-use crate::peers::early_stop::EarlyStops;
-use crate::peers::quorum_certificates::Certificates;
-use crate::process::clock::Clock;
-use crate::storage::blocks::{Blocks, Interest};
+use crate::ordering::Ordering;
+use crate::peers::Peers;
+use crate::storage::blocks::Interest;
 use bytes::Bytes;
 use futures::FutureExt;
+use ledger::Outcome;
 use ledger::transaction::claimed_creator;
-use ledger::{Ledger, Outcome};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -44,24 +42,16 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// The subscriptions of a node.
 pub(crate) struct Subscriptions {
-    /// The ledger.
-    pub ledger: Arc<Ledger>,
-    /// Executed blocks.
-    pub blocks: Arc<Blocks>,
+    /// The ledger, its blocks, and readers that wait for a current state.
+    pub ordering: Arc<Ordering>,
+    /// What is certified, and whether the leader is reached.
+    pub peers: Arc<Peers>,
     /// The identities that have subscriptions.
     pub audience: Arc<Audience>,
-    /// Makes the state as new as what was committed when somebody asked.
-    pub current: ReadIndex,
-    /// The node's clock.
-    pub clock: Clock,
-    /// Calls that were refused.
-    pub denials: Arc<Rejections>,
-    /// Calls of which readers hear before they are ordered.
-    pub early: Arc<EarlyStops>,
-    /// The turns to read old blocks.
+    /// Rejected calls.
+    pub rejections: Arc<Rejections>,
+    /// The turns to read.
     pub questions: Questions,
-    /// Proofs of events.
-    pub certificates: Arc<Certificates>,
 }
 
 impl Subscriptions {
@@ -88,7 +78,7 @@ impl Subscriptions {
             Err(refused) => return Err(self.refuse_reader(&reader, &wanted, &refused)),
         };
         let next = match from_height {
-            0 => self.ledger.tip().height + 1,
+            0 => self.ordering.storage.ledger.tip().height + 1,
             height => height,
         };
         let heartbeat = match heartbeat_ms {
@@ -96,8 +86,8 @@ impl Subscriptions {
             ms => Some(Duration::from_millis(ms.into()).max(HEARTBEAT_MIN)),
         };
         let (deliveries, stream) = mpsc::channel(WAITING_MAX);
-        let early = early.then(|| self.early.subscribe());
-        let interest = self.blocks.interest(wanted.subjects.clone());
+        let early = early.then(|| self.peers.early_stops.subscribe());
+        let interest = self.ordering.storage.blocks.interest(wanted.subjects.clone());
         let (sent, checked, shown) = (Instant::now(), Instant::now(), HashSet::new());
         let subscription = Subscription {
             node: Arc::clone(self),
@@ -121,18 +111,24 @@ impl Subscriptions {
     /// May this reader follow that? A refusal stands on a state that has everything that was committed when it was asked.
     async fn may_follow(&self, reader: &Identity, wanted: &Wanted) -> Result<(), Rejection> {
         let Wanted { chaincode, subjects, names } = wanted;
-        let ask = || self.ledger.may_follow(reader, chaincode, subjects, names);
+        let ask = || self.ordering.storage.ledger.may_follow(reader, chaincode, subjects, names);
         if ask().is_ok() {
             return Ok(());
         }
-        self.current.reach().await?;
+        self.ordering.reads.reach().await?;
         ask()
     }
 
     /// Takes down that a subscription was refused or ended; the answer.
     fn refuse_reader(&self, reader: &Identity, wanted: &Wanted, refused: &Rejection) -> Status {
         let subject = wanted.subjects.join(", ");
-        self.denials.record_subscription(self.clock.now(), reader.id(), &wanted.chaincode, &subject, refused);
+        self.rejections.record_subscription(
+            self.ordering.clock.now(),
+            reader.id(),
+            &wanted.chaincode,
+            &subject,
+            refused,
+        );
         status(refused)
     }
 }
@@ -228,7 +224,7 @@ impl Subscription {
         let mut silent = 0;
         loop {
             // First the height, then the marks up to there: a block is marked before it counts as reached.
-            let reached = self.node.blocks.height();
+            let reached = self.node.ordering.storage.blocks.height();
             let Some(first) = self.interest.take(reached) else {
                 self.next = self.next.max(reached + 1);
                 return Ok(true);
@@ -240,11 +236,11 @@ impl Subscription {
                         return Ok(false);
                     }
                 }
-                let outcome = match self.node.blocks.recent(self.next) {
+                let outcome = match self.node.ordering.storage.blocks.recent(self.next) {
                     Some(outcome) => Some(outcome),
                     None => {
                         let _turn = self.node.questions.turn(&self.reader).await;
-                        self.node.blocks.get(self.next).map_err(|fault| status(&fault))?
+                        self.node.ordering.storage.blocks.get(self.next).map_err(|fault| status(&fault))?
                     }
                 };
                 let certified = self.proofs && outcome.as_ref().is_some_and(|outcome| outcome.certifiable.is_some());
@@ -257,7 +253,7 @@ impl Subscription {
                             delivery.proof = self.proof(&delivery).await?;
                         }
                         // A right that was revoked ends here, before anything of the block is shown.
-                        check(&self.reader, &self.node.ledger, &self.node.clock)?;
+                        check(&self.reader, &self.node.ordering)?;
                         silent = 0;
                         self.send(delivery).await
                     }
@@ -280,17 +276,17 @@ impl Subscription {
             return Ok(());
         }
         self.checked = Instant::now();
-        check(&self.reader, &self.node.ledger, &self.node.clock)?;
+        check(&self.reader, &self.node.ordering)?;
         let Wanted { chaincode, subjects, names } = &self.wanted;
-        let may = self.node.ledger.may_follow(&self.reader, chaincode, subjects, names);
+        let may = self.node.ordering.storage.ledger.may_follow(&self.reader, chaincode, subjects, names);
         may.map_err(|refused| self.node.refuse_reader(&self.reader, &self.wanted, &refused))
     }
 
     /// Tells how far this node is. False if the subscriber is gone.
     async fn progress(&mut self) -> bool {
         // Who waits for a height that is yet to come has not seen what is before it.
-        let height = self.next.saturating_sub(1).min(self.node.blocks.height());
-        self.send(Delivery { height, time: self.node.ledger.tip().time, ..Delivery::default() }).await
+        let height = self.next.saturating_sub(1).min(self.node.ordering.storage.blocks.height());
+        self.send(Delivery { height, time: self.node.ordering.storage.ledger.tip().time, ..Delivery::default() }).await
     }
 
     async fn send(&mut self, delivery: Delivery) -> bool {
@@ -302,22 +298,22 @@ impl Subscription {
     /// Tells of a call that is not ordered yet. False if the subscriber is gone.
     async fn tell_early(&mut self, foreseen: &Foreseen) -> bool {
         let wanted = foreseen.events.iter().filter(|event| self.wanted.admits(event));
-        let readable = wanted.filter(|event| self.node.ledger.may_read(&self.reader, event).is_ok());
+        let readable = wanted.filter(|event| self.node.ordering.storage.ledger.may_read(&self.reader, event).is_ok());
         let mut transaction = foreseen.transaction.encoded().clone();
         let events: Vec<_> =
             readable.map(|event| record(event.clone(), (0, std::mem::take(&mut transaction)), Bytes::new())).collect();
         if events.is_empty() {
             return true;
         }
-        let tip = self.node.ledger.tip();
+        let tip = self.node.ordering.storage.ledger.tip();
         self.send(Delivery { height: tip.height, time: tip.time, events, early: true, ..Delivery::default() }).await
     }
 
     /// The events of a block that this subscriber wants and may read.
     fn delivery(&mut self, outcome: &Outcome) -> Option<Delivery> {
         let wanted = outcome.events.iter().filter(|emitted| self.wanted.admits(&emitted.event));
-        let (wanted, unread): (Vec<_>, Vec<_>) =
-            wanted.partition(|emitted| self.node.ledger.may_read(&self.reader, &emitted.event).is_ok());
+        let (wanted, unread): (Vec<_>, Vec<_>) = wanted
+            .partition(|emitted| self.node.ordering.storage.ledger.may_read(&self.reader, &emitted.event).is_ok());
         self.unread |= !unread.is_empty();
         let wanted: Vec<_> = wanted.into_iter().cloned().collect();
         if wanted.is_empty() {
@@ -361,7 +357,8 @@ impl Subscription {
             }
             _ => false,
         };
-        let proof = self.node.certificates.prove(&self.node.ledger, delivery.height, wanted).await;
+        let proof =
+            self.node.peers.certificates.prove(&self.node.ordering.storage.ledger, delivery.height, wanted).await;
         let proof = proof.map_err(|fault| status(&fault))?;
         Ok(proof.map(|proof| proof.to_bytes()).unwrap_or_default())
     }
@@ -375,7 +372,7 @@ impl Subscription {
         if !self.shown.insert(creator) {
             return Bytes::new();
         }
-        self.node.ledger.certificate(&creator).ok().flatten().unwrap_or_default()
+        self.node.ordering.storage.ledger.certificate(&creator).ok().flatten().unwrap_or_default()
     }
 }
 

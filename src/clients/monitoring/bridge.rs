@@ -8,9 +8,9 @@ use super::check::Check;
 use ledger_base::rejection::Rejection;
 pub(super) use metrics::register;
 use prometheus_client::registry::Registry;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 
-impl Watched for Sight {
+impl Watched for BridgeMonitor {
     fn checks(&self) -> Vec<Check> {
         checks::all(&self.look())
     }

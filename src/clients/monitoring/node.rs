@@ -9,7 +9,7 @@ use super::{Watched, is_well};
 use crate::clients::gateway::Description;
 use ledger_base::rejection::Rejection;
 use prometheus_client::registry::Registry;
-use ros_bridge::sight::Sight;
+use ros_bridge::BridgeMonitor;
 use std::sync::Arc;
 
 /// A node, for its page.
@@ -17,7 +17,7 @@ pub(crate) struct WatchedNode {
     /// The node.
     pub(crate) node: Arc<Description>,
     /// The bridge inside, if it has one: its figures are there, too. Whether the node is ready does not depend on it.
-    pub(crate) bridge: Option<Sight>,
+    pub(crate) bridge: Option<BridgeMonitor>,
 }
 
 impl Watched for WatchedNode {
@@ -26,7 +26,12 @@ impl Watched for WatchedNode {
     }
 
     fn register(&self, registry: &mut Registry) -> Result<(), Rejection> {
-        metrics::register(registry, &self.node.status()?, &self.node.meters, self.node.awake.held());
+        metrics::register(
+            registry,
+            &self.node.status()?,
+            &self.node.ordering.meters,
+            self.node.ordering.idle_control.held(),
+        );
         if let Some(bridge) = &self.bridge {
             bridge::register(registry, &bridge.look());
         }

@@ -4,24 +4,26 @@ use super::Host;
 use super::ledgers::Listed;
 use crate::clients::gateway::GatewayService;
 use crate::clients::health;
+use crate::clients::http::{self, Api, Names};
 use crate::peers::service::PeerService;
 use crate::process::caller::Members;
 use crate::process::config::Limits;
 use crate::process::config::count;
 use crate::trust::enrolment::EnrolmentService;
 use ledger::block::PAYLOAD_BYTES_MAX;
-use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
+use ledger_api::tls::{TlsIdentity, TrustSource, server_config, server_name};
 use ledger_api::v1::enrolment_server::EnrolmentServer;
 use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
 use ledger_base::hash::Hash;
 use ledger_base::invariant::vital_task;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
+use ledger_raft::PEER_MESSAGE_BYTES_MAX;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use tonic::service::Routes;
 use tonic::transport::Server;
 
 /// Bytes of one stream, and of one connection, that may be on their way: enough for a fast link's delay.
@@ -41,9 +43,6 @@ const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
 /// Time that open calls have to end when the node stops.
 const STOP_TIME_MAX: Duration = Duration::from_millis(500);
 
-/// Takes a message of another node; false when this one is stopping.
-pub(crate) type Deliver = Box<dyn Fn(u64, PeerMessage) -> bool + Send + Sync>;
-
 /// The services of an instance for clients and other nodes.
 pub(crate) struct Services {
     /// For clients and bridges.
@@ -51,7 +50,7 @@ pub(crate) struct Services {
     /// The API of the CAs.
     pub(crate) enrolment: EnrolmentService,
     /// For other nodes.
-    pub(crate) peer: PeerService<Deliver>,
+    pub(crate) peer: PeerService,
     /// The callers that it accepts.
     pub(crate) trust: Arc<dyn TrustSource>,
     /// Those of them that are connected.
@@ -97,6 +96,7 @@ impl Host {
         let (gateway_server, enrolment_server, peer_server) =
             services(message_bytes_max, PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES);
         let for_members = server(WINDOW_BYTES)
+            .add_routes(routes(&gateway, &enrolment))
             .add_service(gateway_server)
             .add_service(enrolment_server)
             .add_service(peer_server)
@@ -110,6 +110,7 @@ impl Host {
         let for_strangers = server(STRANGER_WINDOW_BYTES)
             .max_concurrent_streams(STRANGER_CALLS_MAX)
             .http2_max_header_list_size(STRANGER_HEADER_BYTES_MAX)
+            .add_routes(routes(&gateway, &enrolment))
             .add_service(gateway_server)
             .add_service(enrolment_server)
             .add_service(peer_server)
@@ -122,6 +123,18 @@ impl Host {
         }));
         Ok(Serving { listed, server, stop })
     }
+}
+
+/// The HTTP API beside the services of gRPC.
+fn routes(gateway: &Arc<GatewayService>, enrolment: &Arc<EnrolmentService>) -> Routes {
+    let (node, network) = (&gateway.description.me, gateway.ledger().network());
+    let tls_name = server_name(Some(&network)).map(|name| name.to_str().into_owned()).unwrap_or_default();
+    let names = Names::new([node.name.clone(), http::host_of(&node.address).to_owned(), tls_name], true);
+    let api = Api { gateway: Arc::clone(gateway), enrolment: Arc::clone(enrolment) };
+    let mut routes = Routes::default();
+    let grpc = std::mem::take(routes.axum_router_mut());
+    *routes.axum_router_mut() = grpc.merge(http::for_certificates(http::router(api), names));
+    routes
 }
 
 /// A server with windows of so many bytes for each stream and for each connection.

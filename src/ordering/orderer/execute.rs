@@ -1,17 +1,14 @@
 //! Execution of committed blocks, on one of the two threads at a time.
 
+use super::Engines;
 use super::inbox::Inbox;
-use super::{Engines, Pace};
-use crate::process::clock::Clock;
-use crate::process::failure::FailureHandle;
 use crate::process::meters::observe;
 use crate::storage::housekeeping::PENDING_BYTES_MAX;
 use ledger::{Ledger, Outcome};
 use ledger_base::invariant;
 use ledger_raft::Input;
-use ledger_replica::{Executor, Observer, in_turns};
+use ledger_replica::{Observer, in_turns};
 use ledger_storage::entry::Entry;
-use prometheus_client::metrics::histogram::Histogram;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,18 +17,13 @@ use std::time::Instant;
 /// Executes committed blocks.
 #[derive(Clone)]
 pub(super) struct Execute {
-    executor: Arc<Executor>,
-    clock: Clock,
-    pace: Pace,
-    failure: FailureHandle,
+    engines: Arc<Engines>,
     given: Given,
-    took: Histogram,
 }
 
 impl Execute {
-    pub(super) fn new(parts: &Engines) -> Self {
-        let Engines { executor, clock, pace, outside, meters, .. } = parts.clone();
-        Self { executor, clock, pace, failure: outside.failure, given: Given::default(), took: meters.execute }
+    pub(super) fn new(engines: &Arc<Engines>) -> Self {
+        Self { engines: Arc::clone(engines), given: Given::default() }
     }
 
     /// The execute thread.
@@ -42,12 +34,12 @@ impl Execute {
                 return;
             }
             for entries in in_turns(&entries) {
-                self.executor.ledger().verify_blocks(entries);
+                self.engines.executor.ledger().verify_blocks(entries);
                 if !self.execute(entries) {
                     return;
                 }
                 self.given.remove(entries.len());
-                let at = self.clock.now();
+                let at = self.engines.clock.now();
                 applied.put(entries.last().map(|entry| Input::Applied { height: entry.index, at }));
             }
         }
@@ -67,14 +59,14 @@ impl Execute {
     /// Executes blocks. False if the node cannot go on.
     pub(super) fn execute(&self, entries: &[Entry]) -> bool {
         let since = Instant::now();
-        let executed = self.executor.execute_all(entries);
-        observe(&self.took, since);
+        let executed = self.engines.executor.execute_all(entries);
+        observe(&self.engines.execution, since);
         if let Err(fault) = executed {
-            self.failure.fail(fault);
+            self.engines.failure.fail(fault);
             return false;
         }
-        if self.executor.ledger().pending_bytes() > PENDING_BYTES_MAX {
-            self.pace.bells.storing.ring();
+        if self.engines.executor.ledger().pending_bytes() > PENDING_BYTES_MAX {
+            self.engines.bells.storing.ring();
         }
         true
     }

@@ -2,11 +2,9 @@
 
 use super::execute::Execute;
 use super::inbox::Inbox;
-use super::{Engines, Outside, Pace, Reign};
+use super::{Engines, Reign};
 use crate::ordering::directory::Member;
 use crate::ordering::waiters::Client;
-use crate::process::clock::Clock;
-use crate::storage::log::Log;
 use ledger_raft::{Change, Input, Role, RoleChange, Status};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::{Circumstances, Effect, Event, Last, Replica, Work};
@@ -24,10 +22,7 @@ const MANY_INPUTS: usize = 8;
 /// The order thread.
 pub(super) struct Order {
     replica: Replica<Client>,
-    clock: Clock,
-    log: Log,
-    pace: Pace,
-    outside: Outside,
+    engines: Arc<Engines>,
     execute: Execute,
     /// To the execute thread.
     blocks: Arc<Inbox<Entry>>,
@@ -45,7 +40,7 @@ pub(super) struct Order {
 impl Order {
     pub(super) fn new(
         replica: Replica<Client>,
-        parts: &Engines,
+        engines: &Arc<Engines>,
         execute: Execute,
         blocks: &Arc<Inbox<Entry>>,
         status: Arc<Mutex<Status>>,
@@ -53,11 +48,11 @@ impl Order {
     ) -> Self {
         let (blocks, effects, failed) = (Arc::clone(blocks), Vec::new(), false);
         let ignored = BTreeMap::new();
-        let Engines { clock, log, pace, outside, .. } = parts.clone();
-        let mut members = outside.directory.subscribe();
+        let engines = Arc::clone(engines);
+        let mut members = engines.directory.subscribe();
         // The replica may have been told before the last change.
         members.mark_changed();
-        Self { replica, clock, log, pace, outside, execute, blocks, effects, status, role, members, ignored, failed }
+        Self { replica, engines, execute, blocks, effects, status, role, members, ignored, failed }
     }
 
     /// Until the inbox is closed, or the node cannot go on.
@@ -66,17 +61,17 @@ impl Order {
         let blocks = Arc::clone(&self.blocks);
         let _ends = (inputs.close_at_end(), blocks.close_at_end());
         while !inputs.is_closed() {
-            inputs.wait(Duration::from_micros(self.replica.wait(self.clock.both())));
+            inputs.wait(Duration::from_micros(self.replica.wait(self.engines.clock.both())));
             let mut taken = 0;
             while taken < INPUTS_PER_WRITE_MAX && !inputs.is_empty() {
                 let waiting = inputs.take();
                 taken += waiting.len();
                 waiting.into_iter().for_each(|input| self.step(Event::Input(input)));
             }
-            self.pace.turns.adapt(taken >= MANY_INPUTS);
+            self.engines.turns.adapt(taken >= MANY_INPUTS);
             self.follow_members();
-            self.step(Event::Time { full: self.log.space.is_full() });
-            if self.replica.must_write(self.clock.both()) {
+            self.step(Event::Time { full: self.engines.log.space.is_full() });
+            if self.replica.must_write(self.engines.clock.both()) {
                 self.write();
             }
             // What waits already is to be ordered while the other thread executes.
@@ -113,9 +108,9 @@ impl Order {
 
     /// Makes the log durable.
     fn write(&mut self) {
-        let result = self.log.flush();
-        if result.is_ok() && self.log.store.wants_preparing() {
-            self.pace.bells.rounds.ring();
+        let result = self.engines.log.flush();
+        if result.is_ok() && self.engines.log.store.wants_preparing() {
+            self.engines.bells.rounds.ring();
         }
         self.step(Event::Written(result));
     }
@@ -124,7 +119,7 @@ impl Order {
         // Without a sender nothing changes any more.
         if self.members.has_changed().unwrap_or(false) {
             self.members.mark_unchanged();
-            self.step(Event::Wanted(self.outside.directory.desired()));
+            self.step(Event::Wanted(self.engines.directory.desired()));
         }
     }
 
@@ -134,10 +129,10 @@ impl Order {
             && message.brings_entries()
             && self.replica.is_voter()
         {
-            self.pace.awake.keep();
+            self.engines.idle_control.keep();
         }
         let (mut effects, mut unsent) = (std::mem::take(&mut self.effects), Vec::new());
-        self.replica.step(self.clock.both(), event, &mut effects);
+        self.replica.step(self.engines.clock.both(), event, &mut effects);
         for effect in effects.drain(..) {
             self.carry_out(effect, &mut unsent);
         }
@@ -148,7 +143,7 @@ impl Order {
     fn carry_out(&mut self, effect: Effect, unsent: &mut Vec<Event>) {
         match effect {
             Effect::Send { to, message } => {
-                if !self.outside.outlet.send(to, &message) {
+                if !self.engines.outlet.send(to, &message) {
                     unsent.push(Event::Unsent { to, message });
                 }
             }
@@ -158,35 +153,35 @@ impl Order {
                 self.role.send_replace(Reign::now(change));
             }
             Effect::Members { height, membership } => {
-                let directory = &self.outside.directory;
+                let directory = &self.engines.directory;
                 let (voters, learners) = (directory.names(&membership.voters), directory.names(&membership.learners));
                 tracing::info!(height, voters, learners, "members changed");
             }
             Effect::Reconciles(step) => {
                 tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
             }
-            Effect::Read { context, answer } => self.outside.outlet.answered(context, answer),
-            Effect::Denied(refusal) => self.outside.outlet.rejected(self.clock.now(), &refusal),
+            Effect::Read { context, answer } => self.engines.outlet.answered(context, answer),
+            Effect::Denied(refusal) => self.engines.outlet.rejected(self.engines.clock.now(), &refusal),
             Effect::Refused { input, reason } => {
                 tracing::warn!(request = self.described(&input), code = reason.code.name(), %reason, "ordering refused a request");
             }
             Effect::Behind { from, first_index } => {
-                let leader = self.outside.directory.name(from);
+                let leader = self.engines.directory.name(from);
                 tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
-                self.outside.behind.send_replace(Some(Behind { from, first_index }));
+                self.engines.behind.send_replace(Some(Behind { from, first_index }));
             }
             Effect::Ignored { from, reason } => {
                 // Once for each reason: a peer that floods this node must not flood its log.
                 let before = self.ignored.insert(from, reason);
                 if before != Some(reason) {
-                    let peer = self.outside.directory.name(from);
+                    let peer = self.engines.directory.name(from);
                     tracing::warn!(node = peer, reason, "ordering ignores messages of a peer");
                 }
             }
-            Effect::VotedTwice(proof) => self.outside.outlet.voted_twice(proof),
+            Effect::VotedTwice(proof) => self.engines.outlet.voted_twice(proof),
             Effect::Failed(reason) => {
                 self.failed = true;
-                self.outside.failure.fail(reason);
+                self.engines.failure.fail(reason);
             }
         }
     }
@@ -197,7 +192,7 @@ impl Order {
         match (change.role, change.leader) {
             (Role::Leader, _) => tracing::info!(term, "this node leads"),
             (_, Some(leader)) => {
-                tracing::info!(term, leader = self.outside.directory.name(leader), "another node leads")
+                tracing::info!(term, leader = self.engines.directory.name(leader), "another node leads")
             }
             (Role::Candidate, None) => tracing::info!(term, "no leader is known; this node asks for votes"),
             (Role::Follower, None) => tracing::info!(term, "no leader is known"),
@@ -206,7 +201,7 @@ impl Order {
 
     /// A request to the engine, for people.
     fn described(&self, input: &Input) -> String {
-        let name = |node: u64| self.outside.directory.name(node);
+        let name = |node: u64| self.engines.directory.name(node);
         match input {
             Input::TransferLeadership { to } => format!("hand the leadership over to {}", name(*to)),
             Input::ChangeMembership(change) => {

@@ -22,11 +22,11 @@ impl BlockSync {
     /// # Errors
     /// If this node votes and has lost what it promised to keep.
     pub(crate) async fn look(&self, election_time: u64) -> Result<(Vec<Holding>, Open), Rejection> {
-        let members = self.directory.members();
+        let members = self.ordering.directory.members();
         let answers = self.question(&members);
         let voters = members.iter().filter(|member| member.votes());
         let voters = voters.map(|member| (member.id, member.organisation.clone())).collect();
-        let (store, asked) = (&self.into.log.store, answers.len());
+        let (store, asked) = (&self.ordering.storage.log.store, answers.len());
         let (term, last, key) = (store.hard_state().term, store.last_index(), self.receipts.clone());
         let own = Own { id: self.dialer.me, voters, term, last, key };
         let look = Look::new(0, own, asked, election_time, self.ballot.clone());
@@ -39,7 +39,7 @@ impl BlockSync {
 
     /// Hears out those that were silent, until the question is closed; then the node may vote.
     pub(crate) fn hear_out(&self, mut open: Open) -> impl Future<Output = ()> + Send + use<> {
-        let (failure, mut stopping) = (self.failure.clone(), self.stopping.clone());
+        let (failure, mut stopping) = (self.ordering.failure.clone(), self.stopping.clone());
         async move {
             while open.look.stage() != Stage::Closed {
                 let heard = tokio::select! {

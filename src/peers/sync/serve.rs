@@ -1,14 +1,12 @@
 //! The other side: what this node gives to nodes that catch up.
 
 use super::blocks::to_wire;
+use crate::ordering::Ordering;
 use crate::ordering::directory::Member;
-use crate::ordering::orderer_slot::OrdererSlot;
 use crate::peers::chain_monitor::ChainMonitor;
 use crate::peers::receipt;
 use crate::process::clock::wall;
-use crate::storage::blocks::Blocks;
-use crate::storage::stores::Stores;
-use ledger::Ledger;
+use crate::storage::Storage;
 use ledger_api::to_status;
 use ledger_api::v1::{
     self, Attested, BlockEntries, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse,
@@ -20,8 +18,6 @@ use ledger_raft::ReceiptKey;
 use ledger_replica::catch_up::{Holding, store_holds};
 use ledger_replica::company::Point;
 use ledger_replica::trust;
-use ledger_storage::block_store::BlockStore;
-use ledger_storage::snapshot::Snapshots;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
@@ -39,12 +35,8 @@ pub(crate) type Reader = Option<Member>;
 
 /// The service that gives blocks and snapshots to others.
 pub(crate) struct Source {
-    ledger: Arc<Ledger>,
-    store: Arc<BlockStore>,
-    snapshots: Arc<Snapshots>,
-    blocks: Arc<Blocks>,
-    slot: Arc<OrdererSlot>,
-    company: Arc<ChainMonitor>,
+    ordering: Arc<Ordering>,
+    monitor: Arc<ChainMonitor>,
     /// Makes receipts for what this node holds.
     receipts: ReceiptKey,
     streams: Arc<Semaphore>,
@@ -52,47 +44,38 @@ pub(crate) struct Source {
 
 impl Source {
     /// Gives what is in the node's stores.
-    pub(crate) fn new(
-        (stores, receipts): (&Stores, ReceiptKey),
-        blocks: Arc<Blocks>,
-        slot: Arc<OrdererSlot>,
-        company: Arc<ChainMonitor>,
-    ) -> Self {
-        let Stores { ledger, store, snapshots, .. } = stores.clone();
-        Self {
-            ledger,
-            store,
-            snapshots,
-            blocks,
-            slot,
-            company,
-            receipts,
-            streams: Arc::new(Semaphore::new(STREAMS_MAX)),
-        }
+    pub(crate) fn new(ordering: &Arc<Ordering>, monitor: &Arc<ChainMonitor>, receipts: ReceiptKey) -> Arc<Self> {
+        let (ordering, monitor) = (Arc::clone(ordering), Arc::clone(monitor));
+        Arc::new(Self { ordering, monitor, receipts, streams: Arc::new(Semaphore::new(STREAMS_MAX)) })
+    }
+
+    fn storage(&self) -> &Storage {
+        &self.ordering.storage
     }
 
     /// The blocks of this node, and its knowledge of the asking one. That is no member if none is given.
     pub(crate) fn chain(&self, asking: Option<&Member>, request: &ChainRequest) -> ChainResponse {
-        let stores = (&*self.ledger, &*self.store, &*self.snapshots);
+        let storage = self.storage();
+        let stores = (&*storage.ledger, &*storage.log.store, &*storage.snapshots);
         let id = asking.map_or(0, |asking| asking.id);
-        let confirmed = self.company.confirmed(id);
-        let has = Holding::of(stores, self.slot.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
+        let confirmed = self.monitor.confirmed(id);
+        let has = Holding::of(stores, self.ordering.slot.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
         let Holding { height, first_height, snapshot_height, yours, receipts, you_vote, receipt } = has;
         let told = Hash::from_slice(&request.block_hash).zip(Hash::from_slice(&request.digest));
         if let (Some(asking), Some((hash, digest))) = (asking, told) {
-            self.company.told(asking, Point { height: request.height, hash, digest });
+            self.monitor.told(asking, Point { height: request.height, hash, digest });
         }
-        let own = self.company.own(request.height).filter(|own| own.height > 0);
+        let own = self.monitor.own(request.height).filter(|own| own.height > 0);
         let hash = |hash: fn(&Point) -> Hash| own.map(|own| hash(&own).0.to_vec().into()).unwrap_or_default();
         ChainResponse {
             compared_height: own.map_or(0, |own| own.height),
             block_hash: hash(|own| own.hash),
             digest: hash(|own| own.digest),
             stranger: asking.is_none(),
-            network: self.ledger.network().0.to_vec().into(),
+            network: self.storage().ledger.network().0.to_vec().into(),
             first_height,
             height,
-            term: self.store.term(height).unwrap_or_default(),
+            term: self.storage().log.store.term(height).unwrap_or_default(),
             snapshot_height,
             yours,
             you_vote,
@@ -111,7 +94,7 @@ impl Source {
         from: u64,
         reader: &Reader,
     ) -> Result<ReceiverStream<Result<BlockEntries, Status>>, Status> {
-        let first = self.store.first_index();
+        let first = self.storage().log.store.first_index();
         if from < first {
             return Err(to_status(
                 &Rejection::new(Code::Pruned, format!("block {from} is not kept here any more"))
@@ -137,7 +120,7 @@ impl Source {
             if next > committed {
                 return;
             }
-            let message = match self.store.entries(next..committed + 1, MESSAGE_BYTES) {
+            let message = match self.storage().log.store.entries(next..committed + 1, MESSAGE_BYTES) {
                 Ok(entries) if entries.is_empty() => {
                     Err(to_status(&Rejection::new(Code::Pruned, format!("block {next} was just dropped"))))
                 }
@@ -156,7 +139,7 @@ impl Source {
 
     /// The last block that is committed and durable here.
     fn committed(&self) -> u64 {
-        store_holds(&self.store)
+        store_holds(&self.storage().log.store)
     }
 
     /// Block hash and state digest after a block; empty if it is not kept, or not executed yet.
@@ -164,11 +147,11 @@ impl Source {
     /// # Errors
     /// A fault of the store.
     pub(crate) fn digest(&self, height: u64) -> Result<DigestResponse, Status> {
-        let tip = self.ledger.tip();
+        let tip = self.storage().ledger.tip();
         let (digest, hash) = if height == tip.height {
             (tip.digest, tip.hash)
         } else {
-            match self.ledger.block_hashes(height).map_err(|fault| to_status(&fault))? {
+            match self.storage().ledger.block_hashes(height).map_err(|fault| to_status(&fault))? {
                 Some(block) => (block.digest, block.hash),
                 None => return Ok(DigestResponse::default()),
             }
@@ -191,10 +174,11 @@ impl Source {
     /// # Errors
     /// A fault of the store.
     pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
-        let given = trust::given(&self.ledger, &self.snapshots).map_err(|fault| to_status(&fault))?;
+        let given =
+            trust::given(&self.storage().ledger, &self.storage().snapshots).map_err(|fault| to_status(&fault))?;
         let Some(given) = given else { return Ok(SnapshotResponse::default()) };
-        let block = |height| Ok(self.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
-        let attested = trust::attestations(&self.ledger, &given, block).map_err(|fault| to_status(&fault))?;
+        let block = |height| Ok(self.storage().blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
+        let attested = trust::attestations(&self.storage().ledger, &given, block).map_err(|fault| to_status(&fault))?;
         let attestations = attested.into_iter();
         let attestations =
             attestations.map(|trust::Attested { transaction, certificate }| Attested { transaction, certificate });
@@ -210,7 +194,7 @@ impl Source {
         (height, from): (u64, u32),
         reader: &Reader,
     ) -> Result<ReceiverStream<Result<SnapshotChunk, Status>>, Status> {
-        let snapshot = self.snapshots.get(height).ok_or_else(|| {
+        let snapshot = self.storage().snapshots.get(height).ok_or_else(|| {
             to_status(
                 &Rejection::new(Code::NotFound, format!("there is no snapshot of height {height} here"))
                     .next("ask for the newest one"),
@@ -234,7 +218,7 @@ impl Source {
 
     /// The writes of a recent block.
     pub(crate) fn writes(&self, height: u64) -> WritesResponse {
-        let Some(writes) = self.ledger.writes(height) else { return WritesResponse::default() };
+        let Some(writes) = self.storage().ledger.writes(height) else { return WritesResponse::default() };
         let writes = writes.into_iter().map(|write| v1::Write {
             key: write.key,
             value_hash: write.value.map(|hash| hash.0.to_vec().into()).unwrap_or_default(),

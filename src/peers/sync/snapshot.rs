@@ -45,7 +45,7 @@ fn client(peer: &Contact) -> PeerClient<Channel> {
 impl BlockSync {
     /// Fetches the chunks that are missing, and lets the trial conclude.
     pub(super) async fn fetch(&self, peer: &Contact, manifest: Manifest, trial: Trial) -> Got<Contact> {
-        let (height, snapshots) = (manifest.height, Arc::clone(&self.into.snapshots));
+        let (height, snapshots) = (manifest.height, Arc::clone(&self.ordering.storage.snapshots));
         let (chunks, received) = mpsc::channel(AHEAD_MAX);
         let (wanted, from) = tokio::sync::oneshot::channel();
         let gathering = tokio::task::spawn_blocking(move || gather(&snapshots, manifest, wanted, received, &trial));

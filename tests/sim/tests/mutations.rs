@@ -198,7 +198,7 @@ fn a_catch_up_that_is_off_by_one_is_noticed() {
 
 #[test]
 fn a_lease_by_the_wall_clock_is_noticed() {
-    caught(Mutation::WallClockLease, 0, &["state agreement", "grant exclusivity", "the oracle agrees"]);
+    caught(Mutation::WallClockLease, 1, &["state agreement", "grant exclusivity", "the oracle agrees"]);
 }
 
 #[test]

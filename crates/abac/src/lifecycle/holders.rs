@@ -5,8 +5,8 @@ use crate::records::grant::Holding;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
 use crate::records::{grant, last};
-use crate::timestamp::rfc3339;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::Grant;
 

@@ -2,8 +2,8 @@
 
 use crate::records::stopped;
 use crate::records::target::Target;
-use crate::timestamp::rfc3339;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, Stopped};
 

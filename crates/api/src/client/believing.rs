@@ -3,7 +3,7 @@
 //! The client begins at the genesis, which the name of the network covers, or at a checkpoint. It follows who governs by
 //! certificates, and believes an answer only if enough voters have signed what executing the call gave.
 
-use super::uplink::Up;
+use super::uplink::Uplink;
 use super::{Call, Client};
 use crate::connect::unreachable;
 use crate::report::from_status;
@@ -59,7 +59,7 @@ impl Client {
     }
 
     async fn genesis(&self) -> Result<Bytes, Rejection> {
-        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after: 0 }).await };
+        let ask = |up: Uplink| async move { up.gateway().governance(v1::GovernanceRequest { after: 0 }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
         Ok(self.next_step(&mut steps).await?.unwrap_or_default().genesis)
     }
@@ -116,7 +116,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotFound`] if the node has no such transaction or no certificate; as [`Evidence::check`].
     pub async fn evidence(&self, id: Hash, known: Option<&Governance>) -> Result<(Bytes, Evidence, Proved), Rejection> {
-        let ask = |up: Up| async move {
+        let ask = |up: Uplink| async move {
             let id = Bytes::copy_from_slice(id.as_ref());
             up.gateway().prove_transaction(v1::ProveTransactionRequest { id }).await
         };
@@ -125,7 +125,7 @@ impl Client {
         let genesis = self.genesis().await?;
         let _named = begin(&self.credentials.network, &genesis)?;
         let after = known.map_or(0, Governance::height);
-        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
+        let ask = |up: Uplink| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
         let mut way = Vec::new();
         while let Some(step) = self.next_step(&mut steps).await? {
@@ -142,14 +142,14 @@ impl Client {
 
     async fn prove(&self, height: u64, verdict: u32) -> Result<Proof, Rejection> {
         let ask =
-            |up: Up| async move { up.gateway().prove(v1::ProveRequest { height, verdicts: vec![verdict] }).await };
+            |up: Uplink| async move { up.gateway().prove(v1::ProveRequest { height, verdicts: vec![verdict] }).await };
         Proof::from_bytes(&self.ask(ask, |_| Ok(())).await?.proof)
     }
 
     /// Follows the node's steps to the newest proof, or to that of the caller.
     async fn follow(&self, known: Option<&Governance>, to: Option<&Proof>) -> Result<Checkpoint, Rejection> {
         let after = known.map_or(0, Governance::height);
-        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
+        let ask = |up: Uplink| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
         let mut way = known.cloned().map(Way::from);
         while let Some(step) = self.next_step(&mut steps).await? {

@@ -7,7 +7,7 @@
 use super::clock::middle;
 use super::in_flight::Sent;
 use super::retry::is_final;
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::connect::{Connection, Credentials, Expected, explain, other_network, unreachable};
 use crate::tls::TlsIdentity;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitRequest, SubmitResponse};
@@ -143,7 +143,7 @@ impl Dialer {
             Connection::open((address, Some(&self.network)), Arc::clone(&self.tls), &certificate, self.patience)
                 .await?;
         let late = || unreachable(address, &format!("no answer within {} ms", self.patience.as_millis()));
-        let up = Up { number: 0, connection };
+        let up = Uplink { number: 0, connection };
         let asked = std::time::Instant::now();
         let told = timeout(self.patience, up.enrolment().network(NetworkRequest {})).await.map_err(|_| late())?;
         let told = told.map_err(|status| up.connection.refusal(&status))?.into_inner();

@@ -4,7 +4,7 @@ mod since;
 
 use super::Client;
 use super::retry::{RETRY_AFTER, is_final};
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::v1;
 use ledger_base::rejection::{Code, Rejection};
 use std::sync::Arc;
@@ -65,7 +65,7 @@ enum Before {
 
 struct Open {
     /// The connection.
-    up: Up,
+    up: Uplink,
     deliveries: Streaming<v1::Delivery>,
 }
 
@@ -189,7 +189,7 @@ impl EventStream {
 
     /// Did another node tell of a block above the newest one that is committed here? Then the stream goes on from where it was
     /// before that node: rather twice than not at all.
-    async fn doubt_height(&mut self, up: &Up) -> bool {
+    async fn doubt_height(&mut self, up: &Uplink) -> bool {
         let committed = since::committed(up).await.filter(|height| height.saturating_add(1) < self.next_height);
         let (Some(committed), Some((by, before))) = (committed, self.told.clone()) else { return false };
         let next = match before {

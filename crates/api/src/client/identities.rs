@@ -2,7 +2,7 @@
 //! the organisation's CA.
 
 use super::Client;
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::report::accepted;
 use crate::v1;
 use bytes::Bytes;
@@ -128,7 +128,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`], [`Code::WrongRole`] if it is a node of another organisation; else as [`Client::status`].
     pub async fn offer_ca(&self, organisation: &str) -> Result<v1::OfferCaResponse, Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = v1::OfferCaRequest { organisation: organisation.into() };
             async move { up.enrolment().offer_ca(request).await }
         };
@@ -140,7 +140,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`], [`Code::CaElsewhere`], [`Code::Untrusted`]; else as [`Client::status`].
     pub async fn seal_ca(&self, offer: v1::SealCaRequest) -> Result<v1::SealCaResponse, Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = offer.clone();
             async move { up.enrolment().seal_ca(request).await }
         };
@@ -152,7 +152,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`], [`Code::BadSignature`] if it was sealed for another one; else as [`Client::status`].
     pub async fn take_ca(&self, taken: v1::TakeCaRequest) -> Result<(), Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = taken.clone();
             async move { up.enrolment().take_ca(request).await }
         };
@@ -164,7 +164,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`], [`Code::CaElsewhere`], [`Code::BadArgument`] for a short passphrase; else as [`Client::status`].
     pub async fn copy_ca(&self, request: v1::CopyCaRequest) -> Result<Bytes, Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = request.clone();
             async move { up.enrolment().copy_ca(request).await }
         };
@@ -177,7 +177,7 @@ impl Client {
     /// [`Code::NotAdmin`], [`Code::WrongRole`], [`Code::BadFile`]; [`Code::AlreadyExists`] if the node carries it, also because
     /// an earlier try of this call arrived; else as [`Client::status`].
     pub async fn restore_ca(&self, request: v1::RestoreCaRequest) -> Result<(), Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = request.clone();
             async move { up.enrolment().restore_ca(request).await }
         };
@@ -189,7 +189,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`], [`Code::LastOne`] if no other node carries it, [`Code::CaElsewhere`]; else as [`Client::status`].
     pub async fn drop_ca(&self, organisation: &str) -> Result<(), Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = v1::DropCaRequest { organisation: organisation.into() };
             async move { up.enrolment().drop_ca(request).await }
         };

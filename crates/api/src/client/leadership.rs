@@ -2,7 +2,7 @@
 
 use super::Client;
 use super::retry::RETRY_AFTER;
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::report::accepted;
 use crate::v1;
 use ledger_base::rejection::{Code, Rejection};
@@ -55,7 +55,7 @@ impl Client {
             None => self.clone(),
         };
         let request = v1::TransferLeadershipRequest { node_id: to };
-        let ask = |up: Up| async move { up.gateway().transfer_leadership(request).await };
+        let ask = |up: Uplink| async move { up.gateway().transfer_leadership(request).await };
         let answer = asked.ask(ask, |_| Ok(())).await?;
         accepted(answer.verdict.as_ref())?;
         Ok(Leadership { leader: answer.leader_id, term: answer.term })

@@ -1,7 +1,7 @@
 //! Which nodes a client knows: those it was given, and for a context those that the network has told since.
 
 use super::dialer::{Dialer, Opened};
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::context::Context;
 use crate::tls::Trusted;
 use crate::v1::{NetworkRequest, NetworkResponse};
@@ -123,7 +123,7 @@ pub(super) struct Look {
 }
 
 /// Asks the connected node how things stand, and looks for a better one if there may be one.
-pub(super) async fn look_around(up: Up, dialer: Dialer, nodes: Arc<Nodes>) -> Look {
+pub(super) async fn look_around(up: Uplink, dialer: Dialer, nodes: Arc<Nodes>) -> Look {
     let told = timeout(LOOK_MAX, up.enrolment().network(NetworkRequest {})).await;
     let told = told.ok().and_then(Result::ok).map(tonic::Response::into_inner);
     let candidates = match &told {

@@ -2,7 +2,7 @@
 
 use super::Client;
 use super::retry::{ATTEMPT_MAX, RETRY_AFTER, is_final};
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::report::accepted;
 use crate::{pages, v1};
 use bytes::Bytes;
@@ -65,7 +65,7 @@ impl Client {
     }
 
     async fn query_for(&self, request: v1::QueryRequest) -> Result<Answer, Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = request.clone();
             async move { up.gateway().query(request).await }
         };
@@ -88,7 +88,7 @@ impl Client {
     /// # Errors
     /// As [`Client::status`].
     pub async fn nodes(&self) -> Result<Vec<v1::NodeStatus>, Rejection> {
-        let ask = |up: Up| async move { up.gateway().nodes(v1::NodesRequest {}).await };
+        let ask = |up: Uplink| async move { up.gateway().nodes(v1::NodesRequest {}).await };
         Ok(self.ask(ask, |_| Ok(())).await?.nodes)
     }
 
@@ -105,7 +105,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotFound`] if the node knows none of this id; else as [`Client::status`].
     pub async fn transaction(&self, id: Hash) -> Result<v1::TransactionRecord, Rejection> {
-        let ask = |up: Up| async move {
+        let ask = |up: Uplink| async move {
             let id = Bytes::copy_from_slice(id.as_ref());
             up.gateway().get_transaction(v1::GetTransactionRequest { id }).await
         };
@@ -117,7 +117,7 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`]; else as [`Client::status`].
     pub async fn denials(&self, limit: u32) -> Result<Vec<v1::Denial>, Rejection> {
-        let ask = |up: Up| async move { up.gateway().denials(v1::DenialsRequest { limit }).await };
+        let ask = |up: Uplink| async move { up.gateway().denials(v1::DenialsRequest { limit }).await };
         Ok(self.ask(ask, |_| Ok(())).await?.denials)
     }
 
@@ -126,7 +126,7 @@ impl Client {
     /// # Errors
     /// As [`Client::status`].
     pub async fn audit(&self, request: v1::AuditRequest) -> Result<v1::AuditResponse, Rejection> {
-        let ask = |up: Up| {
+        let ask = |up: Uplink| {
             let request = request.clone();
             async move { up.gateway().audit(request).await }
         };
@@ -162,7 +162,7 @@ impl Client {
         check: impl Fn(&R) -> Result<(), Rejection>,
     ) -> Result<R, Rejection>
     where
-        F: Fn(Up) -> A,
+        F: Fn(Uplink) -> A,
         A: Future<Output = Result<Response<R>, Status>>,
     {
         let deadline = Instant::now() + self.session.options.deadline;

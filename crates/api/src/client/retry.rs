@@ -1,4 +1,4 @@
-//! When a client tries again.
+//! Retries: their times, and the rejections that end them.
 
 use ledger_base::rejection::{Class, Rejection};
 use std::time::Duration;

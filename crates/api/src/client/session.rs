@@ -10,7 +10,7 @@ use super::dialer::{Dialer, Opened};
 use super::in_flight::{Effect, InFlight};
 use super::learning::{LOOK_EVERY, Look, Nodes, look_around};
 use super::retry::is_final;
-use super::uplink::Up;
+use super::uplink::Uplink;
 use crate::connect::{Connection, Credentials};
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
 use ledger::Rules;
@@ -92,13 +92,13 @@ impl Session {
     ///
     /// # Errors
     /// Why there will be none: a reason that waiting does not cure.
-    pub(super) async fn up(&self) -> Result<Up, Rejection> {
+    pub(super) async fn up(&self) -> Result<Uplink, Rejection> {
         let mut link = self.link.subscribe();
         let state = link.wait_for(|link| link.broken.as_ref().is_none_or(is_final)).await;
         let state = state.map_err(|_| Rejection::new(Code::ShuttingDown, "the client is closed"))?;
         match &state.broken {
             Some(reason) => Err(reason.clone()),
-            None => Ok(Up { number: state.number, connection: state.connection.clone() }),
+            None => Ok(Uplink { number: state.number, connection: state.connection.clone() }),
         }
     }
 
@@ -106,7 +106,7 @@ impl Session {
     ///
     /// # Errors
     /// As [`Session::up`].
-    pub(super) async fn carrier(&self) -> Result<Up, Rejection> {
+    pub(super) async fn carrier(&self) -> Result<Uplink, Rejection> {
         let up = self.up().await?;
         let Some(own) = self.dialer.organisation() else { return Ok(up) };
         let carries = |carried: &[String]| carried.iter().any(|organisation| organisation == own);
@@ -114,7 +114,7 @@ impl Session {
             return Ok(up);
         }
         match self.dialer.race(&self.nodes.all(), |opened| carries(&opened.told.carries), None).await {
-            Ok(Opened { connection, .. }) => Ok(Up { number: 0, connection }),
+            Ok(Opened { connection, .. }) => Ok(Uplink { number: 0, connection }),
             // The node that we have knows best why not.
             Err(_) => Ok(up),
         }
@@ -303,7 +303,7 @@ impl Reconnector {
                 }
                 _ = looks.tick(), if idle => {
                     let session = self.session.upgrade()?;
-                    let up = Up { number, connection: session.link.borrow().connection.clone() };
+                    let up = Uplink { number, connection: session.link.borrow().connection.clone() };
                     look = Some(Box::pin(look_around(up, session.dialer.clone(), Arc::clone(&session.nodes))));
                     continue;
                 }

@@ -10,12 +10,12 @@ const MESSAGE_BYTES_MAX: usize = 32 * 1024 * 1024;
 
 /// A connection in use, and which one it is.
 #[derive(Clone)]
-pub(super) struct Up {
+pub(super) struct Uplink {
     pub(super) number: u64,
     pub(super) connection: Connection,
 }
 
-impl Up {
+impl Uplink {
     pub(super) fn gateway(&self) -> GatewayClient<Channel> {
         GatewayClient::new(self.connection.channel.clone()).max_decoding_message_size(MESSAGE_BYTES_MAX)
     }

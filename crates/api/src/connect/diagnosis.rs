@@ -12,6 +12,7 @@ use crate::v1::enrolment_client::EnrolmentClient;
 use crate::v1::{NetworkRequest, NetworkResponse};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339_seconds;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
@@ -114,7 +115,7 @@ fn clocks_differ(address: &str, here: u64, there: u64) -> Rejection {
     let way = if here > there { "ahead of" } else { "behind" };
     let off = span(here.abs_diff(there));
     Rejection::new(Code::ClockOff, format!("the clock of this machine is {off} {way} that of the node at {address}"))
-        .found(format!("{} here, {} there", utc(here), utc(there)))
+        .found(format!("{} here, {} there", rfc3339_seconds(here), rfc3339_seconds(there)))
         .wanted("clocks that agree: certificates are valid from one moment to another")
         .next("set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator")
 }
@@ -124,7 +125,11 @@ fn ended(own: &Certificate, organisation: Option<&str>, now: u64) -> Rejection {
     let name = own.name().unwrap_or("NAME");
     let id = organisation.map_or_else(|| name.to_owned(), |organisation| format!("{organisation}/{name}"));
     Rejection::new(Code::CertificateExpired, format!("the certificate of {id} has expired"))
-        .found(format!("its end on {}, {} ago", utc(own.not_after), span(now.saturating_sub(own.not_after))))
+        .found(format!(
+            "its end on {}, {} ago",
+            rfc3339_seconds(own.not_after),
+            span(now.saturating_sub(own.not_after))
+        ))
         .wanted("a certificate that is still valid; it is renewed at use in the last third of its life")
         .next(way_back(own, organisation))
 }
@@ -157,37 +162,9 @@ fn span(micros: u64) -> String {
     }
 }
 
-/// A moment as RFC 3339, to the second.
-fn utc(micros: u64) -> String {
-    let seconds = micros / SECOND;
-    let (days, second) = (seconds / 86_400, seconds % 86_400);
-    // Civil from days, with years that begin in March, so that the leap day is the last.
-    let shifted = days + 719_468;
-    let (era, of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
-    let year = era * 400 + year_of_era + u64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", second / 3600, second / 60 % 60, second % 60)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn moments_are_dates_of_the_calendar() {
-        for (seconds, text) in [
-            (0, "1970-01-01T00:00:00Z"),
-            (951_782_399, "2000-02-28T23:59:59Z"),
-            (951_782_400, "2000-02-29T00:00:00Z"),
-            (1_795_229_428, "2026-11-21T02:50:28Z"),
-        ] {
-            assert_eq!(utc(seconds * SECOND), text);
-        }
-    }
 
     #[test]
     fn spans_are_in_the_unit_that_people_would_choose() {

@@ -1,7 +1,9 @@
 //! The file of a recording. A part that cannot be written whole is taken back, so that the file ends with a whole chunk.
 
 use ledger_base::rejection::{Code, Rejection};
+use mcap::McapError;
 use std::cell::RefCell;
+use std::error::Error;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -62,11 +64,11 @@ impl Disk {
     }
 
     /// The refusal of a write. The file is cut behind its last whole chunk.
-    pub(super) fn refused(&self, error: &io::Error) -> Rejection {
+    pub(super) fn refused(&self, error: &McapError) -> Rejection {
         let mut open = self.0.borrow_mut();
         let cut = open.file.take().is_some_and(|file| file.into_parts().0.set_len(open.whole).is_ok());
         let kept = if cut && open.whole > 0 { RECOVER } else { "record it again where there is room" };
-        unwritable(&open.path, error).next(kept)
+        unwritable(&open.path, &cause(error)).next(kept)
     }
 }
 
@@ -101,7 +103,16 @@ pub(crate) fn taken(path: &Path) -> Rejection {
         .next("choose another name, or --force if that file may be lost")
 }
 
-fn unwritable(path: &Path, error: &io::Error) -> Rejection {
+/// The innermost error: that of the disk, if it has failed.
+fn cause(error: &McapError) -> String {
+    let mut inner: &dyn Error = error;
+    while let Some(next) = inner.source() {
+        inner = next;
+    }
+    inner.to_string()
+}
+
+fn unwritable(path: &Path, error: &dyn std::fmt::Display) -> Rejection {
     Rejection::new(Code::BadFile, format!("cannot write {}", path.display()))
         .found(error.to_string())
         .wanted("a file that this user may create, on a disk with room")

@@ -1,7 +1,7 @@
 //! Recordings and bags of others, read from the beginning. A file without an end is read as far as it goes.
 
+use super::items::{Fault, Item, Reader};
 use ledger_base::rejection::{Code, Rejection};
-use mcap::{Fault, Item, Reader};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
@@ -100,7 +100,7 @@ impl Reading {
                 "mcap compress --compression none FILE -o OTHER.mcap",
             ),
             Fault::Damaged(what) => {
-                (what.to_owned(), "an MCAP file without damage", "mcap recover FILE -o OTHER.mcap keeps what is whole")
+                (what, "an MCAP file without damage", "mcap recover FILE -o OTHER.mcap keeps what is whole")
             }
             Fault::Cut => ("its end".to_owned(), "an MCAP file", ""),
         };

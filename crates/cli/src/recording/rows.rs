@@ -1,12 +1,12 @@
 //! The ledger's words about messages, and its events, as messages of types of our own. A recording has their definitions.
 
-use super::{CDR, DEFINITION, Disk, OWN_PACKAGE};
+use super::{CDR, DEFINITION, Disk, OWN_PACKAGE, Writer};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use mcap::{Stamp, Writer};
+use mcap::McapResult;
+use mcap::records::MessageHeader;
 use ros_message::{ByteOrder, Library, Message, Time, Written};
 use std::collections::BTreeMap;
-use std::io;
 
 /// The type of [`Record`]: name and definition.
 pub(super) const RECORD: (&str, &str) = ("Record", include_str!("Record.msg"));
@@ -120,20 +120,28 @@ pub(super) struct Row {
 
 impl Row {
     /// Adds the channel.
-    pub(super) fn open(writer: &mut Writer<Disk>, topic: &str, (name, definition): (&str, &str)) -> io::Result<Self> {
+    pub(super) fn open(
+        writer: &mut Writer,
+        disk: &Disk,
+        topic: &str,
+        (name, definition): (&str, &str),
+    ) -> Result<Self, Rejection> {
         let name = format!("{OWN_PACKAGE}/msg/{name}");
         let mut library = Library::builtin();
         let kind = library.add(&name, definition).and_then(|()| library.message(&name));
-        let kind = kind.map_err(|fault| io::Error::other(fault.message))?;
-        let schema = writer.schema(&name, DEFINITION, &kind.definition());
-        let channel = writer.channel(schema, topic, CDR, &BTreeMap::new());
+        let kind = kind.map_err(|fault| Rejection::new(Code::Internal, fault.message))?;
+        let channel = (|| -> McapResult<u16> {
+            let schema = writer.add_schema(&name, DEFINITION, kind.definition().as_bytes())?;
+            writer.add_channel(schema, topic, CDR, &BTreeMap::new())
+        })();
+        let channel = channel.map_err(|error| disk.refused(&error))?;
         Ok(Self { channel, kind, count: 0 })
     }
 
     /// Adds a message with these log and publish times, nanoseconds since the UNIX epoch.
     pub(super) fn write(
         &mut self,
-        writer: &mut Writer<Disk>,
+        writer: &mut Writer,
         disk: &Disk,
         (log_time, publish_time): (u64, u64),
         content: &Written,
@@ -142,8 +150,8 @@ impl Row {
             Rejection::new(Code::Internal, "the recording cannot be written")
                 .found(format!("{} (found {})", fault.message, fault.found))
         })?;
-        let stamp = Stamp { number: self.count, log_time, publish_time };
+        let header = MessageHeader { channel_id: self.channel, sequence: self.count, log_time, publish_time };
         self.count = self.count.wrapping_add(1);
-        writer.message(self.channel, stamp, &encoded).map_err(|error| disk.refused(&error))
+        writer.write_to_known_channel(&header, &encoded).map_err(|error| disk.refused(&error))
     }
 }

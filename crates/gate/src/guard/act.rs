@@ -1,4 +1,4 @@
-//! What the driver of a gate is to do.
+//! Acts that the gate asks of its driver.
 
 use crate::gate::{Passed, Refused};
 

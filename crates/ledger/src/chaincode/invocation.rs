@@ -13,8 +13,8 @@ impl Registry {
     /// Executes one call: its writes are in the overlay and its events in `events` only if it succeeds.
     ///
     /// # Errors
-    /// The rejection of the chaincode, [`Code::UnknownChaincode`], [`Code::NeedsApproval`], [`Code::QueryOnly`] or
-    /// [`Code::OverBudget`].
+    /// The rejection of the chaincode, `Code::UnknownChaincode`, `Code::NeedsApproval`, `Code::QueryOnly` or
+    /// `Code::OverBudget`.
     pub fn invoke(
         environment: Environment<'_>,
         overlay: &mut Overlay,

@@ -1,4 +1,4 @@
-//! How a node comes in: by itself, with the certificate of its organisation.
+//! Entry of a node: by itself, with the certificate of its organisation.
 
 use super::address::check_address;
 use super::caller::{node, object};

@@ -318,7 +318,7 @@ fn a_name_from_before_the_ledger_is_not_looked_like_and_its_old_attributes_end_w
     let json = ledger_identity::certificate::encode_attributes(&[("Husky".into(), "true".into())].into()).unwrap();
     let husky = network.cas[0].user_as(["Old", "member"], KeyKind::Ed25519, |params| {
         let oid = ledger_identity::certificate::ATTRIBUTES_OID;
-        params.custom_extensions.push(testkit::rcgen::CustomExtension::from_oid_content(oid, json));
+        params.custom_extensions.push(rcgen::CustomExtension::from_oid_content(oid, json));
     });
     by_secret(&mut network, &husky).unwrap();
     assert_eq!(network.event_names(), ["revoked", "revoked", "revoked", "certified"]);

@@ -204,8 +204,7 @@ fn a_list_is_of_today() {
 #[test]
 fn an_entry_leaves_a_list_only_once_its_certificate_is_known_to_have_ended() {
     let mut story = Story::new();
-    let short =
-        |params: &mut testkit::rcgen::CertificateParams| params.not_after = testkit::rcgen::date_time_ymd(2030, 1, 3);
+    let short = |params: &mut rcgen::CertificateParams| params.not_after = rcgen::date_time_ymd(2030, 1, 3);
     let seen = story.ca.user_as(["Nadia", "client"], KeyKind::P256, short);
     let unseen = story.ca.user_as(["Omar", "client"], KeyKind::P256, short);
     story.network.call(&seen, "withdraw", &["00000000"]).unwrap_err();
@@ -318,8 +317,8 @@ fn lists_go_forward_only() {
         let people: Vec<User> = (1..=3_u8)
             .map(|number| {
                 story.ca.user_as([&format!("P{number}"), "client"], KeyKind::P256, |params| {
-                    params.serial_number = Some(testkit::rcgen::SerialNumber::from_slice(&[number]));
-                    params.not_after = testkit::rcgen::date_time_ymd(2030, 1, 2 + number);
+                    params.serial_number = Some(rcgen::SerialNumber::from_slice(&[number]));
+                    params.not_after = rcgen::date_time_ymd(2030, 1, 2 + number);
                 })
             })
             .collect();

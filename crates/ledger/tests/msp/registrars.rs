@@ -218,7 +218,7 @@ fn try_enrol(network: &mut Network, name: &str, attributes: &[(&str, &str)]) -> 
     let json = ledger_identity::certificate::encode_attributes(&map).unwrap();
     let user = network.cas[0].user_as([name, "member"], KeyKind::Ed25519, |params| {
         let oid = ledger_identity::certificate::ATTRIBUTES_OID;
-        params.custom_extensions.push(testkit::rcgen::CustomExtension::from_oid_content(oid, json));
+        params.custom_extensions.push(rcgen::CustomExtension::from_oid_content(oid, json));
     });
     let argument = value!({
         "organisation": "Org1", "certificate": hex::encode(&user.certificate), "ground": {"secret": secret()},

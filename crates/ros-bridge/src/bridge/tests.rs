@@ -9,6 +9,7 @@ mod start_tests;
 mod stop_tests;
 
 use std::{
+    path::Path,
     sync::{Arc, atomic::Ordering},
     time::Duration,
 };
@@ -24,14 +25,18 @@ use ledger_gate::{
 use serde_json::json;
 use testkit::own_network as network;
 
-use super::*;
+use super::{Bridge, run::keep_running};
 use crate::{
-    dds::{Matched, Participant, Reader, Writer},
-    fake::{Fake, Fate, held_by},
-    names::{TopicName, TypeName},
-    qos::Qos,
-    queue::Limits,
-    stop::stop_message,
+    config::Config,
+    graph::{
+        dds::{Matched, Participant, Reader, Writer},
+        messages::stop::stop_message,
+        names::{TopicName, TypeName},
+        qos::Qos,
+        queue::Limits,
+    },
+    ledger::fake::{Fake, Fate, held_by},
+    routes::counters::RouteSummary,
 };
 
 const DEADLINE: Duration = Duration::from_secs(20);

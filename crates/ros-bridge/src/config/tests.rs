@@ -2,7 +2,10 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use super::*;
-use crate::qos::{Durability, Reliability};
+use crate::{
+    graph::qos::{Durability, Qos, Reliability},
+    routes::kinds::KINDS,
+};
 
 const ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\n";
 

@@ -18,7 +18,7 @@ impl Snapshot {
     /// attest it. At most `limit`.
     ///
     /// # Errors
-    /// [`Code::Corrupt`] if it is no snapshot up to there.
+    /// `Code::Corrupt` if it is no snapshot up to there.
     pub fn pairs(&self, prefix: &[u8], limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
         let mut found = Vec::new();
         for item in Items::new(self, true) {
@@ -36,7 +36,7 @@ impl Snapshot {
     /// is opened.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if they are not empty, [`Code::Corrupt`] if this is no snapshot; a fault of the disk.
+    /// `Code::BadFile` if they are not empty, `Code::Corrupt` if this is no snapshot; a fault of the disk.
     pub fn fill(&self, store: &dyn Store, results: &ResultStore) -> Result<(), Rejection> {
         let mut items = self.items();
         let mut first = None;

@@ -2,15 +2,15 @@
 
 use crate::clients::monitoring::check::Check;
 use ledger_base::rejection::{Class, Rejection};
-use ros_bridge::sight::{RouteView, Standing, View};
+use ros_bridge::{BridgeStatus, BridgeView, RouteView};
 use ros_bridge::{Level, Status};
 
 /// All parts, by what is seen of the bridge.
-pub(super) fn all(view: &View) -> Vec<Check> {
+pub(super) fn all(view: &BridgeView) -> Vec<Check> {
     match view {
-        View::Waits(None) => vec![Check::failed("graph", "the bridge has not begun yet".to_owned())],
-        View::Waits(Some(reason)) => waiting(reason),
-        View::Runs(standing) => running(standing),
+        BridgeView::Waits(None) => vec![Check::failed("graph", "the bridge has not begun yet".to_owned())],
+        BridgeView::Waits(Some(reason)) => waiting(reason),
+        BridgeView::Runs(standing) => running(standing),
     }
 }
 
@@ -26,7 +26,7 @@ fn in_line(reason: &Rejection) -> String {
     format!("{code} {message}{found}")
 }
 
-fn running(standing: &Standing) -> Vec<Check> {
+fn running(standing: &BridgeStatus) -> Vec<Check> {
     let graph = Check::ok("graph");
     let parts = standing.statuses.iter().map(part);
     let grant = standing.routes.iter().any(|route| route.takes_in && route.needs_grant).then(|| grant(standing));
@@ -41,7 +41,7 @@ fn part(status: &Status) -> Check {
 }
 
 /// Does the bridge hold what it takes commands to? Nobody has to, so it is ready without.
-fn grant(standing: &Standing) -> Check {
+fn grant(standing: &BridgeStatus) -> Check {
     let lacks = |route: &&RouteView| route.takes_in && route.needs_grant && !route.is_held;
     let missing: Vec<&str> = standing.routes.iter().filter(lacks).map(|route| &*route.summary.service).collect();
     Check::ok("grant")
@@ -53,13 +53,13 @@ mod tests {
     use super::*;
     use ledger_base::rejection::Code;
 
-    fn told(view: &View) -> String {
+    fn told(view: &BridgeView) -> String {
         all(view).iter().map(ToString::to_string).collect()
     }
 
-    fn standing(statuses: Vec<Status>) -> View {
+    fn standing(statuses: Vec<Status>) -> BridgeView {
         let identity = "Org1/Salma".to_owned();
-        View::Runs(Standing { identity, domain: 1, silent: None, statuses, routes: Vec::new() })
+        BridgeView::Runs(BridgeStatus { identity, domain: 1, silent: None, statuses, routes: Vec::new() })
     }
 
     fn status(level: Level, name: &str, message: &str) -> Status {
@@ -68,13 +68,13 @@ mod tests {
 
     #[test]
     fn a_bridge_that_waits_says_why_and_whether_the_ledger_answers() {
-        assert_eq!(told(&View::Waits(None)), "[-] graph failed: the bridge has not begun yet\n");
+        assert_eq!(told(&BridgeView::Waits(None)), "[-] graph failed: the bridge has not begun yet\n");
         let silent = Rejection::new(Code::Unreachable, "no node answers").found("10.0.0.4:7450 refuses");
-        let said = told(&View::Waits(Some(silent)));
+        let said = told(&BridgeView::Waits(Some(silent)));
         assert!(said.starts_with("[-] ledger failed: LGR-"), "{said}");
         assert!(said.contains("\n[-] graph failed: not joined: LGR-") && said.contains("; found 10.0.0.4"), "{said}");
         let unknown = Rejection::new(Code::UnknownRobot, "there is no robot Rover");
-        assert!(told(&View::Waits(Some(unknown))).starts_with("[+] ledger ok\n[-] graph failed: "));
+        assert!(told(&BridgeView::Waits(Some(unknown))).starts_with("[+] ledger ok\n[-] graph failed: "));
     }
 
     #[test]

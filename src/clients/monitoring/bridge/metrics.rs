@@ -5,8 +5,8 @@ use prometheus_client::encoding::{EncodeMetric, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
-use ros_bridge::sight::{RouteView, Standing, View};
 use ros_bridge::{BOUNDS_US, RouteSummary, Spread};
+use ros_bridge::{BridgeStatus, BridgeView, RouteView};
 
 const MICROS: f64 = 1_000_000.0;
 
@@ -40,20 +40,20 @@ const COUNTS: [Figure; 5] = [
 ];
 
 /// Registers the figures of a bridge.
-pub(crate) fn register(registry: &mut Registry, view: &View) {
-    if let View::Runs(standing) = view {
+pub(crate) fn register(registry: &mut Registry, view: &BridgeView) {
+    if let BridgeView::Runs(standing) = view {
         registry.register("bridge", "This bridge", about(standing));
     }
     let registry = registry.sub_registry_with_prefix("bridge");
     let help = "1 while the bridge has joined its graph, 0 while it waits";
-    number(registry, "is_running", help, u64::from(matches!(view, View::Runs(_))));
-    if let View::Runs(standing) = view {
+    number(registry, "is_running", help, u64::from(matches!(view, BridgeView::Runs(_))));
+    if let BridgeView::Runs(standing) = view {
         running(registry, standing);
         routes(registry, &standing.routes);
     }
 }
 
-fn about(standing: &Standing) -> Info<Labels> {
+fn about(standing: &BridgeStatus) -> Info<Labels> {
     Info::new(vec![
         ("version", env!("CARGO_PKG_VERSION").to_owned()),
         ("identity", standing.identity.clone()),
@@ -61,7 +61,7 @@ fn about(standing: &Standing) -> Info<Labels> {
     ])
 }
 
-fn running(registry: &mut Registry, standing: &Standing) {
+fn running(registry: &mut Registry, standing: &BridgeStatus) {
     if let Some(silent) = standing.silent {
         seconds(registry, "ledger_silence", "Time since the ledger gave a sign of life", silent.as_secs_f64());
     }

@@ -1,4 +1,4 @@
-//! A robot's bridge (`crates/ros-bridge/src/route/from_ledger.rs`): the real guard decides, virtual time passes.
+//! A robot's bridge (`crates/ros-bridge/src/routes/delivery.rs`): the real guard decides, virtual time passes.
 
 mod question;
 mod stream;
@@ -230,7 +230,7 @@ impl World {
         Ok(())
     }
 
-    /// The robot reads the content keys of before from the blocks of its node (`crates/ros-bridge/src/reading.rs`).
+    /// The robot reads the content keys of before from the blocks of its node (`crates/ros-bridge/src/routes/delivery/reader_keys.rs`).
     fn fetch_content_keys(&mut self, robot: &mut Robot) {
         let Some(watched) = robot.watched.iter_mut().find(|watched| watched.id == SERVICE) else { return };
         let tip = robot.stream.as_ref().and_then(|stream| self.tip(stream.node)).map_or(0, |tip| tip.0);

@@ -1,7 +1,7 @@
 //! Where a stream begins, by the word of the node that it is connected to now.
 
 use super::ACCEPT_MAX;
-use crate::client::uplink::Up;
+use crate::client::uplink::Uplink;
 use crate::v1;
 use ledger_base::rejection::Rejection;
 use tokio::time::{Instant, timeout};
@@ -15,7 +15,7 @@ const EARLIER_MAX: u64 = 2_000_000;
 ///
 /// # Errors
 /// Why it does not say.
-pub(super) async fn height(up: &Up) -> Result<u64, Rejection> {
+pub(super) async fn height(up: &Uplink) -> Result<u64, Rejection> {
     match timeout(ACCEPT_MAX, up.gateway().status(v1::StatusRequest {})).await {
         Ok(Ok(status)) => Ok(status.into_inner().height),
         Ok(Err(refused)) => Err(up.connection.refusal(&refused)),
@@ -24,7 +24,7 @@ pub(super) async fn height(up: &Up) -> Result<u64, Rejection> {
 }
 
 /// The height of a current state, which has every committed block; none if no leader confirms it in time.
-pub(super) async fn committed(up: &Up) -> Option<u64> {
+pub(super) async fn committed(up: &Uplink) -> Option<u64> {
     // Any function will do: a refusal tells the height as well.
     let question = v1::QueryRequest { chaincode: "msp".into(), function: "rules".into(), ..Default::default() };
     Some(in_time(up.gateway().query(question)).await?.height)
@@ -32,7 +32,7 @@ pub(super) async fn committed(up: &Up) -> Option<u64> {
 
 /// The first block that was ordered after a moment, or a little before it; `committed`: the newest one. By the clock of the node and
 /// by block time, so that nothing depends on what another node has said. None if the node does not answer.
-pub(super) async fn first_since(up: &Up, moment: Instant, committed: u64) -> Option<u64> {
+pub(super) async fn first_since(up: &Uplink, moment: Instant, committed: u64) -> Option<u64> {
     let status = in_time(up.gateway().status(v1::StatusRequest {})).await?;
     let age = u64::try_from(moment.elapsed().as_micros()).unwrap_or(u64::MAX);
     let since = status.clock.saturating_sub(age).saturating_sub(EARLIER_MAX);

@@ -8,7 +8,7 @@ use crate::global::Global;
 use crate::output::{Facts, Output, Table, warn};
 use crate::session::{ABAC, Session};
 use crate::time;
-use chrono::{DateTime, TimeDelta};
+use ledger_base::moment::rfc3339_seconds;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::RobotAsset;
 use ros_bridge::config::PROGRAM_SECTIONS;
@@ -19,9 +19,11 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// How long permissions count; certificates of SROS2 count as long.
-const VALID: TimeDelta = TimeDelta::days(3650);
+const VALID: u64 = 3650 * DAY;
 /// Permissions begin so long ago: the clocks of robots may be behind.
-const BEFORE: TimeDelta = TimeDelta::days(1);
+const BEFORE: u64 = DAY;
+/// In microseconds.
+const DAY: u64 = 24 * 3600 * 1_000_000;
 /// Stands for the keystore where none was named.
 const KEYSTORE: &str = "KEYSTORE";
 
@@ -182,9 +184,10 @@ fn nothing(config: &Path) -> Rejection {
 }
 
 fn validity() -> (String, String) {
-    let now = i64::try_from(time::now()).ok().and_then(DateTime::from_timestamp_micros).unwrap_or_default();
-    let text = |moment: DateTime<chrono::Utc>| moment.format("%Y-%m-%dT%H:%M:%S").to_string();
-    (text(now - BEFORE), text(now + VALID))
+    let now = time::now();
+    // Without the zone, as the schema of DDS Security has it.
+    let text = |moment: u64| rfc3339_seconds(moment).trim_end_matches('Z').to_owned();
+    (text(now.saturating_sub(BEFORE)), text(now.saturating_add(VALID)))
 }
 
 fn put(path: &Path, text: &str) -> Result<(), Rejection> {

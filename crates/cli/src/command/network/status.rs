@@ -1,10 +1,10 @@
 //! `network status`: how every node is, asked one by one.
 
-use super::current;
 use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
 use crate::health::{Certificate, Check, Disk, Voters, attention, clock_wrong, lag, uncertified};
+use crate::nodes::current;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;

@@ -16,6 +16,7 @@ use ledger_contract::PolicyDraft;
 /// The set takes the place of all policies of your organisation, and has a number. Grants that it no longer permits end in the
 /// same block. Where others must agree, propose it first, and apply the proposal once they have.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("files", |files| files.required_unless_present_any(["proposal", "built_in"])))]
 #[command(after_help = "\
 Example:
   ledgerctl policy apply night.cedar guests.cedar -m 'guests until Friday'

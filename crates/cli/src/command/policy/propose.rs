@@ -22,6 +22,7 @@ const DIGITS_MIN: usize = 8;
 /// This is your approval, too. It comes in force when an admin of your organisation applies it, once enough have
 /// approved. It replaces only the set that is in force now.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("files", |files| files.required_unless_present_any(["built_in", "restore"])))]
 #[command(after_help = "\
 Example:
   ledgerctl policy propose night.cedar guests.cedar -m 'guests until Friday'

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 pub(super) struct Set {
     /// Files with policies in Cedar: night.cedar is the policy `night`
-    #[arg(value_name = "FILE", required_unless_present_any = ["proposal", "built_in", "restore"])]
+    #[arg(value_name = "FILE")]
     files: Vec<PathBuf>,
     /// No policy of your own: the built-in one decides
     #[arg(long, conflicts_with = "files")]

@@ -1,12 +1,15 @@
 //! Routes that follow the quality of service of the others on their topic, and latched topics.
 
 use super::*;
-use crate::{
-    door::Door,
+use crate::graph::{
+    local::LocalGraph,
+    loop_filter::LoopFilter,
     mark::Mark,
     qos::{Durability, Reliability},
+    reach::Reach,
 };
 use ledger_base::hash::Hash;
+use tokio::sync::watch;
 
 const HOUR_US: u64 = 3_600_000_000;
 
@@ -58,30 +61,30 @@ async fn what_a_reader_has_heard_comes_first_from_the_one_that_takes_its_place()
         return;
     }
     let (topic, message) = names();
-    let local = Local::open(DOMAIN, &Reach::default(), "bridge", false).await.unwrap();
+    let local = LocalGraph::join(DOMAIN, &Reach::default(), "bridge", false).await.unwrap();
     let mark = Mark::new(&Hash([1; 32]), "T/cmd_vel");
-    let door = Arc::new(Door::new(mark, "T/cmd_vel", DEADLINE, Arc::clone(local.delivered())));
+    let filter = Arc::new(LoopFilter::new(mark, "T/cmd_vel", DEADLINE, Arc::clone(local.delivered())));
     let limits = Limits { queue_samples_max: 1, ..Limits::default() };
     let (tell, follows) = watch::channel(Qos::default());
-    let (mut inlet, matched, _) = local.inlet(&topic, &message, follows, limits, door).await.unwrap();
+    let mut input = local.input(&topic, &message, follows, limits, filter).await.unwrap();
     let graph = Participant::open(DOMAIN, "beside").await.unwrap();
     let writer = graph.writer(&topic, &message, &Qos::default()).unwrap();
-    for end in [&matched, writer.matched()] {
+    for end in [input.matched(), writer.matched()] {
         assert!(tokio::time::timeout(DEADLINE, end.at_least(1)).await.unwrap());
     }
     writer.write(&twist(1)).unwrap();
     writer.write(&twist(2)).unwrap();
     // The second one waits as soon as it has taken the place of the first.
     let waits = async {
-        while inlet.dropped() == 0 {
+        while input.dropped() == 0 {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
     tokio::time::timeout(DEADLINE, waits).await.unwrap();
     tell.send_replace(qos(Reliability::BestEffort, Durability::Volatile));
-    assert!(inlet.follow().is_some());
-    assert_eq!(inlet.try_next().unwrap().sample, twist(2));
-    assert_eq!(inlet.dropped(), 1);
+    input.follow();
+    assert_eq!(input.try_next().unwrap().sample, twist(2));
+    assert_eq!(input.dropped(), 1);
 }
 
 #[tokio::test]

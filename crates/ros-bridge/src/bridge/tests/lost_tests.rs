@@ -1,7 +1,11 @@
 //! A bridge that loses its DDS.
 
 use super::*;
-use crate::sight::View;
+use crate::{
+    bridge::run::Started,
+    monitor::{BridgeMonitor, BridgeView},
+};
+use futures::FutureExt;
 use tokio::sync::{mpsc, oneshot};
 
 #[tokio::test]
@@ -26,9 +30,9 @@ async fn a_bridge_that_loses_the_local_graph_joins_it_again_and_carries_messages
         tell.send((bridge.local.participant().clone(), own.unwrap())).unwrap();
         Ok::<Started, _>((bridge, std::future::pending().boxed()))
     };
-    let sight = Sight::default();
-    assert!(matches!(sight.look(), View::Waits(None)));
-    let running = keep_running(config, futures::stream::pending(), async { drop(ended.await) }, start, &sight);
+    let monitor = BridgeMonitor::default();
+    assert!(matches!(monitor.look(), BridgeView::Waits(None)));
+    let running = keep_running(config, futures::stream::pending(), async { drop(ended.await) }, start, &monitor);
     let graph = Participant::open(DOMAIN, "beside").await.unwrap();
     let (topic, message) = names();
     let reader = graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
@@ -41,7 +45,7 @@ async fn a_bridge_that_loses_the_local_graph_joins_it_again_and_carries_messages
             let signed = sign(&network.salma, 3, seq, &twist(7), now);
             fake.deliver(now, "message", &json!({}), Some((&signed, &network.salma.certificate)));
             while next(&mut robot).await != twist(7) {}
-            let View::Runs(standing) = sight.look() else { unreachable!("the bridge carries messages") };
+            let BridgeView::Runs(standing) = monitor.look() else { unreachable!("the bridge carries messages") };
             let route = &standing.routes[0];
             assert_eq!((standing.domain, route.is_open, route.is_held, route.takes_in), (DOMAIN, true, true, false));
             assert_eq!((route.age.count(), route.commit.count()), (1, 0), "{route:?}");

@@ -1,8 +1,9 @@
 //! A bridge whose shared memory ends.
 
 use super::*;
-use crate::{door::Door, mark::Mark};
+use crate::graph::{local::LocalGraph, loop_filter::LoopFilter, mark::Mark, reach::Reach};
 use ledger_base::hash::Hash;
+use tokio::sync::watch;
 
 #[tokio::test]
 async fn a_topic_whose_shared_memory_ends_is_read_over_dds_and_its_route_goes_on() {
@@ -10,13 +11,13 @@ async fn a_topic_whose_shared_memory_ends_is_read_over_dds_and_its_route_goes_on
         return;
     }
     let (topic, message) = names();
-    let local = Local::open(DOMAIN, &Reach::default(), "ledgerd_bridge", true).await.unwrap();
+    let local = LocalGraph::join(DOMAIN, &Reach::default(), "ledgerd_bridge", true).await.unwrap();
     let mark = Mark::new(&Hash::ZERO, "T/cmd_vel");
-    let door = Arc::new(Door::new(mark, "T/cmd_vel", Duration::from_secs(10), Arc::clone(local.delivered())));
+    let filter = Arc::new(LoopFilter::new(mark, "T/cmd_vel", Duration::from_secs(10), Arc::clone(local.delivered())));
     let (_unchanged, qos) = watch::channel(Qos::default());
-    let (mut inlet, _, in_memory) = local.inlet(&topic, &message, qos, Limits::default(), door).await.unwrap();
-    assert!(in_memory.is_some());
-    inlet.break_down_shared_memory();
+    let mut input = local.input(&topic, &message, qos, Limits::default(), filter).await.unwrap();
+    assert!(input.in_memory().is_some());
+    input.break_down_shared_memory();
     let graph = Participant::open(DOMAIN, "beside").await.unwrap();
     let writer = graph.writer(&topic, &message, &Qos::default()).unwrap();
     let heard = async {
@@ -25,7 +26,7 @@ async fn a_topic_whose_shared_memory_ends_is_read_over_dds_and_its_route_goes_on
             // Both find each other one after the other.
             tokio::select! {
                 _ = due.tick() => writer.write(&twist(4)).unwrap(),
-                incoming = inlet.next() => break incoming.map(|incoming| incoming.sample),
+                incoming = input.next() => break incoming.map(|incoming| incoming.sample),
             }
         }
     };

@@ -92,7 +92,7 @@ async fn diagnosis_with(bench: &Bench, holds: impl Fn(&str) -> bool) -> String {
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
     let (topic, message) = (TopicName::parse("/diagnostics").unwrap(), TypeName::parse(kind).unwrap());
     let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
-    let array = crate::typed::of(kind).unwrap();
+    let array = crate::graph::messages::builtin::of(kind).unwrap();
     let heard = async {
         loop {
             let yaml = array.decode(reader.next().await.unwrap().sample.wire()).unwrap().to_yaml(None);
@@ -184,9 +184,9 @@ async fn shows_the_holder(direction: &str) {
     let more = format!("direction = '{direction}'\nholder_topic = '/t/holder'");
     let bench = bench("exclusive", &more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
     let (topic, kind) = (TopicName::parse("/t/holder").unwrap(), TypeName::parse("std_msgs/msg/String").unwrap());
-    let latched = Qos { durability: crate::qos::Durability::TransientLocal, ..Qos::default() };
+    let latched = Qos { durability: crate::graph::qos::Durability::TransientLocal, ..Qos::default() };
     let mut reader = bench.graph.reader(&topic, &kind, &latched, Limits::default()).unwrap();
-    let text = crate::typed::of("std_msgs/msg/String").unwrap();
+    let text = crate::graph::messages::builtin::of("std_msgs/msg/String").unwrap();
     let hear = async |reader: &mut Reader| {
         let heard = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
         text.decode(heard.sample.wire()).unwrap().to_yaml(None)

@@ -1,7 +1,7 @@
 //! Stop messages that nobody ordered: at the start of a bridge, when a driver is silent, and beside a side door.
 
 use super::*;
-use crate::shm;
+use crate::graph::shm;
 
 #[tokio::test]
 async fn a_bridge_that_comes_back_stops_the_robot_that_the_one_before_it_left_moving() {
@@ -199,7 +199,7 @@ async fn another_bridge_of_the_service_in_shared_memory_is_no_side_door() {
             tokio::time::sleep(Duration::from_millis(50)).await;
             assert_eq!([&bench, &other].map(|bench| beside(&bench.bridge)), [0, 0]);
             let routes = [&bench, &other].map(|bench| bench.bridge.roster.open().next().unwrap());
-            let publishers = routes.map(|route| route.in_memory.as_ref().unwrap().publishers().len());
+            let publishers = routes.map(|route| route.in_memory().unwrap().publishers().len());
             if publishers == [1, 1] && since.elapsed() > Duration::from_secs(5) {
                 return;
             }

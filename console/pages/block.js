@@ -1,0 +1,55 @@
+// A block with its transactions.
+
+import { get } from "../data/api.js";
+import { moment } from "../data/bytes.js";
+import { h } from "../view/dom.js";
+import { Asked, address, empty, facts, page, rejected, table } from "../view/parts.js";
+import { callOf, eventsOf, verdict } from "./transaction.js";
+
+/**
+ * @typedef {import("../answers.js").Block} Block
+ * @typedef {import("../answers.js").Transaction} Transaction
+ */
+
+/** @param {import("../main.js").Visit} visit */
+export function open({ parts: [height = ""] }) {
+  /** @type {Asked<Block>} */
+  const asked = new Asked(() => get(`/v1/blocks/${encodeURIComponent(height)}`));
+  return {
+    end: () => asked.end(),
+    show: () => page(`Block ${height}`, null, rejected(asked.error), asked.answer && contents(asked.answer)),
+  };
+}
+
+/** @param {Block} block */
+function contents({ height, time, term, hash, previous_hash: previous, root, state_digest: digest, kind, transactions, events }) {
+  const before = address("blocks", String(Math.max(0, height - 1)));
+  return [
+    facts(
+      ["Time", moment(time)],
+      ["Term", term],
+      ["Hash", h("code", hash)],
+      ["Block before", h("a", { href: before }, h("code", previous))],
+      ["Root of the transactions", h("code", root)],
+      ["State digest", h("code", digest)],
+    ),
+    h("h2", "Transactions"),
+    transactions.length === 0 && empty(`None: ${kind}.`),
+    transactions.length > 0 && table("Transactions", ["Position", "Call", "Signer", "Verdict", "Id"], transactions.map(row)),
+    events.length > 0 && [h("h2", "Events of the block itself"), eventsOf(events)],
+  ];
+}
+
+/** @param {Transaction} transaction */
+function row(transaction) {
+  const { id, index, creator } = transaction;
+  return h(
+    "tr",
+    { key: id },
+    h("td", index),
+    h("td.wide", callOf(transaction)),
+    h("td", creator),
+    h("td", verdict(transaction)),
+    h("td", h("a", { href: address("tx", id) }, h("code", id.slice(0, 16)))),
+  );
+}

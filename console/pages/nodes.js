@@ -1,0 +1,140 @@
+// The nodes of the network: each by its own report to the node of this console, and its links as that node sees them.
+
+import { get } from "../data/api.js";
+import { moment, size, span } from "../data/bytes.js";
+import { now } from "../data/ledger.js";
+import { live } from "../data/live.js";
+import { h } from "../view/dom.js";
+import { Asked, empty, facts, page, table } from "../view/parts.js";
+
+/**
+ * @typedef {import("../answers.js").Status} Status
+ * @typedef {import("../answers.js").NodeOfNetwork} NodeOfNetwork
+ */
+
+const NODES_MS = 5000;
+const SOON = 30 * 86400e6;
+const LOW_PART = 10;
+
+export function open() {
+  /** @type {Asked<{ nodes: NodeOfNetwork[] }>} */
+  const asked = new Asked(() => get("/v1/nodes"), NODES_MS);
+  return {
+    end: () => asked.end(),
+    show() {
+      const own = live.status;
+      if (!own) return page("Nodes", null, empty("Asking the node…"));
+      const nodes = asked.answer?.nodes ?? [];
+      const newest = Math.max(own.committed, ...nodes.map(({ status }) => status?.committed ?? 0));
+      return page(
+        "Nodes",
+        h("span.dim", `as ${own.organisation}/${own.node_name} sees them`),
+        alarms(own),
+        table(
+          "Nodes",
+          ["Node", "Role", "Address", "Connected", "Height", "Lag", "Disk free", "Certificate", "Version"],
+          nodes.map((node) => row(node, own, newest)),
+        ),
+        !asked.answer && empty("Asking the nodes…"),
+        h("h2", "This node"),
+        describe(own),
+        h("h2", "Certificates"),
+        certificates(own),
+      );
+    },
+  };
+}
+
+/** @param {Status} status */
+function alarms({ divergence, lies, voters, voters_reachable: reachable }) {
+  const majority = Math.floor(voters / 2) + 1;
+  const alarm = (/** @type {string} */ title, /** @type {string} */ text) => h("div.rejected", { role: "alert" }, h("strong", `${title}:`), ` ${text}`);
+  return [
+    divergence && alarm("The chains differ", divergence),
+    lies && alarm("A node has lied", lies),
+    reachable < majority && alarm("No quorum", `${reachable} of ${voters} voters are connected, ${majority} are needed.`),
+    reachable === majority && voters > 2 && h("p.warning", "One voter less, and nothing is ordered."),
+  ];
+}
+
+/** @param {Status} own */
+function describe(own) {
+  const { disk } = own;
+  return facts(
+    ["Leader", leader(own)],
+    ["Term", own.term],
+    ["Height", `${own.height}, certified to ${own.certified}`],
+    ["Voters", `${own.voters_reachable} of ${own.voters} connected`],
+    ["Divergence", own.divergence || "none: all agree"],
+    ["Disk", h("span", { class: warning(isShort(own)) }, `${size(disk.free_bytes)} free of ${size(disk.total_bytes)}, accepts ${disk.accepts}`)],
+    ["Memory", size(own.resident_bytes)],
+    ["Running for", span(own.uptime_ms * 1000)],
+    ["Calls", `${own.in_flight} of ${own.in_flight_max} in flight, ${own.subscribers} subscriptions`],
+    ["Version", own.version],
+  );
+}
+
+/** @param {Status} own */
+function certificates(own) {
+  const shown = own.certificates.filter(({ kind }) => kind !== "list").sort((one, other) => one.not_after - other.not_after);
+  const rows = shown.map(({ kind, name, not_after: notAfter }) => {
+    const left = notAfter - now();
+    return h("tr", { key: `${kind}/${name}` }, h("td", kind), h("td.wide", name), h("td", moment(notAfter).slice(0, 10)), h("td", { class: warning(left < SOON) }, span(left)));
+  });
+  return table("Certificates", ["Kind", "Name", "Ends", "In"], rows);
+}
+
+/** @param {boolean} is */
+const warning = (is) => (is ? "soon" : undefined);
+
+/** @param {Status} status */
+const isShort = ({ disk }) => disk.free_bytes * LOW_PART < disk.total_bytes || disk.accepts !== "all";
+
+/**
+ * A node: `own` is the node of this console, `newest` the newest block of any node.
+ * @param {NodeOfNetwork} node
+ * @param {Status} own
+ * @param {number} newest
+ */
+function row({ id, name, organisation, status, reason }, own, newest) {
+  const peer = own.peers.find(({ node_id: of }) => of === id);
+  const isHere = id === own.node_id;
+  const connected = isHere || peer?.connected === true;
+  const full = `${organisation}/${name}`;
+  return h(
+    "tr",
+    { key: id },
+    h("td", isHere ? h("b", full) : full),
+    h("td", id === own.leader_id ? "leader" : (status?.role ?? peer?.role)),
+    h("td", isHere ? "this node" : peer?.address),
+    h("td", h(`span.what.${connected ? "good" : "bad"}`, connected ? "yes" : "no")),
+    status ? report(status, newest) : h("td.wide.dim", { colspan: 5 }, reason),
+  );
+}
+
+/**
+ * The cells of a node's own report.
+ * @param {Status} status
+ * @param {number} newest
+ */
+function report(status, newest) {
+  const { height, catching_up_to: upTo, certificates, disk, version } = status;
+  const behind = Math.max(0, newest - height);
+  const certificate = certificates.find(({ kind }) => kind === "node");
+  const left = certificate && certificate.not_after - now();
+  return [
+    h("td", height),
+    h("td", upTo ? `${behind} blocks, fetching` : behind),
+    h("td", { class: warning(isShort(status)) }, size(disk.free_bytes)),
+    h("td", { class: warning(left !== undefined && left < SOON) }, left !== undefined && `${span(left)} left`),
+    h("td", version),
+  ];
+}
+
+/** @param {Status} own */
+function leader({ leader_id: leads, node_id: here, organisation, node_name: name, peers }) {
+  if (leads === 0) return "none is known";
+  if (leads === here) return `${organisation}/${name}, this node`;
+  const found = peers.find(({ node_id: of }) => of === leads);
+  return found ? `${found.organisation}/${found.name}` : `node ${leads}`;
+}

@@ -1,0 +1,38 @@
+//! The words for two endpoints that DDS keeps apart because of their quality of service.
+
+use rustdds::dds::qos::QosPolicyId;
+
+use super::ros_discovery::Role;
+
+/// The change that brings them together: a setting of the route, where one decides about the policy.
+pub(super) fn remedy(ours: Role, policy: QosPolicyId) -> &'static str {
+    match (policy, ours) {
+        (QosPolicyId::Reliability, Role::Reads) => "set `qos = { reliability = \"best_effort\" }`",
+        (QosPolicyId::Durability, Role::Reads) => "set `qos = { durability = \"volatile\" }`",
+        (QosPolicyId::Reliability, Role::Writes) => "set `qos = { reliability = \"reliable\" }`",
+        (QosPolicyId::Durability, Role::Writes) => "set `qos = { durability = \"transient_local\" }`",
+        _ => "no setting of the route decides about it, so change the other node",
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use std::path::Path;
+
+    #[test]
+    fn a_route_accepts_the_setting_that_brings_it_together_with_another_node() {
+        let route = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
+        for policy in [QosPolicyId::Reliability, QosPolicyId::Durability] {
+            for ours in [Role::Reads, Role::Writes] {
+                let words = remedy(ours, policy);
+                let setting = words.split('`').nth(1).unwrap();
+                let config = Config::parse(&format!("{route}\n{setting}"), Path::new(""), |_| ());
+                assert!(config.is_ok(), "{setting}: {:?}", config.err());
+            }
+        }
+        assert!(!remedy(Role::Reads, QosPolicyId::Deadline).contains('`'), "routes have no deadline");
+    }
+}

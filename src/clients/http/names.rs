@@ -1,0 +1,115 @@
+//! The names by which this machine is reached, and the pages that requests come from.
+//!
+//! A page of somebody else can make a browser send requests here: these say so in `Origin`. And its owner can let its own name
+//! point to this machine (DNS rebinding): these requests have that name in `Host`.
+
+use axum::extract::Request;
+use axum::http::header::{HOST, HeaderName, ORIGIN};
+use axum::http::{HeaderMap, Method};
+use std::net::IpAddr;
+
+/// Where a browser says whether a request comes from a page of the same origin.
+const SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+
+/// The names of a listener.
+pub(crate) struct Names {
+    scheme: &'static str,
+    hosts: Vec<String>,
+}
+
+/// The host of `HOST:PORT`, without the brackets of IPv6.
+pub(crate) fn host_of(authority: &str) -> &str {
+    match authority.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or(rest),
+        None => authority.split(':').next().unwrap_or(authority),
+    }
+}
+
+/// `HOST:PORT` of a request: HTTP/2 has it in the address.
+pub(super) fn host(request: &Request) -> Option<String> {
+    let named = request.headers().get(HOST).map(|host| host.to_str().unwrap_or_default());
+    named.or_else(|| request.uri().authority().map(|authority| authority.as_str())).map(str::to_owned)
+}
+
+/// Does a page in a browser send this?
+pub(super) fn is_of_other_page(headers: &HeaderMap) -> bool {
+    headers.contains_key(ORIGIN) || headers.contains_key(SITE)
+}
+
+impl Names {
+    /// Addresses belong to every listener, and so does `localhost`.
+    pub(crate) fn new(hosts: impl IntoIterator<Item = String>, is_secure: bool) -> Self {
+        let hosts = hosts.into_iter().chain(["localhost".to_owned()]).filter(|host| !host.is_empty());
+        let hosts = hosts.map(|host| host.to_ascii_lowercase()).collect();
+        Self { scheme: if is_secure { "https" } else { "http" }, hosts }
+    }
+
+    /// `http` or `https`.
+    pub(crate) fn scheme(&self) -> &'static str {
+        self.scheme
+    }
+
+    /// Is this, `HOST` or `HOST:PORT`, one of them? An address belongs to no name that somebody could let point elsewhere.
+    pub(super) fn has(&self, authority: &str) -> bool {
+        let host = host_of(authority).to_ascii_lowercase();
+        host.parse::<IpAddr>().is_ok() || self.hosts.contains(&host)
+    }
+
+    /// The origin of a request for this listener; none if it is meant for another one, or comes from another page.
+    pub(crate) fn origin(&self, headers: &HeaderMap, method: &Method) -> Option<String> {
+        let host = headers.get(HOST)?.to_str().ok().filter(|host| self.has(host))?;
+        let own = format!("{}://{host}", self.scheme);
+        let is_own = match headers.get(ORIGIN) {
+            Some(told) => told.to_str().is_ok_and(|told| told.eq_ignore_ascii_case(&own)),
+            None => method == Method::GET || method == Method::HEAD,
+        };
+        is_own.then_some(own)
+    }
+
+    /// May a session be used by this request, whose `Origin` is right? Browsers leave `Origin` out where a page reads from its own
+    /// origin, and say `same-origin` instead.
+    pub(crate) fn is_of_own_page(headers: &HeaderMap) -> bool {
+        headers.get(SITE).is_none_or(|site| site == "same-origin")
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn origin(method: Method, host: &str, origin: Option<&str>) -> Option<String> {
+        let mut headers = HeaderMap::new();
+        headers.insert(HOST, host.parse().unwrap());
+        if let Some(origin) = origin {
+            headers.insert(ORIGIN, origin.parse().unwrap());
+        }
+        Names::new(["robots.example", "node1.lan"].map(str::to_owned), true).origin(&headers, &method)
+    }
+
+    #[test]
+    fn another_page_and_a_foreign_name_are_rejected() {
+        for host in
+            ["robots.example", "Robots.Example:7452", "node1.lan:7452", "localhost:9", "10.0.0.4:7452", "[::1]:7452"]
+        {
+            assert_eq!(origin(Method::GET, host, None), Some(format!("https://{host}")), "{host}");
+            assert_eq!(origin(Method::POST, host, Some(&format!("https://{host}"))), Some(format!("https://{host}")));
+            for other in [None, Some("null"), Some("https://evil.example"), Some("http://localhost:9")] {
+                assert_eq!(origin(Method::POST, host, other), None, "{host} {other:?}");
+            }
+        }
+        for host in ["evil.example", "robots.example.evil.example", "10.0.0.4.evil.example", "", "[::1].evil"] {
+            let is_ours = host.starts_with("[::1]");
+            assert_eq!(origin(Method::GET, host, None).is_some(), is_ours, "{host}");
+        }
+    }
+
+    #[test]
+    fn a_session_is_used_by_its_own_page_or_by_a_program() {
+        let from = |site: &str| HeaderMap::from_iter([(SITE, site.parse().unwrap())]);
+        assert!(Names::is_of_own_page(&from("same-origin")) && Names::is_of_own_page(&HeaderMap::new()));
+        for site in ["cross-site", "same-site", "none"] {
+            assert!(!Names::is_of_own_page(&from(site)), "{site}");
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! Connects ordering with the subsystems that are built after it.
+
+use crate::clients::rejections::Rejections;
+use crate::ordering::orderer::Outlet;
+use crate::ordering::reads::ReadIndex;
+use crate::peers::Peers;
+use ledger::Refusal;
+use ledger_light::DoubleVote;
+use ledger_raft::PeerMessage;
+use ledger_replica::Known;
+use std::sync::Arc;
+
+/// Passes on what ordering hands out.
+pub(super) struct ToSubsystems {
+    /// Answers to readers.
+    pub reads: ReadIndex,
+    /// Messages to other nodes, and proofs of lies.
+    pub peers: Arc<Peers>,
+    /// Rejected calls.
+    pub rejections: Arc<Rejections>,
+}
+
+impl Outlet for ToSubsystems {
+    fn send(&self, to: u64, message: &PeerMessage) -> bool {
+        self.peers.connections.send(to, message)
+    }
+
+    fn answered(&self, question: u64, answer: Known) {
+        self.reads.answered(question, answer);
+    }
+
+    fn rejected(&self, now: u64, refusal: &Refusal) {
+        self.rejections.record(now, refusal);
+    }
+
+    fn voted_twice(&self, proof: Box<DoubleVote>) {
+        self.peers.certificates.voted_twice(proof);
+    }
+}
