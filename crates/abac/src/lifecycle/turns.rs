@@ -5,7 +5,7 @@
 //! others, and nobody's release can fail because of who waits. The work of a block is bounded: services that are looked at, turns,
 //! and steps of policies.
 
-use super::follow_up::FollowUp;
+use super::follow_up::Ending;
 use super::settle::settle;
 use crate::lifecycle::acquisition;
 use crate::lifecycle::contest::Contest;
