@@ -45,14 +45,14 @@ pub(crate) enum Asked {
 
 /// A question about anybody.
 pub(crate) struct Case {
-    action: String,
-    asked: Asked,
-    texts: Texts,
+    pub(crate) action: String,
+    pub(crate) asked: Asked,
+    pub(crate) texts: Texts,
     /// The number of the set in force; 0 for policies of the question.
-    version: u64,
-    steps: u64,
+    pub(crate) version: u64,
+    pub(crate) steps: u64,
     /// Microseconds since the UNIX epoch.
-    time: u64,
+    pub(crate) time: u64,
 }
 
 impl Case {
