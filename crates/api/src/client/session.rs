@@ -13,7 +13,6 @@ use super::retry::is_final;
 use super::uplink::Uplink;
 use crate::connect::{Connection, Credentials};
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
-use ledger::Rules;
 use ledger_base::rejection::{Code, Rejection};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -10,7 +10,6 @@ mod recorded;
 mod set;
 mod test;
 
-use crate::answer;
 use crate::argument::bytes;
 use crate::failure::Failure;
 use crate::global::Global;

@@ -9,20 +9,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
-use ledger_api::{Certified, pages};
+use ledger_api::Certified;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Grant, RobotAsset};
-use ledger_gate::{
-    ABAC, MSP,
-    service::Revoked,
-    standing::{Members, Standing},
-};
+use ledger_gate::standing::{Members, Standing};
 use ledger_light::Governance;
 use tokio::{sync::Mutex, time::timeout};
 
-use super::gateway::{Gateway, ask, read};
+use super::gateway::Gateway;
 
 /// How long an answer may take.
 const ANSWER_MAX: Duration = Duration::from_secs(5);

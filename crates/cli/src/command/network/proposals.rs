@@ -1,10 +1,10 @@
 //! `network propose|proposals|approve|withdraw`: what waits for approval.
 
 use super::change::decide;
-use super::decision::{Decided, joined, short, what};
+use super::decision::{Decided, joined, node_role, short, what};
 use super::json;
 use crate::answer;
-use crate::command::chaincode::Call;
+use crate::command::chaincode;
 use crate::failure::Failure;
 use crate::nodes::nodes;
 use crate::output::{Facts, Output, Table, printable};
@@ -31,7 +31,7 @@ Example:
   ledgerctl network propose msp remove_organisation '{\"name\":\"Org3\"}'")]
 pub(crate) struct Propose {
     #[command(flatten)]
-    call: Call,
+    call: chaincode::Call,
 }
 
 /// Approve a proposal for your organisation; for admins.
@@ -63,7 +63,7 @@ impl Propose {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let (chaincode, function, args) = self.call.read()?;
         let done = format!("{chaincode} {function} was executed");
-        let call = json(&ledger::Call { chaincode, function, args })?;
+        let call = json(&Call { chaincode, function, args })?;
         decide(session, output, "propose", call, done).await
     }
 }

@@ -30,8 +30,6 @@ pub(in crate::oracle) struct Waiter {
     pub(in crate::oracle) task: Option<u64>,
 }
 
-/// The outcome of a turn.
-#[derive(Clone, Copy, PartialEq, Eq)]
 /// Does a contender come by itself, or because the last one has confirmed it?
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stage {
