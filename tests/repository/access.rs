@@ -4,8 +4,15 @@ use crate::sources::{code, files, product, read, root};
 use std::path::Path;
 
 /// The layers of `crates/abac`, from the lowest: modules that stand side by side, each a file and perhaps a folder.
-const LAYERS: [&[&str]; 6] =
-    [&["arguments", "fixture", "nearest"], &["records"], &["rules"], &["policy"], &["actions"], &["contract"]];
+const LAYERS: [&[&str]; 7] = [
+    &["arguments", "fixture", "nearest"],
+    &["records"],
+    &["rules"],
+    &["policy"],
+    &["lifecycle"],
+    &["calls"],
+    &["contract"],
+];
 
 /// The file that declares modes, and derives what an older node does not tell.
 const DECLARES: &str = "crates/contract/src/";

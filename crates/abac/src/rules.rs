@@ -14,7 +14,7 @@ pub(crate) mod priority;
 pub(crate) mod terms;
 
 use self::terms::Terms;
-use crate::records::service::Target;
+use crate::records::target::Target;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Capabilities, Direction, Mode, Sharing};

@@ -266,9 +266,12 @@ impl Gateway for Fake {
         std::future::ready(Ok(0)).boxed()
     }
 
-    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>> {
-        let founded = self.certifies.load(Ordering::Relaxed).then(|| self.founded.clone());
-        std::future::ready(Ok(founded)).boxed()
+    fn beginning(&self) -> BoxFuture<'static, Result<Governance, Rejection>> {
+        let founded = match self.certifies.load(Ordering::Relaxed) {
+            true => Ok(self.founded.clone()),
+            false => Err(Rejection::new(Code::NotFound, "the node shows no genesis")),
+        };
+        std::future::ready(founded).boxed()
     }
 
     /// The checks of proofs are those of the client: here the answer is as if they had been made.

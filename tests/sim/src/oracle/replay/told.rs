@@ -51,22 +51,6 @@ struct OfTask {
     reason: String,
 }
 
-/// The service of the first turn at the start of a block: somebody was granted it, or was not permitted any more.
-pub(super) fn first_turn(outcome: &Outcome) -> Option<&str> {
-    let mut own = outcome.events.iter().take_while(|emitted| emitted.index.is_none()).map(|emitted| &emitted.event);
-    let turn = own.find(|event| {
-        let left = || serde_json::from_slice::<Told>(&event.payload).unwrap().reason;
-        let task = || serde_json::from_slice::<OfTask>(&event.payload).unwrap().reason;
-        let not_permitted = match &*event.name {
-            "left" => matches!(&*left(), "policy" | "expired"),
-            "task" => NOT_PERMITTED.contains(&&*task()),
-            name => name == "granted",
-        };
-        event.chaincode == "abac" && not_permitted
-    });
-    turn.map(|event| &*event.subject)
-}
-
 impl Standing {
     /// A block was executed.
     pub(super) fn follow(&mut self, outcome: &Outcome) {
