@@ -1,4 +1,4 @@
-//! What clients call: the gRPC gateway, the HTTP API, the console, and the pages for monitoring.
+//! Interfaces for clients: the gRPC gateway, the HTTP API, the console, and the pages for monitoring.
 //!
 //! | module | content |
 //! |---|---|
@@ -39,7 +39,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use tokio::task::JoinHandle;
 
-/// What a node offers to its clients.
+/// Interfaces of a node for its clients.
 pub(crate) struct Clients {
     /// The gRPC API.
     pub gateway: GatewayService,
@@ -61,7 +61,7 @@ impl Clients {
         ordering: &Arc<Ordering>,
         trust: &Trust,
         peers: &Arc<Peers>,
-        (tracer, started): (&Tracer, Instant),
+        (tracer, started): (Tracer, Instant),
     ) -> Result<Self, Rejection> {
         let (ordering, peers) = (|| Arc::clone(ordering), || Arc::clone(peers));
         let workers = tokio::runtime::Handle::current().metrics().num_workers();
@@ -89,7 +89,7 @@ impl Clients {
             retries: Retries::default(),
             payload_bytes_max: config.limits.payload_bytes_max,
             wait_max: config.order.timing().data_wait,
-            tracer: tracer.clone(),
+            tracer,
         };
         let subscriptions = Subscriptions {
             ordering: ordering(),
@@ -120,8 +120,16 @@ impl Clients {
         [tokio::spawn(vital_task(reporting.run())), tokio::spawn(vital_task(Arc::clone(&self.audit).keep()))]
     }
 
+    /// Where the steps of messages are told.
+    pub(crate) fn tracer(&self) -> Tracer {
+        self.gateway.submissions.intake.tracer.clone()
+    }
+
     /// No new calls.
     pub(crate) fn close(&self) {
         self.shares.close();
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -45,7 +45,7 @@ const HANDOVER_PAUSE: Duration = Duration::from_millis(20);
 
 /// Ordering and execution of a node, whose engine comes and goes.
 pub(crate) struct Ordering {
-    /// What is executed, and where it is kept.
+    /// The ledger and its files.
     pub storage: Arc<Storage>,
     /// The node's clock.
     pub clock: Clock,
@@ -156,3 +156,6 @@ impl Ordering {
         }
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

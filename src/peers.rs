@@ -200,3 +200,6 @@ impl Tasks {
         ]
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,4 +1,4 @@
-//! What a node keeps in its data directory, and the work that its disk needs.
+//! The data directory of a node, and the work on its disk.
 //!
 //! | module | content |
 //! |---|---|
@@ -37,7 +37,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use stores::Stores;
 
-/// What a running node keeps.
+/// The stores of a running node.
 pub(crate) struct Storage {
     /// The data directory.
     pub data: PathBuf,
@@ -115,3 +115,6 @@ impl Storage {
         Scrub::start(Arc::clone(&self.log.store), failure).map_err(|error| thread_error(&error))
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,4 +1,4 @@
-//! Who this node is and whom it trusts: certificates of organisations and nodes.
+//! Identity of this node, and certificates of organisations and nodes.
 //!
 //! | module | content |
 //! |---|---|
@@ -21,7 +21,7 @@ use crate::ordering::directory::Member;
 use crate::process::clock::wall;
 use crate::process::config::Config;
 use credentials::NodeCredentials;
-use enrolment::{Authorities, EnrolmentService, LedgerClient, Surroundings};
+use enrolment::{Authorities, EnrolmentService, LedgerClient, OwnNode};
 use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
@@ -32,7 +32,7 @@ use renewal::Renewer;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Who this node is, and whom it trusts.
+/// Identity of this node, and the organisations that it trusts.
 pub(crate) struct Trust {
     data: PathBuf,
     /// This node, as it was known when it started.
@@ -86,7 +86,7 @@ impl Trust {
     ) -> EnrolmentService {
         let storage = &ordering.storage;
         let client = LedgerClient::through(gateway, storage.ledger.network(), &self.identity, &self.organisations);
-        let surroundings = Surroundings {
+        let own = OwnNode {
             me: self.me.clone(),
             identity: self.identity.clone(),
             directory: Arc::clone(&ordering.directory),
@@ -94,7 +94,7 @@ impl Trust {
         };
         let genesis = (storage.genesis.clone(), storage.document.clone());
         let (authorities, ledger) = (Arc::clone(&self.authorities), Arc::clone(&storage.ledger));
-        EnrolmentService::new(authorities, ledger, surroundings, genesis, client, wall)
+        EnrolmentService::new(authorities, ledger, own, genesis, client, wall)
     }
 
     /// Replaces the node's certificate before it expires: by a CA of this node, or of another one of its organisation.
@@ -113,3 +113,6 @@ impl Trust {
         }
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -35,7 +35,7 @@ struct Waiting {
     told: TellRefusals,
 }
 
-/// What became of a report.
+/// Outcome of a report.
 enum Reported {
     OnTheLedger,
     Open,

@@ -14,13 +14,11 @@ use super::outlet::ToSubsystems;
 use super::revocations::Revocations;
 use crate::clients::Clients;
 use crate::ordering::Ordering;
-use crate::ordering::node_transactions::Author;
 use crate::ordering::orderer::Engines;
 use crate::ordering::spoken_rules::Telling;
 use crate::peers::conductor::Conductor;
 use crate::peers::quorum_certificates::Keys;
 use crate::peers::{Peers, Tasks};
-use crate::process::caller::Members;
 use crate::process::config::Config;
 use crate::process::meters::{Meters, Traced};
 use crate::storage::Storage;
@@ -41,19 +39,14 @@ use tokio::task::JoinHandle;
 
 /// An instance whose services can be called, and whose engine does not run yet.
 pub(crate) struct Instance {
-    pub(crate) storage: Arc<Storage>,
     pub(crate) ordering: Arc<Ordering>,
     pub(crate) trust: Arc<Trust>,
     peers: Arc<Peers>,
     pub(crate) clients: Clients,
-    pub(crate) tracer: Tracer,
     enrolment: EnrolmentService,
-    members: Arc<Members>,
-    author: Arc<Author>,
     engines: Arc<Engines>,
     checks: Tasks,
     housekeeping: Housekeeping,
-    timing: Timing,
 }
 
 /// A running instance.
@@ -68,7 +61,7 @@ pub(crate) struct Running {
 }
 
 impl Instance {
-    /// Builds the subsystems of a node that started at this moment.
+    /// Builds the subsystems of a node that started at this moment, and its services for the host to serve.
     ///
     /// # Errors
     /// If this is no node of the network, or its certificate or CA is not usable; a fault of the disk.
@@ -78,13 +71,13 @@ impl Instance {
         (storage, meters): (Arc<Storage>, Meters),
         credentials: NodeCredentials,
         started: Instant,
-    ) -> Result<Self, Rejection> {
+    ) -> Result<(Self, Services), Rejection> {
         let ordering = Ordering::new(config, &storage, host.clocks(), meters)?;
         let trust = Trust::new(config, credentials, &ordering)?;
         let author = ordering.author(&trust.identity);
         let (peers, checks) = Peers::new(config, &ordering, &trust, &author)?;
         let tracer = Tracer::start(&config.traces, "ledgerd", &trust.me.full_name());
-        let clients = Clients::new(config, &ordering, &trust, &peers, (&tracer, started))?;
+        let clients = Clients::new(config, &ordering, &trust, &peers, (tracer.clone(), started))?;
 
         let reachability = Arc::clone(&peers.reachability);
         let enrolment = trust.enrolment(&ordering, &host.own_gateway(), move || reachability.is_cut_off());
@@ -100,7 +93,7 @@ impl Instance {
             Arc::new(ordering.reads.clone()),
             Arc::clone(&ordering.executed) as _,
             Arc::new(Revocations::new(&members, &storage)),
-            Arc::new(Traced(tracer.clone())),
+            Arc::new(Traced(tracer)),
         ];
         let executor = Arc::new(Executor::new(Arc::clone(&storage.ledger), observers));
         let keys = Keys::new(trust.me.id, trust.identity.clone(), Arc::clone(&storage.ledger));
@@ -113,33 +106,14 @@ impl Instance {
         let engines = ordering.engines(&executor, ballots, Arc::new(outlet));
         let (waiters, clock) = (Arc::clone(&ordering.waiters), ordering.clock.clone());
         let housekeeping = storage.housekeeping(move || waiters.sweep(clock.elapsed()))?;
-        let timing = config.order.timing();
-        Ok(Self {
-            storage,
-            ordering,
-            trust,
-            peers,
-            clients,
-            tracer,
-            enrolment,
+        let services = Services {
+            gateway: clients.gateway.clone(),
+            enrolment: enrolment.clone(),
+            peer: peers.service(&ordering),
+            trust: Arc::clone(&trust.organisations),
             members,
-            author,
-            engines,
-            checks,
-            housekeeping,
-            timing,
-        })
-    }
-
-    /// Its services, for the host to serve.
-    pub(crate) fn services(&self) -> Services {
-        Services {
-            gateway: self.clients.gateway.clone(),
-            enrolment: self.enrolment.clone(),
-            peer: self.peers.service(&self.ordering),
-            trust: Arc::clone(&self.trust.organisations),
-            members: Arc::clone(&self.members),
-        }
+        };
+        Ok((Self { ordering, trust, peers, clients, enrolment, engines, checks, housekeeping }, services))
     }
 
     /// Starts the engine, which asks the other nodes first. Its services must be served by now: others that start at the same
@@ -147,12 +121,13 @@ impl Instance {
     ///
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
-    pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Running, Rejection> {
-        let Self { storage, ordering, trust, peers, clients, enrolment, author, engines, .. } = self;
+    pub(crate) async fn begin(self, timing: Timing, stopping: watch::Receiver<bool>) -> Result<Running, Rejection> {
+        let Self { ordering, trust, peers, clients, enrolment, engines, checks, housekeeping } = self;
+        let (storage, author) = (Arc::clone(&ordering.storage), ordering.author(&trust.identity));
         let me = trust.me.clone();
         let receipts = trust.receipt_secret(storage.ledger.network());
         let sync = peers.sync(&ordering, &engines.executor, &trust, stopping);
-        let conductor = Conductor::new((me.id, receipts), self.timing, engines, sync).begin().await?;
+        let conductor = Conductor::new((me.id, receipts), timing, engines, sync).begin().await?;
         let scrub = storage.scrub(ordering.failure.clone())?;
         let telling = Telling { author: Arc::clone(&author), me: me.id };
         let renewer = trust.renewer(&ordering, &enrolment);
@@ -163,9 +138,9 @@ impl Instance {
             tokio::spawn(vital_task(telling.run())),
             tokio::spawn(vital_task(async move { enrolment.keep_registered().await })),
         ];
-        beside.extend(self.checks.start());
+        beside.extend(checks.start());
         beside.extend(clients.start(&author));
-        Ok(Running { ordering, clients, housekeeping: self.housekeeping, scrub, conductor, beside })
+        Ok(Running { ordering, clients, housekeeping, scrub, conductor, beside })
     }
 }
 

@@ -136,14 +136,14 @@ impl Node {
             None => Host::listen(&config.listen).await?,
         };
         let host = if trusts_clock { host.trusting_its_clock() } else { host };
-        let instance = Instance::build(&host, config, (storage, meters), credentials, started)?;
-        let (identity, network) = (instance.trust.identity.clone(), instance.storage.ledger.network());
-        let (services, tracer) = (instance.services(), instance.tracer.clone());
+        let (instance, services) = Instance::build(&host, config, (storage, meters), credentials, started)?;
+        let (identity, tracer) = (instance.trust.identity.clone(), instance.clients.tracer());
+        let network = instance.ordering.storage.ledger.network();
         let sight = config.bridge.as_ref().map(|_| BridgeMonitor::default());
         let admin = admin(config, &identity, &services, sight.clone()).await?;
         let console = console(config, &host, &services).await?;
         let serving = host.serve(network, identity.clone(), services, &config.limits)?;
-        let instance = match instance.begin(serving.stopping()).await {
+        let instance = match instance.begin(config.order.timing(), serving.stopping()).await {
             Ok(instance) => instance,
             Err(reason) => {
                 serving.abort();

@@ -62,7 +62,7 @@ impl Observer for Witness {
 pub(crate) struct Attesting {
     /// Submits attestations.
     pub author: Arc<Author>,
-    /// What was computed, and the members of the network.
+    /// Results of execution, and the members of the network.
     pub ordering: Arc<Ordering>,
     /// The attestations of others.
     pub witness: Arc<Witness>,

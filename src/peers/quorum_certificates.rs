@@ -219,7 +219,7 @@ pub(crate) struct Certifying {
     pub certificates: Arc<Certificates>,
     /// Decides.
     pub certifier: Certifier<Keys>,
-    /// What executing gave, the log whose blocks are signed, and the members of the network.
+    /// Results of execution, the log whose blocks are signed, and the members of the network.
     pub ordering: Arc<Ordering>,
     /// The other nodes.
     pub connections: Arc<Connections>,

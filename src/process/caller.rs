@@ -1,4 +1,4 @@
-//! Who calls: the extension of every request, and the connections of members.
+//! The caller: the extension of every request, and the connections of members.
 
 use crate::process::connection_limiter::ConnectionLimiter;
 use ledger_identity::Identity;

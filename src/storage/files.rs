@@ -10,11 +10,11 @@ use std::fs;
 pub(crate) const CERTIFICATE_FILE: &str = "node.pem";
 /// Its private key.
 pub(crate) const KEY_FILE: &str = "node.key";
-/// What a node that has joined knows of itself before its ledger has it.
+/// Facts of a node that has joined, before its ledger has it.
 pub(crate) const JOINED_FILE: &str = "node.json";
 /// The mark of a world state that contradicts the others'.
 pub(crate) const DIVERGED_FILE: &str = "diverged";
-/// What voters have confirmed, across restarts: JSON, the number of each voter with a height and its receipt.
+/// Heights that voters have confirmed, across restarts: JSON, the number of each voter with a height and its receipt.
 pub(crate) const CONFIRMED_FILE: &str = "confirmed.json";
 /// The mark of a data directory that is a copy: the manifest of the backup.
 pub(crate) const RESTORED_FILE: &str = "restored.json";

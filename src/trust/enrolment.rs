@@ -60,18 +60,13 @@ pub(crate) struct EnrolmentService {
 }
 
 struct Shared {
-    /// This node.
-    me: Member,
-    /// Its certificate and key.
-    identity: TlsIdentity,
+    own: OwnNode,
     /// Calls the ledger as this node.
-    voice: LedgerClient,
+    client: LedgerClient,
     /// One request to join at a time.
     carrying: Semaphore,
     authorities: Arc<Authorities>,
     ledger: Arc<Ledger>,
-    directory: Arc<Directory>,
-    cut_off: Box<dyn Fn() -> bool + Send + Sync>,
     genesis: Genesis,
     /// The same, byte for byte.
     document: Bytes,
@@ -82,8 +77,8 @@ struct Shared {
     offer: Mutex<Option<Offer>>,
 }
 
-/// Which node this is, and what it knows of the network it is in.
-pub(crate) struct Surroundings {
+/// The node that serves the API.
+pub(crate) struct OwnNode {
     /// This node.
     pub me: Member,
     /// Its certificate and key.
@@ -99,22 +94,18 @@ impl EnrolmentService {
     pub(crate) fn new(
         authorities: Arc<Authorities>,
         ledger: Arc<Ledger>,
-        surroundings: Surroundings,
+        own: OwnNode,
         (genesis, document): (Genesis, Bytes),
-        voice: LedgerClient,
+        client: LedgerClient,
         clock: fn() -> u64,
     ) -> Self {
-        let Surroundings { me, identity, directory, cut_off } = surroundings;
         Self {
             shared: Arc::new(Shared {
-                me,
-                identity,
-                voice,
+                own,
+                client,
                 carrying: Semaphore::new(1),
                 authorities,
                 ledger,
-                directory,
-                cut_off,
                 genesis,
                 document,
                 clock,
@@ -237,7 +228,7 @@ impl Shared {
     fn network(&self) -> v1::NetworkResponse {
         let ders = |ders: &mut dyn Iterator<Item = &[u8]>| ders.map(Bytes::copy_from_slice).collect();
         let msps = self.ledger.msps();
-        let members = self.directory.members();
+        let members = self.own.directory.members();
         let organisations = msps.iter().map(|msp| v1::Organisation {
             name: msp.organisation().to_owned(),
             roots: ders(&mut msp.roots()),
@@ -255,7 +246,7 @@ impl Shared {
             label: self.genesis.label.clone(),
             organisations: organisations.collect(),
             clock: (self.clock)().max(self.ledger.tip().time),
-            cut_off: (self.cut_off)(),
+            cut_off: (self.own.cut_off)(),
             carries: self.authorities.organisations(),
             rules: self.ledger.rules().number(),
         }
@@ -329,7 +320,7 @@ impl Shared {
     /// The organisation at which somebody of this name would enrol: the one in front of it, or this node's.
     fn organisation_of(&self, name: &str) -> String {
         let named = name.split_once('/').map(|(organisation, _)| organisation);
-        named.filter(|named| named.len() <= NAME_BYTES_MAX).unwrap_or(&self.me.organisation).to_owned()
+        named.filter(|named| named.len() <= NAME_BYTES_MAX).unwrap_or(&self.own.me.organisation).to_owned()
     }
 
     /// A refusal; with the addresses of the nodes that carry the CA, if this one does not.

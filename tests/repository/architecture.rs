@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Longest map, in lines. Reasons belong into docs/decisions.
-const LINES_MAX: usize = 112;
+const LINES_MAX: usize = 110;
 
 /// Longest decision, in lines.
 const DECISION_LINES_MAX: usize = 40;

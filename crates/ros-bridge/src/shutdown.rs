@@ -18,7 +18,7 @@ pub(crate) async fn requested(shutdown: &mut Shutdown) {
 pub(crate) struct BackgroundTask {
     stop: watch::Sender<bool>,
     task: JoinHandle<()>,
-    /// What is logged if it ends by a panic.
+    /// The log message if it ends by a panic.
     complaint: &'static str,
 }
 

@@ -19,7 +19,7 @@ use tonic::Status;
 pub(crate) struct Records {
     /// The ledger, its blocks, and readers that wait for a current state.
     pub ordering: Arc<Ordering>,
-    /// What is certified, and whether the leader is reached.
+    /// The certified blocks, and whether the leader is reached.
     pub peers: Arc<Peers>,
     /// The turns to read.
     pub questions: Questions,

@@ -44,7 +44,7 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 pub(crate) struct Subscriptions {
     /// The ledger, its blocks, and readers that wait for a current state.
     pub ordering: Arc<Ordering>,
-    /// What is certified, and whether the leader is reached.
+    /// The certified blocks, and whether the leader is reached.
     pub peers: Arc<Peers>,
     /// The identities that have subscriptions.
     pub audience: Arc<Audience>,

@@ -1,6 +1,6 @@
 //! Bodies of requests: of one type, with at most so many bytes, read within a time.
 
-use axum::body::to_bytes;
+use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::HeaderMap;
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
@@ -40,11 +40,16 @@ pub(super) async fn json<T: DeserializeOwned>(request: Request, bytes_max: usize
 /// The body, if its head promises one that is accepted.
 async fn read(request: Request, kind: &str, curl: &str, bytes_max: usize) -> Result<Bytes, Rejection> {
     check(request.headers(), kind, curl, bytes_max)?;
-    match timeout(BODY_TIME_MAX, to_bytes(request.into_body(), bytes_max)).await {
+    collect(request.into_body(), bytes_max, BODY_TIME_MAX).await
+}
+
+/// The bytes of a body.
+async fn collect(body: Body, bytes_max: usize, time_max: Duration) -> Result<Bytes, Rejection> {
+    match timeout(time_max, to_bytes(body, bytes_max)).await {
         Ok(Ok(body)) => Ok(body),
         Ok(Err(_)) => Err(too_large("more bytes, or a connection that broke", bytes_max)),
         Err(_) => Err(Rejection::new(Code::Timeout, "the body arrived too slowly")
-            .wanted(format!("the whole body within {} s", BODY_TIME_MAX.as_secs()))),
+            .wanted(format!("the whole body within {} s", time_max.as_secs()))),
     }
 }
 
@@ -70,14 +75,13 @@ fn too_large(found: &str, bytes_max: usize) -> Rejection {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use axum::body::Body;
     use serde_json::Value;
 
     fn request(kind: &str, body: impl Into<Body>) -> Request {
         Request::builder().header(CONTENT_TYPE, kind).body(body.into()).unwrap()
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn a_body_of_another_type_size_form_or_pace_is_rejected() {
         let json = async |kind: &str, body: Body| json::<Value>(request(kind, body), 8, "{…}").await;
         assert!(json("application/json; charset=utf-8", "{}".into()).await.is_ok());
@@ -85,7 +89,7 @@ mod tests {
         assert_eq!(json("application/json", "{".into()).await.unwrap_err().code, Code::BadArgument);
         assert_eq!(json("application/json", "{\"long\":1}".into()).await.unwrap_err().code, Code::TooLarge);
         let never = Body::from_stream(futures::stream::pending::<Result<Bytes, std::io::Error>>());
-        assert_eq!(json("application/json", never).await.unwrap_err().code, Code::Timeout);
+        assert_eq!(collect(never, 8, Duration::from_millis(1)).await.unwrap_err().code, Code::Timeout);
     }
 
     #[tokio::test]

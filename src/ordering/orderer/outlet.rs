@@ -1,4 +1,4 @@
-//! What ordering hands to other parts of the node.
+//! Interface from ordering to the later subsystems.
 
 use ledger::Refusal;
 use ledger_light::DoubleVote;

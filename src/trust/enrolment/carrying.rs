@@ -34,15 +34,15 @@ impl EnrolmentService {
     pub(super) fn offer(&self, admin: &Identity, organisation: &str) -> Result<v1::OfferCaResponse, Rejection> {
         let shared = &self.shared;
         shared.check_own(admin, organisation)?;
-        if shared.me.organisation != organisation {
+        if shared.own.me.organisation != organisation {
             return Err(Rejection::new(Code::WrongRole, format!("this node may not carry the CA of {organisation}"))
-                .found(format!("node {}", shared.me.full_name()))
+                .found(format!("node {}", shared.own.me.full_name()))
                 .wanted(format!("a node of {organisation}"))
                 .next(format!("ledgerctl ca carry NODE, with a node of {organisation}")));
         }
         let receiver = Receiver::generate();
-        let (key, node) = (receiver.public(), shared.me.full_name());
-        let own = shared.identity.own();
+        let (key, node) = (receiver.public(), shared.own.me.full_name());
+        let own = shared.own.identity.own();
         let signature = own.key.sign(&signed_bytes(&shared.ledger.network(), organisation, &node, &key));
         let certificate = Bytes::copy_from_slice(own.certificate());
         let offer = Offer { organisation: organisation.to_owned(), receiver, made: (shared.clock)() };
@@ -151,7 +151,7 @@ impl Shared {
             .as_ref()
             .filter(|offer| offer.organisation == *organisation && now.saturating_sub(offer.made) <= OFFER_LIFE_MAX);
         let current = current.ok_or_else(|| bad("no key that was made for this in the last minutes"))?;
-        let (network, node) = (self.ledger.network(), self.me.full_name());
+        let (network, node) = (self.ledger.network(), self.own.me.full_name());
         let delivery = Delivery { network: &network, organisation, node: &node, root };
         let key = current.receiver.open(&delivery, sealed)?;
         let key = SigningKey::from_pkcs8_der(&key).map_err(|error| bad(&error.to_string()))?;

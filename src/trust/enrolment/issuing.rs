@@ -47,7 +47,7 @@ impl EnrolmentService {
         if opened.is_none() {
             self.shared.count_try(source)?;
             // What was registered a moment ago through another node may not have come here yet.
-            (self.shared.voice.catch_up)().await?;
+            (self.shared.client.catch_up)().await?;
             opened = self.opened(&organisations, &name, &request.secret).await?;
         }
         let Some((organisation, opened)) = opened else {
@@ -90,7 +90,7 @@ impl EnrolmentService {
         self.tell_carried(organisation).await?;
         let mut record = self.shared.record(organisation, name)?;
         if record.is_none() {
-            (self.shared.voice.catch_up)().await?;
+            (self.shared.client.catch_up)().await?;
             record = self.shared.record(organisation, name)?;
         }
         let Some(record) = record else {
@@ -144,7 +144,7 @@ impl EnrolmentService {
         match self.issue_once(record, &key, ground).await {
             // The registration was changed, and this node has not seen it.
             Err(stale) if stale.code == Code::WrongRole => {
-                (self.shared.voice.catch_up)().await?;
+                (self.shared.client.catch_up)().await?;
                 let record = self.shared.record(&organisation, &name)?.ok_or(stale)?;
                 self.issue_once(record, &key, ground).await
             }
@@ -201,7 +201,7 @@ impl EnrolmentService {
     /// Brings a certificate to the ledger; answers with the one that counts.
     async fn record_certificate(&self, organisation: &str, der: &[u8], ground: Ground) -> Result<Bytes, Rejection> {
         let record = RecordCertificate { organisation: organisation.to_owned(), certificate: hex::encode(der), ground };
-        let answer = (self.shared.voice.submit)("record_certificate", super::json(&record)?).await?;
+        let answer = (self.shared.client.submit)("record_certificate", super::json(&record)?).await?;
         let unreadable =
             |found: String| Rejection::new(Code::Internal, "the ledger's answer cannot be read").found(found);
         let recorded: Recorded = serde_json::from_slice(&answer).map_err(|error| unreadable(error.to_string()))?;
@@ -243,7 +243,7 @@ impl Shared {
             }
             // An organisation that does not exist is answered like a name that does not.
             Some((_, name)) => Ok((Vec::new(), name)),
-            None if carried.is_empty() => Err(self.elsewhere(&self.me.organisation)),
+            None if carried.is_empty() => Err(self.elsewhere(&self.own.me.organisation)),
             None => Ok((carried, name)),
         }
     }

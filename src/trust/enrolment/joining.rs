@@ -25,7 +25,7 @@ impl EnrolmentService {
             return Err(Rejection::new(Code::Overloaded, "this node carries another request to join at the moment")
                 .next("try again in a few seconds"));
         };
-        (self.shared.voice.submit)("join_organisation", join).await?;
+        (self.shared.client.submit)("join_organisation", join).await?;
         self.shared.forgive_try(source);
         tracing::info!("an organisation has joined through this node");
         Ok(())

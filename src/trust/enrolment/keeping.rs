@@ -37,9 +37,9 @@ impl EnrolmentService {
             })
             .await?;
         let authority = self.shared.authority(&organisation)?;
-        let proof = lock(&authority).prove(&self.shared.ledger.network(), &self.shared.me.full_name());
+        let proof = lock(&authority).prove(&self.shared.ledger.network(), &self.shared.own.me.full_name());
         let told = ledger::msp::CarryCa { copied_by: Some(admin.id()), ..proof };
-        (self.shared.voice.submit)("carry_ca", json(&told)?).await?;
+        (self.shared.client.submit)("carry_ca", json(&told)?).await?;
         tracing::warn!(by = admin.id(), organisation, "an admin takes a copy of the CA's key under a passphrase");
         Ok(v1::CopyCaResponse { verdict: Some(v1::Verdict::default()), file: file.into() })
     }
@@ -50,7 +50,7 @@ impl EnrolmentService {
         self.shared.check_own(admin, &organisation)?;
         if self.carries(&organisation) {
             return Err(Rejection::new(Code::AlreadyExists, "this node carries this CA already")
-                .found(self.shared.me.full_name())
+                .found(self.shared.own.me.full_name())
                 .wanted("a node that does not carry it"));
         }
         self.blocking(move |shared| shared.restore(&request)).await?;
@@ -61,7 +61,7 @@ impl EnrolmentService {
     /// This node carries the CA of the caller's organisation no more: its key is removed from the disk.
     pub(super) async fn give_up(&self, admin: &Identity, organisation: &str) -> Result<(), Rejection> {
         self.shared.check_own(admin, organisation)?;
-        let me = self.shared.me.full_name();
+        let me = self.shared.own.me.full_name();
         if !self.shared.carriers(organisation).iter().any(|(carrier, _)| carrier.full_name() != me) {
             return Err(Rejection::new(
                 Code::LastOne,
@@ -74,7 +74,7 @@ impl EnrolmentService {
         self.blocking(move |shared| shared.remove(&owner)).await?;
         tracing::warn!(by = admin.id(), organisation, "this node carries the CA no more; its key is removed");
         let uncarry = UncarryCa { organisation: organisation.to_owned(), node: None };
-        (self.shared.voice.submit)("uncarry_ca", json(&uncarry)?).await?;
+        (self.shared.client.submit)("uncarry_ca", json(&uncarry)?).await?;
         self.shared.authorities.settle_given_up(organisation);
         Ok(())
     }
@@ -83,9 +83,9 @@ impl EnrolmentService {
 impl Shared {
     fn restore(&self, request: &v1::RestoreCaRequest) -> Result<(), Rejection> {
         let v1::RestoreCaRequest { organisation, file, passphrase } = request;
-        if self.me.organisation != *organisation {
+        if self.own.me.organisation != *organisation {
             return Err(Rejection::new(Code::WrongRole, format!("this node may not carry the CA of {organisation}"))
-                .found(format!("node {}", self.me.full_name()))
+                .found(format!("node {}", self.own.me.full_name()))
                 .wanted(format!("a node of {organisation}")));
         }
         let Backup { organisation: found, key, root } = backup::parse("the copy", file, passphrase)?;

@@ -40,7 +40,7 @@ impl EnrolmentService {
             self.blocking(move |shared| shared.remove_dropped(&owner)).await?;
             if !self.carries(&organisation) && self.shared.is_carrier(&organisation)? {
                 let uncarry = UncarryCa { organisation: organisation.clone(), node: None };
-                (self.shared.voice.submit)("uncarry_ca", json(&uncarry)?).await?;
+                (self.shared.client.submit)("uncarry_ca", json(&uncarry)?).await?;
             }
             self.shared.authorities.settle_given_up(&organisation);
         }
@@ -54,7 +54,7 @@ impl EnrolmentService {
     pub(super) async fn tell_carried(&self, organisation: &str) -> Result<(), Rejection> {
         let owner = organisation.to_owned();
         for carry in self.blocking(move |shared| shared.untold(&owner)).await? {
-            (self.shared.voice.submit)("carry_ca", json(&carry)?).await?;
+            (self.shared.client.submit)("carry_ca", json(&carry)?).await?;
         }
         Ok(())
     }
@@ -66,8 +66,8 @@ impl Shared {
         let carriers = msp::carriers(&**self.ledger.state())?;
         Ok(carriers.iter().any(|carrier| {
             carrier.organisation == organisation
-                && carrier.node_organisation == self.me.organisation
-                && carrier.node == self.me.name
+                && carrier.node_organisation == self.own.me.organisation
+                && carrier.node == self.own.me.name
         }))
     }
 
@@ -101,7 +101,7 @@ impl Shared {
                 })
                 .collect();
             let secret = registered.open_secret(now).map(|(made, expires)| LocalSecret {
-                at: self.me.full_name(),
+                at: self.own.me.full_name(),
                 made,
                 expires,
             });
@@ -118,7 +118,7 @@ impl Shared {
         if unknown.is_empty() && self.is_carrier(organisation)? {
             return Ok(Vec::new());
         }
-        let proof = authority.prove(&self.ledger.network(), &self.me.full_name());
+        let proof = authority.prove(&self.ledger.network(), &self.own.me.full_name());
         let mut calls: Vec<_> = unknown
             .chunks(ADOPTED_MAX)
             .map(|identities| CarryCa { identities: identities.to_vec(), ..proof.clone() })

@@ -86,7 +86,7 @@ fn service(chain: &Arc<Chain>, document: &Bytes, data: &Path, id: u64) -> Enrolm
         certificate: Bytes::copy_from_slice(own.certificate()),
     });
     let (submitting, reading) = (Arc::clone(chain), Arc::clone(chain));
-    let voice = LedgerClient {
+    let client = LedgerClient {
         submit: Box::new(move |function, argument| {
             let (chain, signer) = (Arc::clone(&submitting), Arc::clone(&signer));
             async move { chain.call(&signer, function, &argument) }.boxed()
@@ -100,8 +100,8 @@ fn service(chain: &Arc<Chain>, document: &Bytes, data: &Path, id: u64) -> Enrolm
     let authorities = Arc::new(Authorities::open(data, (365, 7)).unwrap());
     let genesis = (Genesis::from_bytes(document).unwrap().0, document.clone());
     let directory = Arc::new(Directory::read(&chain.ledger));
-    let surroundings = Surroundings { me: member, identity: tls, directory, cut_off: Box::new(|| false) };
-    EnrolmentService::new(authorities, Arc::clone(&chain.ledger), surroundings, genesis, voice, || NOW)
+    let surroundings = OwnNode { me: member, identity: tls, directory, cut_off: Box::new(|| false) };
+    EnrolmentService::new(authorities, Arc::clone(&chain.ledger), surroundings, genesis, client, || NOW)
 }
 
 fn fixture() -> Fixture {
@@ -425,7 +425,7 @@ async fn a_carrier_whose_directory_is_gone_does_not_start_unless_it_was_given_up
     f.one.tell_carried("Org1").await.unwrap();
     let data = f.place.path().join("node1");
     std::fs::rename(data.join("ca/Org1"), f.place.path().join("away")).unwrap();
-    let check = || Authorities::open(&data, (365, 7)).unwrap().check_carried(&f.chain.ledger, &f.one.shared.me);
+    let check = || Authorities::open(&data, (365, 7)).unwrap().check_carried(&f.chain.ledger, &f.one.shared.own.me);
     let refused = check().unwrap_err();
     assert_eq!(refused.code, Code::BadFile);
     assert!(refused.found.contains("ca/Org1") && refused.next.contains("ledgerd ca restore"), "{refused}");

@@ -7,7 +7,7 @@ use ledger_light::Change;
 use serde_json::Value;
 
 fn vectors() -> (Vec<u8>, Vec<Value>) {
-    let text = std::fs::read_to_string("../../tests/fixtures/evidence.json").unwrap();
+    let text = std::fs::read_to_string("../../../tests/fixtures/evidence.json").unwrap();
     let vectors: Value = serde_json::from_str(&text).unwrap();
     (hex::decode(vectors["genesis"].as_str().unwrap()).unwrap(), vectors["files"].as_array().unwrap().clone())
 }

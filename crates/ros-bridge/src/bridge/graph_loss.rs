@@ -5,7 +5,7 @@ use tokio::{sync::watch, task::JoinSet};
 
 use crate::graph::addresses::Addresses;
 
-/// What tells that the local graph is lost.
+/// The signs that the local graph is lost.
 pub(super) struct GraphLoss {
     /// Has a route ended that nobody stopped?
     ended: watch::Receiver<bool>,

@@ -22,7 +22,7 @@ fn a_short_configuration_has_defaults() {
     assert_eq!(route.kind.name, "from_ledger");
     assert_eq!(
         format!("{:?}", route.plan),
-        "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, max_rate_hz: None, on_demand: false }"
+        "Settings { max_age: None, stale_after: 1s, command_timeout: None, rogue_publishers: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, max_rate_hz: None, on_demand: false }"
     );
     assert_eq!(route.limits().queue_samples_max, 100);
 }

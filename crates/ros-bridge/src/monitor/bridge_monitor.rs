@@ -117,7 +117,7 @@ impl Running {
             domain: self.domain,
             silent: self.roster.last_heard().map(|heard| heard.elapsed()),
             statuses: self.statuses.now(),
-            routes: self.roster.slots().iter().map(|slot| RouteView::of(slot)).collect(),
+            routes: self.roster.slots().iter().map(RouteView::of).collect(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What routes show on topics of the local graph, for those who come late too.
+//! Latched topics of the local graph on which routes show their state: the holders of a service, and points of a task.
 
 mod display;
 mod holder;

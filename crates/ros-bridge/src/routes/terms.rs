@@ -1,4 +1,4 @@
-//! What a route takes from its service: its topic and its stop message.
+//! The terms of a service for its route: the topic and the stop message.
 
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::is_called;

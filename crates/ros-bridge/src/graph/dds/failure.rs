@@ -1,4 +1,4 @@
-//! What DDS refused, with advice.
+//! Errors of DDS, with advice.
 
 use crate::error::{Error, Explained};
 

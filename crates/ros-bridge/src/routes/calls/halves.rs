@@ -34,7 +34,7 @@ type Carry = Box<dyn FnOnce(Shutdown) -> BoxFuture<'static, ()> + Send>;
 pub(in crate::routes) struct ServerHalves {
     /// Requests that go to the ledger.
     pub(in crate::routes) requests: Submitter,
-    /// What becomes of each at the ledger.
+    /// The verdict on each at the ledger.
     pub(in crate::routes) updates: UnboundedReceiver<SubmitUpdate>,
     /// The robot's answers.
     pub(in crate::routes) handed: mpsc::Receiver<Handed>,

@@ -156,7 +156,7 @@ impl ToLedger {
     }
 
     /// Where its subscription begins.
-    pub(in crate::routes) fn from_height(&self) -> u64 {
+    pub(in crate::routes) fn begins_at(&self) -> u64 {
         self.from_height
     }
 

@@ -42,7 +42,7 @@ enum State {
     Waits(Option<Rejection>),
 }
 
-/// What a route has found when it was opened.
+/// The findings of a route when it was opened.
 pub(super) struct Opened {
     pub(super) topic: TopicName,
     pub(super) is_command: bool,

@@ -50,7 +50,7 @@ async fn open(settings: &Settings, opening: Opening<'_>) -> Result<RouteTask, Re
     let running = match &settings.holder {
         Some(shown) => {
             let holder = HolderTopic::open(Some(shown), [topic].into_iter(), local, mark).await?;
-            let display = HolderDisplay::new(holder, opened.gateway(), (query, &service), opened.from_height());
+            let display = HolderDisplay::new(holder, opened.gateway(), (query, &service), opened.begins_at());
             display.beside(opened.run(shutdown)).boxed()
         }
         None => opened.run(shutdown).boxed(),

@@ -1,4 +1,4 @@
-//! What a route from the ledger subscribes to.
+//! The subscriptions of a route from the ledger.
 
 use futures::{StreamExt, stream};
 use ledger_api::Subscription;

@@ -1,4 +1,4 @@
-//! What a route keeps besides its samples: the last ones of a latched topic, and the content key of a confidential service.
+//! The state that a route keeps besides its samples: the last ones of a latched topic, and the content key of a confidential service.
 
 use std::time::Instant;
 
