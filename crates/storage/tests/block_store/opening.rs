@@ -1,6 +1,6 @@
 //! Opening takes the word of each segment about the one before it, and reads only the newest.
 
-use ledger_storage::segment::{HEADER_BYTES, LogPosition, RecordHeader, SegmentHeader, encode_record};
+use ledger_storage::segment::{HEADER_BYTES, LogPosition, RecordHeader, SegmentHeader};
 
 use super::*;
 

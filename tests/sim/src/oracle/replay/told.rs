@@ -11,8 +11,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// How many of a line the event `line` names.
 const TOLD_MAX: usize = 16;
-/// The reasons of tasks that had their turn, and whom policies or the certificate's time did not let have it.
-const NOT_PERMITTED: [&str; 2] = ["policies no longer permit it", "its submitter's certificate has run out"];
 
 /// Holders with their epochs, those who wait, and tasks.
 #[derive(Default)]
@@ -32,8 +30,6 @@ struct Told {
     contender: Option<String>,
     epoch: Option<u64>,
     #[serde(default)]
-    reason: String,
-    #[serde(default)]
     waiting: u64,
     #[serde(default)]
     next: Vec<String>,
@@ -47,8 +43,6 @@ struct OfTask {
     state: State,
     reached: u64,
     total: u64,
-    #[serde(default)]
-    reason: String,
 }
 
 impl Standing {
@@ -59,14 +53,13 @@ impl Standing {
         for event in events {
             let subject = || event.subject.clone();
             if event.name == "task" {
-                let OfTask { id, submitter, state, reached, total, .. } =
-                    serde_json::from_slice(&event.payload).unwrap();
+                let OfTask { id, submitter, state, reached, total } = serde_json::from_slice(&event.payload).unwrap();
                 self.tasks.insert(id, (subject(), submitter, state, reached, total));
             }
             if !known(&event.name) {
                 continue;
             }
-            let Told { holder, contender, epoch, waiting, next, .. } = serde_json::from_slice(&event.payload).unwrap();
+            let Told { holder, contender, epoch, waiting, next } = serde_json::from_slice(&event.payload).unwrap();
             let who = holder.or(contender).unwrap_or_default();
             let holders = self.holders.entry(subject()).or_default();
             let line = self.lines.entry(subject()).or_default();
