@@ -221,8 +221,8 @@ impl Fleet {
     /// policy changed, applied with its number.
     fn with_one_changed(&self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Vec<Bytes>, Rejection> {
         let text = |bytes: &Bytes| String::from_utf8(bytes.to_vec()).unwrap();
-        let given: Vec<String> = if function == "policy" { args.iter().map(text).collect() } else { Vec::new() };
-        let given: Vec<&str> = given.iter().map(String::as_str).collect();
+        let given = if function == "policy" { args } else { &[] };
+        let given: Vec<&str> = given.iter().map(|arg| std::str::from_utf8(arg).unwrap_or_default()).collect();
         let (id, new, means_it) = match given.as_slice() {
             ["put", id, text] => (*id, Some(*text), false),
             ["put", id, text, "i-mean-it"] => (*id, Some(*text), true),
@@ -368,8 +368,9 @@ impl Fleet {
 
     /// Executes on the committed state and throws the writes away, as gateways do before they order a call.
     pub(crate) fn simulate(&self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        let args = self.with_one_changed(who, function, args)?;
         let mut overlay = Overlay::new(self.state.clone());
-        Registry::invoke(self.environment(Some(who)), &mut overlay, &mut vec![], "abac", function, args)
+        Registry::invoke(self.environment(Some(who)), &mut overlay, &mut vec![], "abac", function, &args)
     }
 
     fn look<T>(&self, who: Option<&Identity>, body: impl FnOnce(&Context<'_>, &AccessControl) -> T) -> T {
