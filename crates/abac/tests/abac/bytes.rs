@@ -45,7 +45,7 @@ fn story() -> Fleet {
 
 const OF_RULES_1: [&str; 2] = [
     "61d83bc4f75621dde6017d741e3f5dcffd289dd764399114c2ca61080083d073",
-    "3822d3f1034d8d2cd86e3282ebc4bdb318f94c1ab1fd061d94ea5438086ed2e7",
+    "590d291df63e67812a1dfe512ffb0f3a2fbd5d4a83abe793838fc5aabe5cbf57",
 ];
 
 #[test]
