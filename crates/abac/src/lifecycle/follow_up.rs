@@ -7,7 +7,7 @@ use ledger_contract::{LeftReason, Reason};
 /// Something that follows from a change.
 pub(crate) enum FollowUp {
     /// A grant ends.
-    End(Ending),
+    End(Box<Ending>),
     /// A grant that serves this task was given.
     TaskRuns(u64),
     /// The grant that served a task has ended.
@@ -65,6 +65,6 @@ impl Ending {
 
 impl From<Ending> for FollowUp {
     fn from(ending: Ending) -> Self {
-        Self::End(ending)
+        Self::End(Box::new(ending))
     }
 }

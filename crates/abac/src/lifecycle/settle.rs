@@ -25,7 +25,7 @@ pub(crate) fn settle(
                 None
             }
             FollowUp::End(ending) => {
-                let (ended, follows) = grants::end(ctx, ending)?;
+                let (ended, follows) = grants::end(ctx, *ending)?;
                 released.push(ended);
                 follows
             }

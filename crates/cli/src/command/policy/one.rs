@@ -122,6 +122,6 @@ impl InForce {
         if changed.change == "applied" {
             (changed.id, changed.change) = (change.0, change.1.to_owned());
         }
-        Ok(output.show(&Changed(changed))?)
+        output.show(&Changed(changed))
     }
 }
