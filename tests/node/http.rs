@@ -243,7 +243,7 @@ fn rights_and_codes_are_those_of_grpc() {
         assert_eq!(rejected[http], told[grpc], "{http}");
     }
     // Messages of a robot that he may not read.
-    let (status, rejected) = by_http(&format!("'{url}/events?chaincode=abac&name=message&subject=Husky%2Fodom'"));
+    let (status, rejected) = by_http(&format!("'{url}/events?chaincode=abac&name=message&subject=Husky%2Fcmd_vel'"));
     assert_eq!(status, 403, "{rejected}");
     // Nothing is lost of what a block says.
     use_as("dev-org1-admin");

@@ -20,7 +20,7 @@ use std::time::Instant;
 pub(super) fn router(shared: &Arc<Shared>) -> Router {
     let gateway = Arc::new(shared.parts.gateway.clone());
     let enrolment = Arc::new(shared.parts.enrolment.clone());
-    http::router(Api { gateway, enrolment }).layer(from_fn_with_state(Arc::clone(shared), admitted))
+    http::router(Api { gateway, enrolment }).route_layer(from_fn_with_state(Arc::clone(shared), admitted))
 }
 
 /// Lets a call in as the identity of its session. A stream ends with the session.

@@ -34,7 +34,7 @@ pub(super) async fn identified(request: Request, next: Next) -> Response {
 /// The endpoints at the listener where clients show certificates. A browser that has a certificate of its user would show it to
 /// whatever page asks: so requests of browsers are rejected here.
 pub(crate) fn for_certificates(endpoints: Router, names: Names) -> Router {
-    endpoints.layer(from_fn_with_state(Arc::new(names), without_browsers))
+    endpoints.route_layer(from_fn_with_state(Arc::new(names), without_browsers))
 }
 
 async fn without_browsers(State(names): State<Arc<Names>>, request: Request, next: Next) -> Response {

@@ -1,10 +1,11 @@
 //! Bodies of requests: of one type, with at most so many bytes, read within a time.
 
-use axum::body::{Body, to_bytes};
+use axum::body::Body;
 use axum::extract::Request;
 use axum::http::HeaderMap;
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
+use futures::StreamExt;
 use ledger_base::rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 use std::time::Duration;
@@ -14,6 +15,8 @@ use tokio::time::timeout;
 pub(super) const BODY_BYTES_MAX: usize = 1 << 20;
 /// Most bytes of a body of a client without an identity: a signing request and a secret take a few hundred.
 pub(super) const NEWCOMER_BODY_BYTES_MAX: usize = 32 << 10;
+/// Most bytes that are read of a body that is too large.
+const DISCARDED_BYTES_MAX: usize = 4 << 20;
 /// Longest time in which a body has to arrive.
 const BODY_TIME_MAX: Duration = Duration::from_secs(10);
 
@@ -43,14 +46,29 @@ async fn read(request: Request, kind: &str, curl: &str, bytes_max: usize) -> Res
     collect(request.into_body(), bytes_max, BODY_TIME_MAX).await
 }
 
-/// The bytes of a body.
+/// The bytes of a body. More than are accepted are discarded as they arrive: many clients read no answer before all is sent.
 async fn collect(body: Body, bytes_max: usize, time_max: Duration) -> Result<Bytes, Rejection> {
-    match timeout(time_max, to_bytes(body, bytes_max)).await {
-        Ok(Ok(body)) => Ok(body),
-        Ok(Err(_)) => Err(too_large("more bytes, or a connection that broke", bytes_max)),
-        Err(_) => Err(Rejection::new(Code::Timeout, "the body arrived too slowly")
-            .wanted(format!("the whole body within {} s", time_max.as_secs()))),
-    }
+    let (mut parts, mut kept, mut bytes) = (body.into_data_stream(), BytesMut::new(), 0);
+    let read = async {
+        while let Some(part) = parts.next().await {
+            let part = part.map_err(|error| {
+                Rejection::new(Code::Malformed, "the body ends before its end").found(error.to_string())
+            })?;
+            bytes += part.len();
+            if bytes > DISCARDED_BYTES_MAX {
+                break;
+            }
+            if bytes <= bytes_max {
+                kept.extend_from_slice(&part);
+            }
+        }
+        Ok::<_, Rejection>(())
+    };
+    timeout(time_max, read).await.map_err(|_| {
+        Rejection::new(Code::Timeout, "the body arrived too slowly")
+            .wanted(format!("the whole body within {} s", time_max.as_secs()))
+    })??;
+    if bytes > bytes_max { Err(too_large(bytes, bytes_max)) } else { Ok(kept.freeze()) }
 }
 
 /// A body has this type, and says so: a form of another page can send none of these types without asking first.
@@ -64,11 +82,13 @@ fn check(headers: &HeaderMap, kind: &str, curl: &str, bytes_max: usize) -> Resul
             .next(format!("with curl: {curl}")));
     }
     let length = header(CONTENT_LENGTH).parse::<usize>().unwrap_or_default();
-    if length > bytes_max { Err(too_large(&format!("{length} bytes"), bytes_max)) } else { Ok(()) }
+    if length > DISCARDED_BYTES_MAX { Err(too_large(length, bytes_max)) } else { Ok(()) }
 }
 
-fn too_large(found: &str, bytes_max: usize) -> Rejection {
-    Rejection::new(Code::TooLarge, "the body is too large").found(found).wanted(format!("at most {bytes_max} bytes"))
+fn too_large(bytes: usize, bytes_max: usize) -> Rejection {
+    Rejection::new(Code::TooLarge, "the body is too large")
+        .found(format!("{bytes} bytes, or more"))
+        .wanted(format!("at most {bytes_max} bytes"))
 }
 
 #[cfg(test)]
@@ -96,7 +116,7 @@ mod tests {
     async fn a_length_beyond_the_limit_is_rejected_before_anything_is_read() {
         let never = Body::from_stream(futures::stream::pending::<Result<Bytes, std::io::Error>>());
         let mut request = request(BYTES, never);
-        request.headers_mut().insert(CONTENT_LENGTH, "9".parse().unwrap());
+        request.headers_mut().insert(CONTENT_LENGTH, (DISCARDED_BYTES_MAX + 1).into());
         assert_eq!(bytes(request, 8).await.unwrap_err().code, Code::TooLarge);
     }
 }

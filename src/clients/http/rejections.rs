@@ -14,7 +14,7 @@ const HEADERS: [(axum::http::HeaderName, &str); 2] = [(CONTENT_TYPE, "applicatio
 /// A rejected request.
 pub(crate) struct Rejected {
     status: StatusCode,
-    rejection: Rejection,
+    rejection: Box<Rejection>,
     /// More fields, such as the height of a transaction that was executed and rejected.
     more: Map<String, Value>,
 }
@@ -35,7 +35,7 @@ impl Rejected {
 
     /// The JSON of the answer.
     pub(super) fn json(&self) -> Value {
-        let Rejection { code, message, found, wanted, next, .. } = &self.rejection;
+        let Rejection { code, message, found, wanted, next, .. } = &*self.rejection;
         let mut fields = self.more.clone();
         let four_lines = [("message", message), ("found", found), ("wanted", wanted), ("next", next)];
         fields.insert("code".into(), code.to_string().into());
@@ -46,7 +46,7 @@ impl Rejected {
 
 impl From<Rejection> for Rejected {
     fn from(rejection: Rejection) -> Self {
-        Self { status: status_of(rejection.code), rejection, more: Map::new() }
+        Self { status: status_of(rejection.code), rejection: Box::new(rejection), more: Map::new() }
     }
 }
 
