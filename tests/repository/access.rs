@@ -14,7 +14,7 @@ const LAYERS: [&[&str]; 7] = [
     &["contract"],
 ];
 
-/// The file that declares modes, and derives what an older node does not tell.
+/// The crate that declares modes.
 const DECLARES: &str = "crates/contract/src/";
 /// The names of rules, and of what they do with a contender.
 const NAMES: [&str; 6] =

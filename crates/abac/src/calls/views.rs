@@ -38,7 +38,7 @@ pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Resu
 /// A service with who holds it now.
 pub(crate) fn state(ctx: &Context<'_>, decider: &Decider, target: Target) -> Result<ServiceState, Rejection> {
     let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
-    let capabilities = Some(decider.rules.capabilities(&target)?.into());
+    let capabilities = decider.rules.capabilities(&target)?.into();
     let epoch = grant::newest_epoch(ctx, &target.id)?;
     let readers = Target::of_readers(&target.robot, &target.service);
     let readers = readers.map_or(Ok(Vec::new()), |places| grant::live(ctx, &places.id))?;

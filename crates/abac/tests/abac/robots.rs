@@ -177,7 +177,6 @@ fn capabilities_are_told_to_whoever_asks_and_in_the_answer_of_a_transaction() {
     let asked: ServiceState = fleet.get(&salma(), "service", &["Husky"]);
     let known = asked.capabilities().unwrap();
     assert_eq!((known.publishing, known.fencing), (Publishing::Grant, Fencing::Newest));
-    assert!(asked.capabilities.is_some());
     fleet.transaction = Hash([7; 32]);
     for function in ["service", "robot"] {
         fleet.refused(&owner(), Code::QueryOnly, function, &["Husky"]);
