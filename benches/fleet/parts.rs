@@ -9,6 +9,7 @@ use bytes::Bytes;
 use ledger::msp::QUOTAS_MAX;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_api::{Client, Context, Subscription};
+use ledger_contract::{PolicyDraft, PolicyText};
 use serde_json::json;
 use std::time::{Duration, Instant};
 
@@ -188,19 +189,21 @@ async fn queue_for(owner: &Client, robot: &str) {
 /// Rules in the policies of the robots' owner.
 pub(crate) fn policies(bench: &Bench) -> Vec<Point> {
     let site = Site::start(bench, Founding::new(PAPER));
-    let put = async |id: String, text: String| {
-        let args = ["put".to_owned(), id, text].map(Bytes::from).to_vec();
+    let apply = async |policies: Vec<PolicyText>| {
+        let set = PolicyDraft { policies: Some(policies), ..PolicyDraft::default() };
+        let args = ["apply".to_owned(), serde_json::to_string(&set).unwrap()].map(Bytes::from).to_vec();
         site.owner.invoke("abac", "policy", args).await.unwrap();
     };
-    bench.runtime.block_on(put("built-in".into(), DEFAULT_POLICY.into()));
     let counts = bench.counts(&[1, 10, 100, 1000, 10_000]).into_iter();
     counts
         .flat_map(|count| {
             let rules: Vec<_> =
                 (0..count).map(|rule| format!("forbid(principal==User::\"O/{rule}\",action,resource);")).collect();
+            let mut set = vec![PolicyText { id: "built-in".to_owned(), text: DEFAULT_POLICY.to_owned() }];
             for (number, rules) in rules.chunks(RULES_PER_TEXT).enumerate() {
-                bench.runtime.block_on(put(format!("rules{number}"), rules.concat()));
+                set.push(PolicyText { id: format!("rules{number}"), text: rules.concat() });
             }
+            bench.runtime.block_on(apply(set));
             site.at_all_rates(bench, count)
         })
         .collect()

@@ -112,7 +112,7 @@ impl Fleet {
             made: Arc::default(),
             state,
             directory,
-            meter: Meter::default(),
+            meter: Meter::of_query(),
             holders: Vec::new(),
         };
         for owner in 0..OWNERS {
@@ -150,10 +150,12 @@ impl Fleet {
             format!("permit (principal == User::\"Users/{user}\", action, resource == Service::\"{robot}/cmd_vel\");\n")
         };
         let rules: Vec<_> = std::iter::once(general.to_owned()).chain((1..count).map(rule)).collect();
-        for (number, text) in rules.chunks(RULES_PER_TEXT).enumerate() {
-            let args = ["put".to_owned(), format!("p{number:02}"), text.concat()];
-            self.call(admin, "policy", args.map(Bytes::from).into());
-        }
+        let texts = rules.chunks(RULES_PER_TEXT).enumerate();
+        let policies: Vec<_> = texts
+            .map(|(number, text)| serde_json::json!({ "id": format!("p{number:02}"), "text": text.concat() }))
+            .collect();
+        let set = serde_json::json!({ "policies": policies, "means_it": true }).to_string();
+        self.call(admin, "policy", ["apply".to_owned(), set].map(Bytes::from).into());
     }
 
     pub(crate) fn environment<'a>(&'a self, who: &'a Identity) -> Environment<'a> {

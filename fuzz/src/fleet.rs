@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use ledger::msp::QUOTAS;
 use ledger::{Chaincode, Context, Environment, Meter, Registry, Rules};
-use ledger_abac::{AccessControl, Ask, PolicyText};
+use ledger_abac::{AccessControl, Ask, PolicyDraft, PolicyText};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::PublicKey;
@@ -85,7 +85,9 @@ impl Fleet {
     /// The refusal.
     pub fn put(&self, text: &str) -> Result<Bytes, Rejection> {
         // Also if nobody may publish any more.
-        self.ask(&self.owner, "policy", &["put", "given", text, "i-mean-it"])
+        let policies = Some(vec![PolicyText { id: "given".to_owned(), text: text.to_owned() }]);
+        let draft = PolicyDraft { policies, means_it: true, ..PolicyDraft::default() };
+        self.ask(&self.owner, "policy", &["apply", &serde_json::to_string(&draft).expect("JSON")])
     }
 
     fn memory(&self) -> Arc<dyn StateRead> {

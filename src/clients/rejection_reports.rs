@@ -3,7 +3,6 @@
 use crate::clients::rejections::Rejections;
 use crate::ordering::Ordering;
 use crate::ordering::node_transactions::Author;
-use ledger::Rules;
 use ledger::msp::TellRefusals;
 use ledger::transaction::Transaction;
 use ledger_base::rejection::Code;
@@ -19,10 +18,6 @@ const PAUSE_MAX: Duration = Duration::from_secs(10);
 const GATHERED_FOR: Duration = Duration::from_millis(200);
 /// So long after its `not_after`, by this node's clock, no block takes a transaction any more, microseconds.
 const PAST: u64 = 10_000_000;
-/// The rules since which the ledger takes refusals.
-const SINCE_RULES: u32 = 3;
-
-const _: () = assert!(SINCE_RULES <= Rules::NEWEST.number());
 
 /// The task that reports rejections to the ledger.
 pub(crate) struct Reporting {
@@ -84,7 +79,7 @@ impl Reporting {
 
     fn begin(&self) -> Option<Waiting> {
         let has_room = self.ordering.storage.space.check(|| false).is_ok();
-        if !has_room || self.ordering.storage.ledger.rules().number() < SINCE_RULES {
+        if !has_room {
             return None;
         }
         let told = self.rejections.gathered().take()?;

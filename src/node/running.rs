@@ -51,8 +51,7 @@ impl NodeBuilder {
         self
     }
 
-    /// The node speaks no newer rules of execution than these, as an older release does. Without this it speaks all that
-    /// there are.
+    /// The node speaks no newer rules of execution than these. Without this it speaks all that this release does.
     #[must_use]
     pub fn rules_up_to(mut self, newest: Rules) -> Self {
         self.registry.speak_up_to(newest);

@@ -92,10 +92,10 @@ pub(crate) struct Offset {
 }
 
 impl Offset {
-    /// Of a clock that another node told, `took` after it was asked at `asked` by the clock of this machine. None if it told
-    /// nothing, as older releases do.
+    /// Of a clock that another node told, `took` after it was asked at `asked` by the clock of this machine. None if it is
+    /// too far off to be told.
     pub(crate) fn of(told: u64, asked: u64, took: Duration) -> Option<Self> {
-        let error = u64::try_from(took.as_micros() / 2).ok().filter(|_| told > 0)?.max(1);
+        let error = u64::try_from(took.as_micros() / 2).ok()?.max(1);
         let ahead = i128::from(told) - i128::from(asked.saturating_add(error));
         Some(Self { ahead: i64::try_from(ahead).ok()?, error })
     }
@@ -122,6 +122,6 @@ mod tests {
         let of = |told| Offset::of(told, 5_000_000, Duration::from_micros(300));
         assert_eq!(of(5_000_150), Some(Offset { ahead: 0, error: 150 }));
         assert_eq!(of(4_000_150).map(|offset| offset.ahead), Some(-1_000_000));
-        assert_eq!(of(0), None, "a node of an older release");
+        assert_eq!(of(u64::MAX), None, "too far off");
     }
 }

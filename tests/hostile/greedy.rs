@@ -70,7 +70,8 @@ async fn policies_of_many_wildcards_are_refused_and_hold_up_nobody() {
         format!("permit (principal, action, resource) when {{ {like} principal.name == \"{}\" }};", "a".repeat(1000))
     };
     let put = async |number: usize, text: String| {
-        boss.invoke("abac", "policy", vec!["put".into(), format!("p{number}").into(), text.into()]).await
+        let set = serde_json::json!({ "policies": [{ "id": format!("p{number}"), "text": text }] }).to_string();
+        boss.invoke("abac", "policy", vec!["apply".into(), set.into()]).await
     };
     for (pattern, times) in [("*a".repeat(2000), 1), ("*a".repeat(100), 1), ("*a".repeat(30), 20)] {
         let refused = put(0, text(&pattern, times)).await.unwrap_err();

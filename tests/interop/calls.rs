@@ -249,7 +249,7 @@ fn the_grant_is_had_from_ros_and_every_answer_tells_the_truth() {
         let refused = asked("2", "stop");
         assert!(refused.starts_with("False ") && refused.contains("call /Rover/release"), "{refused}");
         assert!(grant(&owner).await.is_some(), "a refused stop ends nothing");
-        call(&owner, "policy", &["put", "all", "permit (principal, action, resource);"]).await;
+        crate::apply(&owner, &[("all", "permit (principal, action, resource);")]).await;
         let stopped = asked("2", "stop");
         assert!(stopped.starts_with("True Rover is stopped, 1 grants have ended"), "{stopped}");
         assert_eq!(grant(&owner).await, None);

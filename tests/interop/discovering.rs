@@ -188,9 +188,9 @@ fn robots_and_services_come_change_and_go_while_the_bridge_runs_and_others_are_n
         world.line("Salma", &["discovered: 2 routes ended, 0 started"]).await;
 
         // A policy that lets her no longer.
-        call(&owner, "policy", &["put", "nobody", "forbid (principal, action, resource);", "i-mean-it"]).await;
+        crate::apply(&owner, &[("nobody", "forbid (principal, action, resource);")]).await;
         until_matched(&world, rover.matched(), 0).await;
-        call(&owner, "policy", &["remove", "nobody"]).await;
+        crate::apply(&owner, &[]).await;
         until_matched(&world, rover.matched(), 1).await;
         let report = bridge.report();
         let services: Vec<_> =

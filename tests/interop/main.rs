@@ -82,6 +82,13 @@ fn lost(world: &World, robot: &mut Python, sent: &[String]) -> u64 {
     (lost + coming.len()) as u64
 }
 
+/// Applies a set of one policy, or of none, also if nobody may publish to some robot then.
+pub(crate) async fn apply(client: &Client, policies: &[(&str, &str)]) {
+    let policies: Vec<_> = policies.iter().map(|(id, text)| serde_json::json!({ "id": id, "text": text })).collect();
+    let set = serde_json::json!({ "policies": policies, "means_it": true }).to_string();
+    call(client, "policy", &["apply", &set]).await;
+}
+
 pub(crate) async fn call(client: &Client, function: &str, args: &[&str]) {
     let args = args.iter().map(|arg| (*arg).to_owned().into()).collect();
     client.invoke("abac", function, args).await.unwrap();

@@ -29,7 +29,7 @@ fn a_command_above_the_limit_of_a_policy_reaches_the_robot_slower_and_stays_on_t
         let world = World::start("/cmd_vel", TYPE).await;
         let owner = owner_of(&world).await;
         let slowly = r#"@max_linear("0.5") permit (principal, action, resource);"#;
-        call(&owner, "policy", &["put", "all", slowly]).await;
+        crate::apply(&owner, &[("all", slowly)]).await;
         let mut on_ledger = owner.subscribe(Subscription {
             from_height: 1,
             chaincode: "abac".into(),

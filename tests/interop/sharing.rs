@@ -102,7 +102,7 @@ fn who_drives_changes_by_priority_by_a_turn_and_by_a_stop_and_no_older_message_p
         let owner = owner_of(&world).await;
         let permit = "@priority(\"0\") permit (principal, action, resource);
             @priority(\"5\") permit (principal == User::\"Org1/Farhad\", action, resource);";
-        call(&owner, "policy", &["put", "all", permit]).await;
+        crate::apply(&owner, &[("all", permit)]).await;
         let preempt = r#"{"sharing":{"on_conflict":"preempt","queue_max":4,"priority":"policy"}}"#;
         call(&owner, "configure", &["Rover/cmd_vel", preempt]).await;
         let _bridges = world.start_bridges("/cmd_vel", TYPE);

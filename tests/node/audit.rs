@@ -58,7 +58,8 @@ impl Story {
         let nodes: Vec<_> = fleet.nodes.iter().map(|place| place.start()).collect();
         let boss = connect(&owner).await;
         register_robots(&boss, "exclusive").await;
-        boss.invoke("abac", "policy", vec!["put".into(), "drivers".into(), NOT_FARHAD.into()]).await.unwrap();
+        let set = serde_json::json!({ "policies": [{ "id": "drivers", "text": NOT_FARHAD }] }).to_string();
+        boss.invoke("abac", "policy", vec!["apply".into(), set.into()]).await.unwrap();
         let driver = connect(&salma).await;
         let granted = driver.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
         let mut last = Hash::ZERO;

@@ -25,7 +25,7 @@ async fn robot(owner: &Client, name: &str) -> u64 {
 
 /// Checks the newest proof in a data directory by nothing but the genesis: nothing has changed who governs since.
 fn check_newest(place: &NodePlace) -> u64 {
-    let begun = Genesis::governance(&std::fs::read(place.data.join("genesis.json")).unwrap()).unwrap().unwrap();
+    let begun = Genesis::governance(&std::fs::read(place.data.join("genesis.json")).unwrap()).unwrap();
     let bytes = std::fs::read(place.data.join("certificates/newest.proof")).unwrap();
     begun.check(&Proof::from_bytes(&bytes).unwrap().certificate).unwrap();
     Proof::from_bytes(&bytes).unwrap().certificate.statement.height

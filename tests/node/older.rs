@@ -1,4 +1,4 @@
-//! A node of an older release, which does not speak the rules that its network activates.
+//! A node that does not speak the rules that its network activates, and one of a newer program that does.
 
 use crate::rules;
 use crate::support::network::{MARKER, NodePlace};
@@ -9,55 +9,55 @@ use ledgerd::Node;
 use std::ffi::OsString;
 use std::process::{Command, ExitCode, exit};
 
-/// Set in a process that is to be a node of an older release: its configuration.
-const CONFIG: &str = "LEDGERD_TEST_OLDER_RELEASE";
+/// Set in a process that is to be a newer program: its arguments, one a line.
+const ARGUMENTS: &str = "LEDGERD_TEST_NEWER_PROGRAM";
 
-/// Starts a node of an older release: this test program runs itself again, as a program of one's own does, with a node that
-/// speaks less.
-fn start_older(place: &NodePlace) -> Process {
+/// A program that speaks one number of rules more than any release: this test program runs itself again, as a program of
+/// one's own does.
+pub(crate) fn newer(arguments: &[&str]) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     let name = "older::a_node_that_does_not_speak_the_activated_rules_stops_before_them_and_comes_back_when_upgraded";
     command
         .env_remove("RUST_LOG")
         .env("LEDGERD_LOG_FORMAT", "text")
         .args(["--exact", name, "--nocapture"])
-        .env(CONFIG, &place.config);
-    place.start_as(command)
+        .env(ARGUMENTS, arguments.join("\n"));
+    command
 }
 
-/// The whole life of a process that is such a node.
-fn be_older(config: OsString) -> ! {
-    let arguments = ["ledgerd".into(), "run".into(), "--config".into(), config];
-    let ended = ledgerd::run_with(Node::builder().rules_up_to(Rules::FIRST), arguments);
+/// Starts a node that is such a program.
+pub(crate) fn start_newer(place: &NodePlace) -> Process {
+    place.start_as(newer(&["run", "--config", place.config.to_str().unwrap()]))
+}
+
+/// The whole life of a process that is such a program.
+fn be_newer(arguments: &str) -> ! {
+    let arguments = ["ledgerd"].into_iter().chain(arguments.lines()).map(OsString::from);
+    let ended = ledgerd::run_with(Node::builder().rules_up_to(Rules::OF_TESTS), arguments);
     exit((0..=255).find(|code| ExitCode::from(*code) == ended).map_or(255, i32::from))
 }
 
 #[test]
 fn a_node_that_does_not_speak_the_activated_rules_stops_before_them_and_comes_back_when_upgraded() {
-    if let Some(config) = std::env::var_os(CONFIG) {
-        be_older(config);
+    if let Ok(arguments) = std::env::var(ARGUMENTS) {
+        be_newer(&arguments);
     }
     tokio::runtime::Runtime::new().unwrap().block_on(story());
 }
 
 async fn story() {
     let fleet = Fleet::found(2);
-    rules::older(&fleet);
     fleet.issue("Org1", "Boss", Role::Admin, &[]);
     fleet.owner();
     let (boss, owner) = (fleet.ctl().as_("Boss"), fleet.ctl().as_("Admin"));
-    let voter = fleet.nodes[0].start();
-    let mut learner = start_older(&fleet.nodes[1]);
-    let (first, newest) = (Rules::FIRST, Rules::NEWEST);
+    let voter = start_newer(&fleet.nodes[0]);
+    let mut learner = fleet.nodes[1].start();
+    let (first, newest) = (Rules::NEWEST, Rules::OF_TESTS);
     let shown = rules::rules(&boss, "the voter has said what it speaks", |shown| {
         shown["nodes"][0]["newest"] == newest.number()
     })
     .await;
-    assert_eq!(
-        shown["nodes"][1]["newest"],
-        first.number(),
-        "the older release says nothing: it speaks what is in force"
-    );
+    assert_eq!(shown["nodes"][1]["newest"], first.number(), "this release says nothing: it speaks what is in force");
 
     let height = shown_height(&boss) + 20;
     let activate = ["network", "rules", "--activate", &newest.to_string(), "--from", &height.to_string()];
@@ -83,9 +83,9 @@ async fn story() {
     }
     learner.no_panic();
 
-    let mut again = start_older(&fleet.nodes[1]);
+    let mut again = fleet.nodes[1].start();
     assert_eq!(again.wait().code(), Some(1), "nor does it start again");
-    let upgraded = fleet.nodes[1].start();
+    let upgraded = start_newer(&fleet.nodes[1]);
     let wanted = shown_height(&boss);
     until("the upgraded node has executed what it missed", || async {
         let shown = boss.run(&["network", "status", "-o", "json"]).ok().json();

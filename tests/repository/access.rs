@@ -4,10 +4,17 @@ use crate::sources::{code, files, product, read, root};
 use std::path::Path;
 
 /// The layers of `crates/abac`, from the lowest: modules that stand side by side, each a file and perhaps a folder.
-const LAYERS: [&[&str]; 6] =
-    [&["arguments", "fixture", "nearest"], &["records"], &["rules"], &["policy"], &["actions"], &["contract"]];
+const LAYERS: [&[&str]; 7] = [
+    &["arguments", "fixture", "nearest"],
+    &["records"],
+    &["rules"],
+    &["policy"],
+    &["lifecycle"],
+    &["calls"],
+    &["contract"],
+];
 
-/// The file that declares modes, and derives what an older node does not tell.
+/// The crate that declares modes.
 const DECLARES: &str = "crates/contract/src/";
 /// The names of rules, and of what they do with a contender.
 const NAMES: [&str; 6] =

@@ -61,6 +61,21 @@ pub(crate) fn code(text: &str) -> impl Iterator<Item = &str> {
 }
 
 #[test]
+fn the_rules_of_tests_are_spoken_by_tests_only() {
+    let sources = ["crates", "src", "examples"].map(|folder| files(&root().join(folder), ".rs"));
+    for path in sources.into_iter().flatten() {
+        let relative = path.strip_prefix(root()).unwrap_or(&path).to_string_lossy().into_owned();
+        // The file that declares them.
+        if relative == "crates/ledger/src/rules.rs" || relative.contains("tests") {
+            continue;
+        }
+        let text = product(&path);
+        let named = code(&text).find(|line| line.contains("OF_TESTS"));
+        assert!(named.is_none(), "{relative} speaks rules that no release has: {named:?}");
+    }
+}
+
+#[test]
 fn no_source_file_is_longer_than_one_thing() {
     let long: Vec<_> = files(root(), ".rs")
         .into_iter()

@@ -1,12 +1,8 @@
 //! The function table of the chaincode, and its hooks.
 
-use crate::actions::{
-    NAME, acquire, authorize, can, confidential, confirm, delegate, emergency, end, follow, hold, policies,
-    policy_proposals, policy_rules, policy_sets, publish, queue, release, renew, robots, settings, show, side_door,
-    task_list, tasks, together,
-};
+use crate::calls::{self, NAME};
+use crate::lifecycle::{ends, publishing, turns};
 use crate::policy::decider::Decider;
-use crate::records::sharing;
 use crate::rules::{Rule, Table};
 use bytes::Bytes;
 use ledger::{Chaincode, Context, Foretold, Quorum, Revocation};
@@ -56,7 +52,6 @@ use std::sync::Arc;
 /// | `cancel ID` | the submitter of the task, an admin of the owner | [`crate::Task`] |
 /// | `tasks [PAGE_JSON]`, `task ID` | anybody | [`crate::Task`]s |
 /// | `report_side_door SERVICE TOPIC PUBLISHERS` | the robot itself, a node of its owner; once in a minute | [`crate::SideDoor`] |
-/// | `policy put ID TEXT [i-mean-it]`, `policy remove ID [i-mean-it]` | an admin, for their robots | [`crate::PolicyChange`] |
 /// | `policy apply SET_JSON` of [`crate::PolicyDraft`] | an admin, for their robots, where nobody else must agree | [`crate::PolicyChange`] |
 /// | `policy propose SET_JSON` of [`crate::PolicyDraft`] | an admin, for their robots | [`crate::PolicyProposal`] |
 /// | `policy approve ID`, `policy withdraw ID` | an admin | [`crate::PolicyProposal`] |
@@ -118,7 +113,7 @@ const FUNCTIONS: [&str; 47] = [
     "robots",
     "service",
     "set",
-    policy_rules::SET,
+    calls::set_policy_approvals::SET,
     "setup",
     "share",
     "stop",
@@ -127,9 +122,6 @@ const FUNCTIONS: [&str; 47] = [
     "task",
     "tasks",
 ];
-
-/// The rules since which voters certify what executing a block gave.
-const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
 const READS: [&str; 21] = [
@@ -179,7 +171,7 @@ const URGENT: [&str; 18] = [
 ];
 
 /// Those that the network decides together.
-static NEEDS_APPROVAL: [(&str, Quorum); 1] = [(policy_rules::SET, Quorum::Majority)];
+static NEEDS_APPROVAL: [(&str, Quorum); 1] = [(calls::set_policy_approvals::SET, Quorum::Majority)];
 
 /// The names of its events.
 const EVENTS: [&str; 23] = [
@@ -233,7 +225,7 @@ impl AccessControl {
     /// As `set`: unknown names, [`ledger_base::rejection::Code::StaleEpoch`], [`ledger_base::rejection::Code::NotHolder`], what policies say.
     pub fn may_publish(&self, ctx: &Context<'_>, service: &str, epoch: u64) -> Result<(), Rejection> {
         let target = self.decider.records.target(ctx, service)?;
-        publish::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)
+        publishing::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)
     }
 }
 
@@ -250,53 +242,53 @@ impl Chaincode for AccessControl {
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         let decider = &self.decider;
         match function {
-            "set" => publish::set(ctx, decider, args),
-            "acquire" => acquire::acquire(ctx, decider, args),
-            "acquire_all" if sharing::known(ctx) => together::acquire_all(ctx, decider, args),
-            "renew" => renew::renew(ctx, decider, args),
-            "take" if sharing::known(ctx) => acquire::take(ctx, decider, args),
-            "delegate" if sharing::known(ctx) => delegate::delegate(ctx, decider, args),
-            "handover" if sharing::known(ctx) => delegate::handover(ctx, decider, args),
-            "recall" if sharing::known(ctx) => delegate::recall(ctx, decider, args),
-            "confirm" if sharing::known(ctx) => confirm::confirm(ctx, decider, args),
-            "stop" if sharing::known(ctx) => emergency::stop(ctx, decider, args),
-            "resume" if sharing::known(ctx) => emergency::resume(ctx, decider, args),
-            "line" if sharing::known(ctx) => show::line(ctx, decider, args),
-            "latest" if sharing::known(ctx) => show::latest(ctx, args),
-            "submit" if sharing::known(ctx) => tasks::submit(ctx, decider, args),
-            "progress" if sharing::known(ctx) => tasks::progress(ctx, decider, args),
-            "fail" if sharing::known(ctx) => tasks::fail(ctx, args),
-            "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
-            "report_side_door" if sharing::known(ctx) => side_door::report(ctx, args),
-            "reader" if sharing::known(ctx) => confidential::reader(ctx, decider, args),
-            "readers" if sharing::known(ctx) => confidential::readers(ctx, decider, args),
-            "share" if sharing::known(ctx) => confidential::share(ctx, decider, args),
-            "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
-            "task" if sharing::known(ctx) => task_list::task(ctx, args),
-            "can" if sharing::known(ctx) => can::can(ctx, decider, args),
-            "could" if sharing::known(ctx) => can::could(ctx, decider, args),
-            "check" if sharing::known(ctx) => can::check(ctx, decider, args),
-            "diff" if sharing::known(ctx) => can::diff(ctx, decider, args),
-            "release" => release::release(ctx, decider, args),
-            "authorize" => authorize::authorize(ctx, decider, args),
-            "GetSubmittingClientIdentity" => authorize::caller(ctx, args),
-            "setup" => robots::setup(ctx, decider, args),
-            "configure" => settings::configure(ctx, decider, args),
-            "replace" => settings::replace(ctx, decider, args),
-            "remove" => robots::remove(ctx, args),
-            "robots" => show::robots(ctx, decider, args),
-            "robot" => show::robot(ctx, decider, args),
-            "declare" if ctx.rules().number() >= DECLARED_SINCE => show::declare(ctx, decider, args),
-            "service" => show::service(ctx, decider, args),
-            "grants" => hold::list(ctx, decider, args),
-            "policy" => policies::change(ctx, decider, args),
-            "policies" => policies::list(ctx, args),
-            "policy_approvals" if sharing::known(ctx) => policy_rules::show(ctx, args),
-            "policy_history" if sharing::known(ctx) => policy_sets::history(ctx, args),
-            "policy_proposal" if sharing::known(ctx) => policy_proposals::show(ctx, args),
-            "policy_proposals" if sharing::known(ctx) => policy_proposals::list(ctx, args),
-            "policy_set" if sharing::known(ctx) => policy_sets::show(ctx, args),
-            policy_rules::SET if sharing::known(ctx) => policy_rules::set(ctx, args),
+            "set" => calls::set::set(ctx, decider, args),
+            "acquire" => calls::acquire::acquire(ctx, decider, args),
+            "acquire_all" => calls::acquire_all::acquire_all(ctx, decider, args),
+            "renew" => calls::renew::renew(ctx, decider, args),
+            "take" => calls::take::take(ctx, decider, args),
+            "delegate" => calls::delegate::delegate(ctx, decider, args),
+            "handover" => calls::handover::handover(ctx, decider, args),
+            "recall" => calls::recall::recall(ctx, decider, args),
+            "confirm" => calls::confirm::confirm(ctx, decider, args),
+            "stop" => calls::stop::stop(ctx, decider, args),
+            "resume" => calls::resume::resume(ctx, decider, args),
+            "line" => calls::line::line(ctx, decider, args),
+            "latest" => calls::latest::latest(ctx, args),
+            "submit" => calls::submit::submit(ctx, decider, args),
+            "progress" => calls::progress::progress(ctx, decider, args),
+            "fail" => calls::fail::fail(ctx, args),
+            "cancel" => calls::cancel::cancel(ctx, decider, args),
+            "report_side_door" => calls::report_side_door::report(ctx, args),
+            "reader" => calls::reader::reader(ctx, decider, args),
+            "readers" => calls::readers::readers(ctx, decider, args),
+            "share" => calls::share::share(ctx, decider, args),
+            "tasks" => calls::tasks::tasks(ctx, args),
+            "task" => calls::task::task(ctx, args),
+            "can" => calls::can::can(ctx, decider, args),
+            "could" => calls::could::could(ctx, decider, args),
+            "check" => calls::check::check(decider, args),
+            "diff" => calls::diff::diff(ctx, decider, args),
+            "release" => calls::release::release(ctx, decider, args),
+            "authorize" => calls::authorize::authorize(ctx, decider, args),
+            "GetSubmittingClientIdentity" => calls::caller::caller(ctx, args),
+            "setup" => calls::setup::setup(ctx, decider, args),
+            "configure" => calls::configure::configure(ctx, decider, args),
+            "replace" => calls::replace::replace(ctx, decider, args),
+            "remove" => calls::remove::remove(ctx, args),
+            "robots" => calls::robots::robots(ctx, decider, args),
+            "robot" => calls::robot::robot(ctx, decider, args),
+            "declare" => calls::declare::declare(ctx, decider, args),
+            "service" => calls::service::service(ctx, decider, args),
+            "grants" => calls::grants::list(ctx, decider, args),
+            "policy" => calls::policy::policy(ctx, decider, args),
+            "policies" => calls::policies::list(ctx, args),
+            "policy_approvals" => calls::policy_approvals::show(ctx, args),
+            "policy_history" => calls::policy_history::history(ctx, args),
+            "policy_proposal" => calls::policy_proposal::show(ctx, args),
+            "policy_proposals" => calls::policy_proposals::list(ctx, args),
+            "policy_set" => calls::policy_set::show(ctx, args),
+            calls::set_policy_approvals::SET => calls::set_policy_approvals::set(ctx, args),
             _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
                 .next(did_you_mean(function, FUNCTIONS, ""))),
         }
@@ -311,7 +303,7 @@ impl Chaincode for AccessControl {
     }
 
     fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {
-        if function == "set" { publish::foretell(args) } else { None }
+        if function == "set" { calls::set::foretell(args) } else { None }
     }
 
     fn urgent(&self, function: &str) -> bool {
@@ -329,23 +321,23 @@ impl Chaincode for AccessControl {
 
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
-        let _ = end::sweep(ctx, &self.decider).and_then(|()| queue::go_on(ctx, &self.decider));
+        let _ = ends::sweep(ctx, &self.decider).and_then(|()| turns::resume(ctx, &self.decider));
     }
 
     fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
-        end::next_deadline(ctx)
+        ends::next_deadline(ctx)
     }
 
     fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {
-        let _ = end::identity_revoked(ctx, &self.decider, revoked);
+        let _ = ends::identity_revoked(ctx, &self.decider, revoked);
     }
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
-        let _ = end::organisation_removed(ctx, &self.decider, organisation);
+        let _ = ends::organisation_removed(ctx, &self.decider, organisation);
     }
 
     fn authority_lost(&self, ctx: &mut Context<'_>, issuer: &[u8; 32]) {
-        let _ = end::authority_lost(ctx, &self.decider, issuer);
+        let _ = ends::authority_lost(ctx, &self.decider, issuer);
     }
 
     fn events(&self) -> &'static [&'static str] {
@@ -353,10 +345,10 @@ impl Chaincode for AccessControl {
     }
 
     fn may_follow(&self, ctx: &Context<'_>, subjects: &[String], names: &[String]) -> Result<(), Rejection> {
-        follow::may_follow(ctx, &self.decider, subjects, names)
+        calls::follow::may_follow(ctx, &self.decider, subjects, names)
     }
 
     fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {
-        follow::may_read(ctx, &self.decider, event)
+        calls::follow::may_read(ctx, &self.decider, event)
     }
 }

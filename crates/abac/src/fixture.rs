@@ -11,7 +11,7 @@ pub(crate) fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection
     let registry = Registry::new();
     let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
     let rules = ledger::Rules::NEWEST;
-    let meter = Meter::default();
+    let meter = Meter::of_query();
     let environment =
         Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction, meter: &meter };
     let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());

@@ -32,23 +32,26 @@
 //! | layer | what is there |
 //! |---|---|
 //! | `contract` | the function table and the hooks |
-//! | `actions` | what can be done: acquire, publish, configure and the others |
+//! | `calls` | a file for each function: parse, check, answer |
+//! | `lifecycle` | changes of the state: grants, queue, tasks, confirmation, delegation, ends; one loop settles what follows |
 //! | `policy` | who may: Cedar, the policies on the ledger, decisions that are remembered |
 //! | `rules` | who wins when several may: a file for each rule, and the table of them |
 //! | `records` | what the state holds: robots, services, grants, keys and indexes |
 //! | `arguments` | argument parsing |
 
-mod actions;
 mod arguments;
+mod calls;
 mod contract;
 #[cfg(test)]
 mod fixture;
+mod lifecycle;
 mod policy;
 mod records;
 mod rules;
 
-pub use actions::authorize::{Authorization, Caller};
-pub use actions::publish::MESSAGES_PER_CALL_MAX;
+pub use calls::authorize::Authorization;
+pub use calls::caller::Caller;
+pub use calls::set::MESSAGES_PER_CALL_MAX;
 pub use contract::AccessControl;
 pub use ledger_contract::{
     AcquireOptions, Acquired, Ask, Attribute, AttributeChanges, Attributes, Can, Capabilities, Condition, Confirmation,
@@ -60,6 +63,6 @@ pub use ledger_contract::{
     RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Share, Sharing, SideDoor, Stopped, Submitted, Task,
     TaskSpec, TaskState, TaskTold, Told, Wrapped,
 };
-pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
+pub use policy::defaults::{DEFAULT_POLICY, SCHEMA};
 pub use policy::limits::POLICY_BYTES_MAX;
 pub use rules::{Claim, Decision, Rule, Situation, contend, precedence};

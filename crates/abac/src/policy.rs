@@ -5,6 +5,7 @@
 //! thread with a stack of fixed size. On a small stack, deep recursion aborts the process. Cedar looks at the stack
 //! that is left, so stacks of different sizes would decide differently on different nodes.
 
+pub(crate) mod action;
 mod annotation;
 mod asked;
 pub(crate) mod decider;
@@ -22,7 +23,7 @@ mod window;
 
 use self::annotation::Said;
 use self::asked::{Asked, asked};
-use self::defaults::schemas;
+use self::defaults::SCHEMA;
 use self::explain::Explanation;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
@@ -68,21 +69,16 @@ pub(crate) struct Question {
     pub(crate) resource: Resource,
     /// Block time, milliseconds.
     pub(crate) time_ms: i64,
-    /// May the set be larger than its steps are allowed to be? It was put under older rules, and denies if it is.
-    pub(crate) doubted: bool,
 }
 
 impl Question {
-    /// The word of a policy that matches. Older rules look at no annotation.
+    /// The word of a policy that matches.
     fn said(&self, policies: &PolicySet, id: &PolicyId) -> Result<Said, String> {
         policies.policy(id).map_or(Ok(Said::Permits(Permit::default())), |policy| self.said_by(policy))
     }
 
     fn said_by(&self, policy: &Policy) -> Result<Said, String> {
-        match self.resource.of_robot {
-            Some(_) => annotation::said(policy, self.time_ms),
-            None => Ok(Said::Permits(Permit::default())),
-        }
+        annotation::said(policy, self.time_ms)
     }
 }
 
@@ -104,8 +100,8 @@ pub(crate) struct Resource {
     pub(crate) robot: String,
     pub(crate) owner: String,
     pub(crate) trusted: Vec<String>,
-    /// The attributes of the robot besides its name and owner, `trusted` among them; none before rules 3.
-    pub(crate) of_robot: Option<TextAttributes>,
+    /// The attributes of the robot besides its name, its owner and `trusted`.
+    pub(crate) of_robot: TextAttributes,
     /// The owner's own attributes of the robot, and of the service besides them.
     pub(crate) own: (Attributes, Attributes),
 }
@@ -146,10 +142,9 @@ pub(crate) struct Answer {
 }
 
 enum Job {
-    /// By the schema that comes first. Are annotations to be known ones?
-    Check(&'static str, bool, String, SyncSender<Result<(), Vec<String>>>),
+    Check(String, SyncSender<Result<(), Vec<String>>>),
     /// The faults with their places.
-    Diagnose(&'static str, bool, String, SyncSender<Vec<PolicyFault>>),
+    Diagnose(String, SyncSender<Vec<PolicyFault>>),
     /// With the texts of the set, if they were asked for.
     Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
     /// By these texts, with the reasons.
@@ -174,28 +169,25 @@ impl Engine {
     /// [`Code::Internal`] if the operating system gives no thread, or the built-in schema is broken.
     pub(crate) fn start() -> Result<Self, Rejection> {
         let internal = |fault: String| Rejection::new(Code::Internal, "policies cannot be evaluated").found(fault);
-        let mut validators = Validators::new();
-        for text in schemas() {
-            let (schema, _) = Schema::from_cedarschema_str(text).map_err(|fault| internal(fault.to_string()))?;
-            validators.insert(text, Validator::new(schema));
-        }
+        let (schema, _) = Schema::from_cedarschema_str(SCHEMA).map_err(|fault| internal(fault.to_string()))?;
+        let validator = Validator::new(schema);
         let (jobs, queue) = sync_channel(QUEUE_MAX);
         std::thread::Builder::new()
             .name("policies".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || serve(&queue, &validators))
+            .spawn(move || serve(&queue, &validator))
             .map_err(|fault| internal(fault.to_string()))?;
         Ok(Self { jobs })
     }
 
-    /// Is this text acceptable as a policy under that schema?
+    /// Is this text acceptable as a policy?
     ///
     /// # Errors
     /// [`Code::PolicyInvalid`] with the first faults.
-    pub(crate) fn check(&self, schema: &'static str, annotated: bool, text: &str) -> Result<(), Rejection> {
+    pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
         limits::check(text)?;
         let (reply, answer) = sync_channel(1);
-        let job = Job::Check(schema, annotated, text.to_owned(), reply);
+        let job = Job::Check(text.to_owned(), reply);
         let faults = self.jobs.send(job).ok().and_then(|()| answer.recv().ok());
         let Err(mut faults) = faults.unwrap_or_else(|| Err(vec!["the policy thread is gone".to_owned()])) else {
             return Ok(());
@@ -211,18 +203,13 @@ impl Engine {
         Err(invalid("policy is not acceptable", faults.join("; "), "Cedar policies that validate against the schema"))
     }
 
-    /// The faults of this text as a policy under that schema, with their places.
+    /// The faults of this text as a policy, with their places.
     ///
     /// # Errors
     /// [`Code::Internal`] if they cannot be found.
-    pub(crate) fn diagnose(
-        &self,
-        schema: &'static str,
-        known: bool,
-        text: &str,
-    ) -> Result<Vec<PolicyFault>, Rejection> {
+    pub(crate) fn diagnose(&self, text: &str) -> Result<Vec<PolicyFault>, Rejection> {
         let (reply, answer) = sync_channel(1);
-        let asked = self.jobs.send(Job::Diagnose(schema, known, text.to_owned(), reply)).ok();
+        let asked = self.jobs.send(Job::Diagnose(text.to_owned(), reply)).ok();
         asked.and_then(|()| answer.recv().ok()).ok_or_else(|| {
             Rejection::new(Code::Internal, "the policy cannot be looked at")
                 .found("no answer of the policy thread")
@@ -298,26 +285,18 @@ struct Parsed {
     bytes: usize,
 }
 
-/// One for each schema.
-type Validators = BTreeMap<&'static str, Validator>;
-
-fn serve(queue: &Receiver<Job>, validators: &Validators) {
+fn serve(queue: &Receiver<Job>, validator: &Validator) {
     let mut parsed = Cache::with_weighter(PARSED_SETS_MAX, PARSED_BYTES_MAX as u64, ByText);
     while let Ok(job) = queue.recv() {
         // A caller that has given up waiting is no fault of ours.
         match job {
-            Job::Check(schema, annotated, text, reply) => {
-                let validator = validators.get(schema);
-                let outcome = validator.map(|validator| catch_unwind(|| validate(validator, annotated, &text)));
-                let fault = || Err(vec!["Cedar panicked on it, or knows no such schema".to_owned()]);
-                let _ = reply.send(outcome.and_then(Result::ok).unwrap_or_else(fault));
+            Job::Check(text, reply) => {
+                let fault = |_| Err(vec!["Cedar panicked on it".to_owned()]);
+                let _ = reply.send(catch_unwind(|| validate(validator, &text)).unwrap_or_else(fault));
             }
-            Job::Diagnose(schema, annotated, text, reply) => {
-                let validator = validators.get(schema);
-                let faults =
-                    validator.and_then(|known| catch_unwind(|| diagnose::diagnose(known, annotated, &text)).ok());
+            Job::Diagnose(text, reply) => {
                 // Without an answer the caller hears that there is none.
-                if let Some(faults) = faults {
+                if let Ok(faults) = catch_unwind(|| diagnose::diagnose(validator, &text)) {
                     let _ = reply.send(faults);
                 }
             }
@@ -347,7 +326,7 @@ fn with_set<T>(
     body: impl FnOnce(&Parsed) -> T,
 ) -> Option<T> {
     let Some(texts) = texts else { return parsed.get(&question.version).map(body) };
-    let set = if question.doubted { parse_doubted(&texts) } else { parse_all(&texts) };
+    let set = parse_all(&texts);
     let done = body(&set);
     parsed.insert(question.version, set);
     Some(done)
@@ -362,7 +341,7 @@ impl Weighter<Hash, Parsed> for ByText {
     }
 }
 
-fn validate(validator: &Validator, annotated: bool, text: &str) -> Result<(), Vec<String>> {
+fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
     let policies: PolicySet = text
         .parse()
         .map_err(|fault: cedar_policy::ParseErrors| fault.iter().map(|fault| fault.to_string()).collect::<Vec<_>>())?;
@@ -372,9 +351,7 @@ fn validate(validator: &Validator, annotated: bool, text: &str) -> Result<(), Ve
     if policies.is_empty() {
         return Err(vec!["no policy in the text".to_owned()]);
     }
-    if annotated {
-        annotation::check(&policies)?;
-    }
+    annotation::check(&policies)?;
     let result = validator.validate(&policies, ValidationMode::Strict);
     if result.validation_passed() {
         return Ok(());
@@ -387,19 +364,6 @@ fn parse_all(texts: &[(String, String)]) -> Parsed {
     let bytes = texts.iter().map(|(_, text)| text.len()).sum();
     let of_required = texts.iter().any(|(_, text)| text.contains("requiredAttribute"));
     Parsed { policies: index_all(texts), timeless, of_required, bytes }
-}
-
-/// A set whose steps nobody has counted yet.
-fn parse_doubted(texts: &[(String, String)]) -> Parsed {
-    match limits::steps_of_all(texts) {
-        Ok(_) => parse_all(texts),
-        Err(refused) => Parsed {
-            policies: Err(format!("{}: {}, wanted {}", refused.message, refused.found, refused.wanted)),
-            timeless: true,
-            of_required: false,
-            bytes: 0,
-        },
-    }
 }
 
 fn index_all(texts: &[(String, String)]) -> Result<Index, String> {
@@ -419,9 +383,7 @@ fn decide(set: &Parsed, question: &Question) -> Answer {
     let timeless = set.timeless;
     let verdict = match &set.policies {
         Ok(policies) => match evaluate(policies, question).unwrap_or_else(Verdict::Fault) {
-            Verdict::NotPermitted { .. } => {
-                Verdict::NotPermitted { of_required: set.of_required || question.resource.of_robot.is_none() }
-            }
+            Verdict::NotPermitted { .. } => Verdict::NotPermitted { of_required: set.of_required },
             verdict => verdict,
         },
         Err(fault) => Verdict::Fault(fault.clone()),

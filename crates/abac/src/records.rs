@@ -12,16 +12,16 @@ pub(crate) mod proposed;
 pub(crate) mod reader;
 pub(crate) mod robot;
 pub(crate) mod service;
-pub(crate) mod sharing;
 pub(crate) mod side_door;
 pub(crate) mod stopped;
 pub(crate) mod store;
+pub(crate) mod target;
 pub(crate) mod task;
 pub(crate) mod used;
 
 use self::grant::Holding;
 use self::parsed::Parsed;
-use self::service::{Offered, Target};
+use self::target::{Offered, Target};
 use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
@@ -35,17 +35,17 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// The service of an id, as [`service::resolve`] finds it.
+    /// The service of an id, as [`target::resolve`] finds it.
     ///
     /// # Errors
-    /// As [`service::resolve`].
+    /// As [`target::resolve`].
     pub(crate) fn target(&self, ctx: &Context<'_>, id: &str) -> Result<Arc<Target>, Rejection> {
-        let (robot, topic) = service::split(id);
+        let (robot, topic) = target::split(id);
         let offered = self.robots.read(ctx, &store::robot_key(robot), Offered::parse)?;
         match offered.as_ref().and_then(|offered| offered.find(topic)) {
             Some(target) => Ok(Arc::clone(target)),
             // It says what is wrong.
-            None => service::resolve(ctx, id).map(Arc::new),
+            None => target::resolve(ctx, id).map(Arc::new),
         }
     }
 

@@ -14,7 +14,7 @@ pub(crate) mod priority;
 pub(crate) mod terms;
 
 use self::terms::Terms;
-use crate::records::service::Target;
+use crate::records::target::Target;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Capabilities, Direction, Mode, Sharing};
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_derives_the_capabilities_of_an_older_node_as_that_node_would_tell_them() {
+    fn the_modes_that_every_program_knows_by_name_have_the_capabilities_of_their_rules() {
         for mode in [Mode::OPEN, Mode::EXCLUSIVE] {
             let rule = Table::built_in();
             assert_eq!(

@@ -170,8 +170,7 @@ impl Client {
             function: call.function,
             args: call.args,
         };
-        let sign = if self.session.signs_ids() { Transaction::sign_by_id } else { Transaction::sign };
-        let transaction = sign(&body, &own.key)?;
+        let transaction = Transaction::sign_by_id(&body, &own.key)?;
         self.session.in_flight.signed(transaction.id());
         if self.session.in_flight.introduced(&creator) {
             return Ok(transaction);

@@ -5,8 +5,7 @@ use ledger::{Page, Paging};
 use ledger_base::rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
-/// All elements of a list: follows its pages. `ask` queries the function with these arguments. A node of an older release
-/// knows no pages: it is asked for the whole list.
+/// All elements of a list: follows its pages. `ask` queries the function with these arguments.
 ///
 /// # Errors
 /// As `ask`; [`Code::Malformed`] for an answer that is no page.
@@ -17,13 +16,7 @@ pub async fn follow<T: DeserializeOwned, A: Future<Output = Result<Bytes, Reject
     let (mut items, mut paging) = (Vec::new(), Paging::default());
     loop {
         let argument = serde_json::to_vec(&paging).map_err(|error| unreadable(what, &error))?;
-        let answer = match ask(vec![argument.into()]).await {
-            Err(refused) if refused.code == Code::BadArgument && paging.after.is_none() => {
-                let all = ask(Vec::new()).await?;
-                return serde_json::from_slice(&all).map_err(|error| unreadable(what, &error));
-            }
-            answer => answer?,
-        };
+        let answer = ask(vec![argument.into()]).await?;
         let page: Page<T> = serde_json::from_slice(&answer).map_err(|error| unreadable(what, &error))?;
         items.extend(page.items);
         match page.next {
@@ -46,7 +39,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn pages_are_followed_to_the_end_and_an_older_node_answers_with_everything() {
+    async fn pages_are_followed_to_the_end() {
         let node = |args: Vec<Bytes>| async move {
             let paging: Paging = serde_json::from_slice(args.first().unwrap()).unwrap();
             let from: u64 = paging.after.map_or(0, |after| after.parse().unwrap());
@@ -54,13 +47,6 @@ mod tests {
             Ok(serde_json::to_vec(&page).unwrap().into())
         };
         assert_eq!(follow::<u64, _>("a list", node).await.unwrap(), (0..9).collect::<Vec<_>>());
-        let older = |args: Vec<Bytes>| async move {
-            match args.is_empty() {
-                true => Ok(Bytes::from("[1,2]")),
-                false => Err(Rejection::new(Code::BadArgument, "too many arguments")),
-            }
-        };
-        assert_eq!(follow::<u64, _>("a list", older).await.unwrap(), [1, 2]);
         let refusing = |_: Vec<Bytes>| async { Err(Rejection::new(Code::Revoked, "revoked")) };
         assert_eq!(follow::<u64, _>("a list", refusing).await.unwrap_err().code, Code::Revoked);
         let lying = |_: Vec<Bytes>| async { Ok(Bytes::from(r#"{"items":[1],"next":"1"}"#)) };

@@ -33,7 +33,7 @@ impl fmt::Display for Attribute {
     }
 }
 
-/// A field that older rules do not know: whoever names it has said something, whatever its value is.
+/// A field that one may leave out: whoever names it has said something, whatever its value is.
 pub(crate) fn named<'de, T: Deserialize<'de>, D: Deserializer<'de>>(from: D) -> Result<Option<T>, D::Error> {
     T::deserialize(from).map(Some)
 }

@@ -55,8 +55,7 @@ pub struct ToldCapabilities(BTreeMap<String, String>);
 pub struct UnknownRule(String);
 
 impl Capabilities {
-    /// The capabilities of a service that a node describes without them: it is older than they are. None if no such
-    /// node knows the mode.
+    /// The capabilities of the modes that every program knows by name: `open` and `exclusive`. None for another one.
     pub fn of_mode(mode: &Mode) -> Option<Self> {
         match mode.name() {
             "open" => Some(Self {
@@ -103,13 +102,6 @@ impl From<Capabilities> for ToldCapabilities {
         let Capabilities { publishing, fencing, sequence } = known;
         let words = NAMES.into_iter().zip([publishing.word(), fencing.word(), sequence.word()]);
         Self(words.map(|(name, word)| (name.to_owned(), word.to_owned())).collect())
-    }
-}
-
-impl UnknownRule {
-    /// A mode that came with capabilities, told without any.
-    pub(crate) fn of_mode(mode: &str) -> Self {
-        Self(format!("mode {mode:?} without capabilities"))
     }
 }
 

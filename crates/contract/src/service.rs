@@ -144,23 +144,17 @@ pub struct ServiceState {
     /// The last report that somebody publishes on the robot's own topic, around the ledger.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub side_door: Option<SideDoor>,
-    /// The consequences of its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node
-    /// does in the answer of a transaction, which stays as it always was.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub capabilities: Option<ToldCapabilities>,
+    /// The consequences of its rule; [`ServiceState::capabilities`] reads them.
+    pub capabilities: ToldCapabilities,
 }
 
 impl ServiceState {
-    /// The consequences of the service's rule, as the node tells them, or as its mode says if the node is older than
-    /// that.
+    /// The consequences of the service's rule.
     ///
     /// # Errors
     /// The part of the rule that this program does not know: it can show the service, and must not drive it.
     pub fn capabilities(&self) -> Result<Capabilities, UnknownRule> {
-        match &self.capabilities {
-            Some(told) => told.read(),
-            None => Capabilities::of_mode(&self.mode).ok_or_else(|| UnknownRule::of_mode(self.mode.name())),
-        }
+        self.capabilities.read()
     }
 }
 

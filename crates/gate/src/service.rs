@@ -158,9 +158,12 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_tells_no_capabilities_means_those_of_its_mode() {
-        for (mode, needs_grant) in [("exclusive", true), ("open", false)] {
-            assert_eq!(described(mode, "").unwrap().needs_grant(), needs_grant);
+    fn the_capabilities_say_whether_a_grant_is_needed() {
+        let told = |publishing: &str| {
+            format!(r#","capabilities":{{"fencing":"newest","publishing":"{publishing}","sequence":"per_epoch"}}"#)
+        };
+        for (publishing, needs_grant) in [("grant", true), ("policy", false)] {
+            assert_eq!(described("exclusive", &told(publishing)).unwrap().needs_grant(), needs_grant);
         }
     }
 
@@ -169,7 +172,7 @@ mod tests {
         let told = r#","capabilities":{"fencing":"per_holder","publishing":"grant","sequence":"per_publisher"}"#;
         assert!(described("limited", told).unwrap().needs_grant());
         for (more, found) in [
-            (String::new(), "mode \"limited\" without capabilities"),
+            (r#","capabilities":{}"#.to_owned(), "no capability \"publishing\""),
             (told.replace("per_holder", "by_place"), "capability \"fencing\" with the value \"by_place\""),
             (told.replace("fencing", "clamp"), "capability \"clamp\" with the value \"per_holder\""),
         ] {

@@ -10,7 +10,7 @@ pub use crate::certificate::Usage;
 
 use crate::certificate::{Certificate, at_most, malformed};
 use crate::identity::{Identity, IdentityError, check_name, printable};
-use crate::key::{KeyError, KeyKind, PublicKey};
+use crate::key::PublicKey;
 use crate::revocation_list::RevocationList;
 use crate::units::Units;
 use ledger_base::hash::Hash;
@@ -170,20 +170,12 @@ pub struct Msps {
     names: HashMap<Vec<u8>, String>,
     /// Public key (DER) of each declared authority -> its organisation.
     keys: HashMap<Vec<u8>, String>,
-    /// Are holders with keys of P-384 refused?
-    without_p384: bool,
 }
 
 impl Msps {
     /// No organisation yet: every certificate is refused.
     pub fn new() -> Self {
         Self::default()
-    }
-
-    /// The same set, which refuses holders with keys of P-384 as older releases do.
-    #[must_use]
-    pub fn without_p384(self) -> Self {
-        Self { without_p384: true, ..self }
     }
 
     /// Adds an organisation, or replaces it if there is one of this name.
@@ -270,11 +262,8 @@ impl Msps {
         let name = certificate.name()?;
         let common = if candidates.iter().all(|msp| msp.units.is_none()) { Some(certificate.role()?) } else { None };
         let attributes = certificate.attributes()?;
-        let public_key = match PublicKey::from_spki(&certificate.public_key_info) {
-            Ok(key) if key.kind() == KeyKind::P384 && self.without_p384 => Err(KeyError::UnsupportedPublicKey),
-            read => read,
-        }
-        .map_err(|reason| IdentityError::UnsupportedKey { subject: printable(&certificate.subject), reason })?;
+        let public_key = PublicKey::from_spki(&certificate.public_key_info)
+            .map_err(|reason| IdentityError::UnsupportedKey { subject: printable(&certificate.subject), reason })?;
         let leaf = path::Leaf { der: CertificateDer::from(der), certificate: &certificate, usage, at };
         for msp in candidates {
             match leaf.path_to(msp, &presented) {

@@ -57,7 +57,7 @@ pub struct Ledger {
     /// Blocks between two snapshots.
     snapshot_every: u64,
     /// Those of the newest block that is to be certified; none if its rules have none.
-    roots: Mutex<Option<Roots>>,
+    roots: Mutex<Roots>,
     identities: Identities,
     verified: Verified,
     large: Large,
@@ -88,7 +88,7 @@ pub struct Outcome {
     /// In the order in which they were emitted.
     pub events: Vec<EmittedEvent>,
     /// The hashes that its voters sign, if it is to be certified: blocks with control writes, and the first block of each window
-    /// of block time. None before rules 3, and for a block that was executed long ago.
+    /// of block time. None for a block that was executed long ago.
     pub certifiable: Option<Roots>,
     /// Does it change whom others trust: an organisation, a node, a member, a revocation, rules? Not known of a block that was
     /// executed long ago.
@@ -104,7 +104,7 @@ pub struct BlockHashes {
     pub hash: Hash,
     /// State digest after the block.
     pub digest: Hash,
-    /// Control chain and results root, if it is to be certified; none before rules 3.
+    /// Control chain and results root, if it is to be certified.
     pub roots: Option<Roots>,
 }
 
@@ -153,11 +153,7 @@ impl Ledger {
         })?;
         window.forget_before(tip.time);
         let schedule = Schedule::new(founding.rules, msp::activations(&*state)?);
-        let certifies = |height| {
-            let rules = registry.speaks(schedule.number_at(height));
-            rules.is_some_and(|rules| rules.certifies_every().is_some())
-        };
-        let roots = newest_roots(tip.height, &genesis, &results, certifies)?;
+        let roots = newest_roots(tip.height, &genesis, &results)?;
         let ledger = Self {
             roots: Mutex::new(roots),
             network,
@@ -254,8 +250,8 @@ impl Ledger {
         }
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).push(tip.height, &writes);
         let cut = self.is_snapshot_due(&tip);
-        if certifiable.is_some() {
-            *self.roots.lock().unwrap_or_else(PoisonError::into_inner) = certifiable;
+        if let Some(roots) = certifiable {
+            *self.roots.lock().unwrap_or_else(PoisonError::into_inner) = roots;
         }
         self.state.commit(writes, tip, cut);
         if changed_organisations {
@@ -339,7 +335,7 @@ impl Ledger {
         let mut overlay = self.overlay();
         let tip = self.tip();
         let deadlines = self.registry.iter().filter_map(|chaincode| {
-            let meter = Meter::default();
+            let meter = Meter::of_query();
             let environment = self.environment(None, &tip, tip.time, &meter);
             chaincode.next_deadline(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()))
         });
@@ -449,7 +445,7 @@ impl Ledger {
         } else {
             // The first block that a transaction can be in.
             tip.height += 1;
-            Meter::of_block(self.rules())
+            Meter::of_block()
         };
         let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time, &meter) };
         let answer = Registry::invoke(environment, &mut overlay, &mut events, chaincode, function, args);

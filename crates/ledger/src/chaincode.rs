@@ -41,7 +41,7 @@ pub trait Chaincode: Send + Sync {
         None
     }
 
-    /// The functions that only read. They are queries: a transaction that calls one is refused (since rules 3), and one that
+    /// The functions that only read. They are queries: a transaction that calls one is refused, and one that
     /// writes or emits all the same, too. Other chaincodes may call them.
     fn reads(&self) -> &'static [&'static str] {
         &[]

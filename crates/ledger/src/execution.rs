@@ -26,13 +26,16 @@ use std::collections::HashSet;
 use std::sync::{Arc, PoisonError, RwLock};
 use trust::Trust;
 
+/// Microseconds of block time of which at least the first block is certified.
+const CERTIFIED_EVERY: u64 = 200_000;
+
 /// The needs of the execution of a block besides the block.
 pub(crate) struct Executor<'a> {
     pub(crate) network: Hash,
     /// By which the block is executed.
     pub(crate) rules: Rules,
-    /// Those of the newest block before that is to be certified; none if there is none.
-    pub(crate) roots: Option<Roots>,
+    /// Those of the newest block before that is to be certified.
+    pub(crate) roots: Roots,
     pub(crate) registry: &'a Registry,
     pub(crate) identities: &'a Identities,
     pub(crate) state: Arc<dyn StateRead>,
@@ -56,7 +59,7 @@ pub(crate) struct Execution {
     pub(crate) ids: Vec<Hash>,
     /// To the world state.
     pub(crate) writes: WriteSet,
-    /// For voters to sign, if it is to be certified; none before rules 3.
+    /// For voters to sign, if it is to be certified.
     pub(crate) certifiable: Option<Roots>,
     /// It changes whom others trust.
     pub(crate) governs: bool,
@@ -78,7 +81,7 @@ impl Executor<'_> {
         let header = Header { height: entry.index, term: entry.term, time, previous: previous.hash, root };
 
         let mut overlay = Overlay::new(Arc::clone(&self.state));
-        let (mut events, meter) = (Vec::new(), Meter::of_block(self.rules));
+        let (mut events, meter) = (Vec::new(), Meter::of_block());
         self.begin_block(&header, &mut overlay, &mut events);
         let (mut taken, mut trust) = (HashSet::<Hash>::new(), Trust::new(self.identities));
         let mut results = Vec::with_capacity(transactions.len());
@@ -86,7 +89,7 @@ impl Executor<'_> {
         let mut foretold = Vec::with_capacity(transactions.len());
         let verified = self.verify_together(&decoded, &leaves.unwrap_or_default(), time);
         for (position, (decoded, verified)) in (0u32..).zip(decoded.into_iter().zip(verified)) {
-            let (mut emitted, identities) = (Vec::new(), trust.now(self.rules, &overlay)?);
+            let (mut emitted, identities) = (Vec::new(), trust.now(&overlay)?);
             let (mut id, mut not_after, mut as_foretold) = (Hash::ZERO, None, false);
             let outcome = decoded.and_then(|transaction| {
                 id = transaction.id();
@@ -117,7 +120,7 @@ impl Executor<'_> {
             events.extend(emitted.into_iter().map(|event| EmittedEvent { index: Some(position), event }));
         }
 
-        if let Some(recovery) = Recovery::of(entry).filter(|_| self.rules.notes_emergencies()) {
+        if let Some(recovery) = Recovery::of(entry) {
             self.note_recovery(&header, &mut overlay, &mut events, &recovery);
         }
 
@@ -133,17 +136,14 @@ impl Executor<'_> {
         let mut writes = overlay.finish()?;
         let control = ControlWrites::of(&writes, self.registry);
         let governs = control.govern();
-        let before = match self.is_certified(previous, &header, &control) {
-            true => Some(self.roots_before(previous, &mut writes)?),
-            false => None,
-        };
-        if governs && before.is_some() {
+        let is_certified = is_certified(previous, &header, &control);
+        if governs {
             log_change(&facts::change(header.height, &writes, self.registry), &mut writes);
         }
         let digest = digest(&previous.digest, &writes, &results);
         let hash = header.hash();
-        let roots = |before| facts::roots(&before, (header.height, digest), (&results, &events), &control);
-        let certifiable = before.map(roots).transpose()?;
+        let roots = || facts::roots(&self.roots, (header.height, digest), (&results, &events), &control);
+        let certifiable = is_certified.then(roots).transpose()?;
         let result = BlockResult {
             term: header.term,
             time,
@@ -156,23 +156,6 @@ impl Executor<'_> {
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
         Ok(Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs })
-    }
-
-    /// Are voters to sign what executing this block gave? Where control state was written, and for the first block of each
-    /// window of block time.
-    fn is_certified(&self, previous: &Tip, header: &Header, control: &ControlWrites) -> bool {
-        let every = self.rules.certifies_every();
-        every.is_some_and(|every| !control.is_empty() || header.time / every != previous.time / every)
-    }
-
-    /// The roots that a certified block builds on. A network that comes from older rules begins them, and the log of changes.
-    fn roots_before(&self, previous: &Tip, writes: &mut WriteSet) -> Result<Roots, Rejection> {
-        if let Some(before) = self.roots {
-            return Ok(before);
-        }
-        let (roots, change) = facts::begin(&*self.state, self.registry, previous.height)?;
-        log_change(&change, writes);
-        Ok(roots)
     }
 
     fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
@@ -220,7 +203,7 @@ impl Executor<'_> {
         body: impl FnOnce(&mut Context<'_>),
     ) {
         let mut emitted: Vec<Event> = Vec::new();
-        let meter = Meter::default();
+        let meter = Meter::of_block();
         let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, body);
         if let Err(rejection) = hook {
             tracing::error!(height = header.height, chaincode = chaincode.name(), code = rejection.code.name(), reason = %rejection, "work beside the transactions was undone");
@@ -258,9 +241,9 @@ impl Executor<'_> {
     ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
         check_network(transaction, &self.network)?;
         transaction.check_time(header.time)?;
-        let (identity, new) = identities.creator(transaction, overlay, (header.time, self.rules))?;
+        let (identity, new) = identities.creator(transaction, overlay, header.time)?;
         if !verified {
-            transaction.verify_by(self.rules, &identity.public_key)?;
+            transaction.verify(&identity.public_key)?;
         }
         Ok((identity, new))
     }
@@ -275,6 +258,12 @@ impl Executor<'_> {
         }
         Ok(())
     }
+}
+
+/// Are voters to sign what executing this block gave? Where control state was written, and for the first block of each
+/// window of block time.
+fn is_certified(previous: &Tip, header: &Header, control: &ControlWrites) -> bool {
+    !control.is_empty() || header.time / CERTIFIED_EVERY != previous.time / CERTIFIED_EVERY
 }
 
 /// Refuses a transaction that was signed for another network.
@@ -336,12 +325,8 @@ pub(crate) fn genesis(
 ) -> Result<(Tip, WriteSet, BlockResult), Rejection> {
     let writes = found(genesis)?;
     let digest = digest(&Hash::ZERO, &writes, &[]);
-    let certified = Rules::find(genesis.rules).and_then(Rules::certifies_every).is_some();
     let control = ControlWrites::of(&writes, registry);
-    let roots = match certified {
-        true => facts::roots(&facts::NOTHING, (0, digest), (&[], &[]), &control)?.to_bytes(),
-        false => Bytes::new(),
-    };
+    let roots = facts::roots(&facts::NOTHING, (0, digest), (&[], &[]), &control)?.to_bytes();
     let result = BlockResult {
         time: genesis.created,
         hash: Bytes::copy_from_slice(&network.0),

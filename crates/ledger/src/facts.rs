@@ -1,4 +1,4 @@
-//! The facts that executing a block gives, and the hashes over them that voters sign: since rules 3.
+//! The facts that executing a block gives, and the hashes over them that voters sign.
 
 use crate::chaincode::Registry;
 use bytes::Bytes;
@@ -76,12 +76,9 @@ fn all(state: &dyn StateRead, registry: &Registry) -> Result<WriteSet, Rejection
     Ok(all)
 }
 
-/// The roots before the first block that has any, for a network that began with older rules, and the change that its log begins
-/// with. The chains begin with all control state that the block at that height has left, and there is no results root.
-pub(crate) fn begin(state: &dyn StateRead, registry: &Registry, height: u64) -> Result<(Roots, Change), Rejection> {
-    let all = all(state, registry)?;
-    let roots = ControlWrites::of(&all, registry).extend(&NOTHING, height)?;
-    Ok((roots, change(height, &all, registry)))
+/// All governing state as the block at that height has left it.
+pub(crate) fn governing(state: &dyn StateRead, registry: &Registry, height: u64) -> Result<Change, Rejection> {
+    Ok(change(height, &all(state, registry)?, registry))
 }
 
 /// Before the genesis.

@@ -4,25 +4,20 @@ use crate::chaincode::Registry;
 use crate::facts;
 use crate::msp::{self, MspChaincode};
 use crate::network::Genesis;
-use crate::rules::Rules;
 use ledger_base::rejection::Rejection;
 use ledger_light::Governance;
 use std::sync::Arc;
 
 impl Genesis {
-    /// The members and authorities at the genesis of a network: a reader that pinned the network's name begins there. None if
-    /// the network was founded with rules that certify nothing.
+    /// The members and authorities at the genesis of a network: a reader that pinned the network's name begins there.
     ///
     /// # Errors
     /// As [`Genesis::from_bytes`].
-    pub fn governance(bytes: &[u8]) -> Result<Option<Governance>, Rejection> {
+    pub fn governance(bytes: &[u8]) -> Result<Governance, Rejection> {
         let (genesis, network) = Self::from_bytes(bytes)?;
-        if Rules::find(genesis.rules).and_then(Rules::certifies_every).is_none() {
-            return Ok(None);
-        }
         let mut registry = Registry::default();
         registry.install(Arc::new(MspChaincode))?;
         let change = facts::change(0, &msp::found(&genesis)?, &registry);
-        Governance::founded(network, genesis.created, &change).map(Some)
+        Governance::founded(network, genesis.created, &change)
     }
 }

@@ -2,7 +2,6 @@
 
 use crate::msp::{self, Due, certificate_key, revoked_key};
 use crate::network::FoundingOrganisation;
-use crate::rules::Rules;
 use crate::transaction::Transaction;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -34,8 +33,6 @@ pub(crate) struct Identities {
 
 struct Trusted {
     msps: Arc<Msps>,
-    /// The same for rules by which nobody signs with P-384.
-    older: Arc<Msps>,
     known: Cache<Hash, Arc<Identity>>,
     /// Which authorities have to publish a new revocation list until when, so that their members are not refused.
     due: Arc<Due>,
@@ -51,8 +48,7 @@ impl Trusted {
         for organisation in organisations {
             msps.insert(organisation.msp()?)?;
         }
-        let (msps, older) = (Arc::new(msps.clone()), Arc::new(msps.without_p384()));
-        Ok(Self { msps, older, known: Cache::new(CACHED_MAX), due })
+        Ok(Self { msps: Arc::new(msps), known: Cache::new(CACHED_MAX), due })
     }
 }
 
@@ -91,18 +87,17 @@ impl Identities {
         &self,
         transaction: &Transaction,
         overlay: &Overlay,
-        (at, rules): (u64, Rules),
+        at: u64,
     ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
         let fingerprint = transaction.creator();
-        let accepted = |identity: &Arc<Identity>| rules.accepts_p384() || identity.public_key.kind() != KeyKind::P384;
-        let (identity, new) = match self.remembered(&fingerprint, at).filter(accepted) {
+        let (identity, new) = match self.remembered(&fingerprint, at) {
             // Remembered from an admission: the ledger itself may not have the certificate yet.
             Some(identity) if overlay.get(&certificate_key(&fingerprint)).is_some() => (identity, None),
             remembered => {
                 let (der, new) = certificate(transaction, overlay, &fingerprint)?;
                 let identity = match remembered {
                     Some(identity) => identity,
-                    None => self.verify(&der, at, rules)?,
+                    None => self.verify(&der, at)?,
                 };
                 (identity, new.then_some(der))
             }
@@ -151,13 +146,9 @@ impl Identities {
         trusted.known.get(fingerprint).filter(|identity| identity.check_validity(at).is_ok()).map(Arc::clone)
     }
 
-    fn verify(&self, der: &[u8], at: u64, rules: Rules) -> Result<Arc<Identity>, Rejection> {
-        let (msps, older) = {
-            let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
-            (Arc::clone(&trusted.msps), Arc::clone(&trusted.older))
-        };
-        let by = if rules.accepts_p384() { &msps } else { &older };
-        let identity = Arc::new(by.verify(der, &[], at)?);
+    fn verify(&self, der: &[u8], at: u64) -> Result<Arc<Identity>, Rejection> {
+        let msps = self.msps();
+        let identity = Arc::new(msps.verify(der, &[], at)?);
         let mut trusted = self.trusted.write().unwrap_or_else(PoisonError::into_inner);
         if Arc::ptr_eq(&trusted.msps, &msps) {
             trusted.known.insert(Hash(identity.fingerprint), Arc::clone(&identity));

@@ -11,7 +11,7 @@
 //! | `attestations` | | array of [`AttestationRecord`] |
 //! | `revocations [{after?, most?}]` | | array or page of [`RevocationRecord`] |
 //! | `join_node {address, name?, replace?}` | a node, for itself | [`NodeRecord`] |
-//! | `set_node_role {id, role}`, `{organisation, name, role}` | an admin; see [`NodeRole`] | [`Decision`] |
+//! | `set_node_role {id?, organisation?, name?, role}` ([`SetNodeRole`]) | an admin; see [`NodeRole`] | [`Decision`] |
 //! | `invite_organisation {name, key, expires}` | an admin, with approval | [`Decision`] |
 //! | `join_organisation {...}` ([`JoinOrganisation`]) | any node, for the newcomer | [`Organisation`] |
 //! | `update_organisation {roots, intermediates}` | an admin, for their own | [`Organisation`] |
@@ -38,8 +38,8 @@
 //! | `cancel_registration {name}` | an admin; a registrar, what it has registered | nothing |
 //! | `set_registrar {name, affiliation?, attributes?}` ([`SetRegistrar`]) | an admin | [`SetRegistrar`] |
 //! | `registrars` | an admin | array of [`SetRegistrar`] |
-//! | `enrolled [{after?, most?}]` | other chaincodes, since rules 3 | page of `ORGANISATION/NAME` |
-//! | `holder ORGANISATION/NAME` | everybody, since rules 3 | [`CertifiedHolder`] |
+//! | `enrolled [{after?, most?}]` | other chaincodes | page of `ORGANISATION/NAME` |
+//! | `holder ORGANISATION/NAME` | everybody | [`CertifiedHolder`] |
 //! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
 //! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
 //! | `record_certificate {...}` ([`RecordCertificate`]) | a node that carries the CA | [`Recorded`] |
@@ -60,7 +60,6 @@
 //! `ORGANISATION/NAME`; `ca_carried`, `ca_copied` and `ca_dropped` with the [`CarrierRecord`] and the node; `members_forced`
 //! with the [`Recovery`] and the node; `rules_activated` with the [`crate::Activation`] and the number; `refused` with the [`TellRefusals`] and no subject, for admins and nodes.
 
-mod action;
 mod addition;
 mod address;
 mod allowance;
@@ -76,6 +75,7 @@ mod joins;
 mod node_roles;
 mod nodes;
 mod organisations;
+mod own_call;
 mod proposals;
 mod quorums;
 mod quotas;
@@ -89,23 +89,22 @@ mod rules;
 mod set_quorum;
 mod store;
 
-pub use action::Action;
 pub use addition::AddOrganisation;
 pub use address::never_dialled;
 pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
-pub use arguments::{ActivateRules, InviteOrganisation, SetNodeRole};
+pub use arguments::{ActivateRules, InviteOrganisation, RemoveOrganisation, SetNodeRole};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, Copied, UncarryCa, carriers};
 pub use identities::{
-    AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
-    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, Maker, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
-    RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use,
-    identity, issued,
+    AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IdentityRecord,
+    IssuedCertificate, KnownIdentity, LocalSecret, Maker, REGISTRARS_MAX, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE,
+    RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use, identity,
+    issued,
 };
 pub use invitations::{CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, JoinOrganisation};
 pub use join_node::JoinNode;
 pub use joins::{JOINS_MAX, JOINS_TIME};
-pub use nodes::{NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, Speaks, desired};
+pub use nodes::{NodeRecord, NodeRole, Nodes, Speaks, desired};
 pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{
     Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,
@@ -131,7 +130,6 @@ pub(crate) use store::{
 use crate::chaincode::{Chaincode, Context, Foretold, MSP, Quorum};
 use crate::members::Membership;
 use crate::network::Genesis;
-use crate::page::Paging;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::result::Event;
@@ -252,25 +250,6 @@ const URGENT: [&str; 9] = [
     "update_organisation",
 ];
 
-/// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 15] = [
-    ADD_ORGANISATION,
-    ALLOW_NODES,
-    ENROLLED,
-    HOLDER,
-    "propose",
-    "quorums",
-    "quotas",
-    RECORD_LIST,
-    REGISTRARS,
-    LISTS,
-    SET_QUORUM,
-    SET_QUOTA,
-    SET_REGISTRAR,
-    SET_STALE,
-    TELL_REFUSALS,
-];
-
 /// The names of its events.
 const EVENTS: [&str; 31] = [
     "approved",
@@ -355,15 +334,11 @@ impl Chaincode for MspChaincode {
     }
 
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
-        if !ctx.rules().proposes_calls() && SINCE_RULES_3.contains(&function) {
-            return Err(unknown_function(function));
-        }
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),
             ("attestations", []) => attestations::list(ctx),
             (ENROLLED, [page]) if ctx.is_inner() => identities::enrolled(ctx, page),
             (HOLDER, [id]) => identities::holder(ctx, id),
-            ("identities", [wanted]) if !ctx.is_query() => identities::executed(ctx, wanted),
             ("identities", [] | [_]) => identities::list(ctx, args),
             ("register", [register]) => identities::register(ctx, register),
             ("cancel_registration", [cancel]) => identities::cancel(ctx, cancel),
@@ -388,8 +363,7 @@ impl Chaincode for MspChaincode {
             (TELL_REFUSALS, [told]) => refusals::tell(ctx, told),
             (ACTIVATE_RULES, [activate]) => rules::activate(ctx, activate),
             (ALLOW_NODES, [allow]) => allowance::allow(ctx, allow),
-            ("proposals", []) => proposals::list(ctx, args),
-            ("proposals", [page]) if Paging::is_asked(ctx, page) => proposals::list(ctx, args),
+            ("proposals", [] | [_]) => proposals::list(ctx, args),
             ("quorums", []) => quorums::list(ctx),
             (SET_QUORUM, [quorum]) => set_quorum::set(ctx, quorum),
             ("quotas", [organisation]) => quotas::show(ctx, organisation),
@@ -397,8 +371,7 @@ impl Chaincode for MspChaincode {
             ("propose", [call]) => proposals::propose(ctx, call),
             ("approve", [id]) => proposals::approve(ctx, id),
             ("withdraw", [id]) => proposals::withdraw(ctx, id),
-            ("revocations", []) => revocations::list(ctx, args),
-            ("revocations", [page]) if Paging::is_asked(ctx, page) => revocations::list(ctx, args),
+            ("revocations", [] | [_]) => revocations::list(ctx, args),
             (REGISTRARS, []) => identities::registrars(ctx),
             (SET_REGISTRAR, [registrar]) => identities::set_registrar(ctx, registrar),
             (LISTS, []) => revocation_lists::list(ctx),

@@ -1,8 +1,7 @@
 //! Pages of lists: queries answer with a bounded part, and say where the next one begins.
 //!
 //! Their one argument is JSON of [`Paging`], their answer JSON of [`Page`]. Without the argument the answer is the list itself,
-//! if that is one page. Only queries have pages: what transactions answer belongs to the rules, and a list is no transaction
-//! since rules 3.
+//! if that is one page.
 
 use crate::chaincode::Context;
 use bytes::Bytes;
@@ -47,24 +46,14 @@ impl Paging {
         Self { after, ..Self::default() }
     }
 
-    /// Is this the argument of a query for a page?
-    pub(crate) fn is_asked(ctx: &Context<'_>, argument: &Bytes) -> bool {
-        ctx.is_query() && argument.starts_with(b"{")
-    }
-
-    /// The argument of a query for a page, or for a list; none if the call is no query, or has other arguments.
+    /// The last of the arguments of a function, if it asks for a page; without one, the list is asked for.
     ///
     /// # Errors
-    /// [`Code::BadArgument`] if the argument is JSON of something else.
-    pub fn of(ctx: &Context<'_>, function: &str, args: &[Bytes]) -> Result<Option<Self>, Rejection> {
-        let argument = match args {
-            [] if ctx.is_query() => return Ok(Some(Self { whole: true, ..Self::default() })),
-            [argument] if Self::is_asked(ctx, argument) => argument,
-            _ => return Ok(None),
-        };
+    /// [`Code::BadArgument`] if the argument is something else than JSON of a page.
+    pub fn of(function: &str, args: &[Bytes]) -> Result<Self, Rejection> {
+        let Some(argument) = args.last() else { return Ok(Self { whole: true, ..Self::default() }) };
         let usable = |paging: &Self| paging.after.as_ref().is_none_or(|after| after.len() <= PLACE_BYTES_MAX);
-        let paging = serde_json::from_slice(argument).ok().filter(usable);
-        paging.map(Some).ok_or_else(|| {
+        serde_json::from_slice(argument).ok().filter(usable).ok_or_else(|| {
             Rejection::new(Code::BadArgument, format!("{function} is asked for no page"))
                 .found(format!("{} bytes", argument.len()))
                 .wanted(format!(r#"{{"after": "PLACE", "most": NUMBER}}, each of which may be left out; a place has at most {PLACE_BYTES_MAX} bytes"#))

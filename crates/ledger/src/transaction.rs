@@ -5,7 +5,6 @@
 //! allows many) is still the same transaction. The creator signs the body, or the id of a long one.
 
 use crate::block::{PAYLOAD_BYTES_MAX, leaf};
-use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -103,7 +102,7 @@ impl Transaction {
         Self::from_envelope(Envelope { body, signature, certificate: Bytes::new() }, OnceLock::new())
     }
 
-    /// Signs a body by its id if it is long, as [rules 3](crate::Rules) allow it, else whole.
+    /// Signs a body by its id if it is long, else whole.
     ///
     /// # Errors
     /// As [`Transaction::sign`].
@@ -184,22 +183,13 @@ impl Transaction {
         self.envelope.body.len() > SIGNED_WHOLE_MAX
     }
 
-    /// Checks the creator's signature, over the body or over the id of a long one. For who reads what a block has: the rules
-    /// of that block decided which of both was good.
+    /// Checks the creator's signature, over the body or over the id of a long one.
     ///
     /// # Errors
     /// [`Code::BadSignature`].
     pub fn verify(&self, key: &PublicKey) -> Result<(), Rejection> {
         let by_id = self.is_long() && key.verify(&signed_id(&self.id()), &self.envelope.signature).is_ok();
         if by_id { Ok(()) } else { self.verify_whole(key) }
-    }
-
-    /// Checks the creator's signature by the rules of a block.
-    ///
-    /// # Errors
-    /// [`Code::BadSignature`].
-    pub(crate) fn verify_by(&self, rules: Rules, key: &PublicKey) -> Result<(), Rejection> {
-        if rules.signs_ids() { self.verify(key) } else { self.verify_whole(key) }
     }
 
     fn verify_whole(&self, key: &PublicKey) -> Result<(), Rejection> {
@@ -352,12 +342,8 @@ mod tests {
                 let id = Hash::of(&[&encoded]);
                 let by_id = signed_as(&encoded, &key, &signed_id(&id));
                 assert_eq!(by_id.verify(&key.public_key()).is_ok(), may);
-                assert_eq!(by_id.verify_by(Rules::NEWEST, &key.public_key()).is_ok(), may);
-                assert!(by_id.verify_by(Rules::FIRST, &key.public_key()).is_err());
                 let whole = signed_as(&encoded, &key, &signed_bytes(&encoded));
-                for rules in Rules::all() {
-                    whole.verify_by(rules, &key.public_key()).unwrap();
-                }
+                whole.verify(&key.public_key()).unwrap();
                 // The text before keeps one kind of signature from passing for the other, and for that of another message.
                 let of_another = signed_as(&encoded, &key, &signed_id(&Hash::of(&[b"another"])));
                 let mixed = signed_as(&encoded, &key, &signed_bytes(&id.0));

@@ -117,7 +117,7 @@ pub enum BlockKind {
     Genesis = 2,
 }
 
-/// The hashes over what executing a block gave, as its voters sign it (since rules 3).
+/// The hashes over what executing a block gave, as its voters sign it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Roots {
     /// The governing chain after the block.
@@ -167,13 +167,13 @@ pub struct BlockResult {
     /// In the order in which they were emitted.
     #[prost(message, repeated, tag = "7")]
     pub events: Vec<EmittedEvent>,
-    /// Its [`Roots`], 96 bytes; empty before rules 3.
+    /// Its [`Roots`], 96 bytes; empty if the block is not certified.
     #[prost(bytes = "bytes", tag = "10")]
     pub roots: Bytes,
 }
 
 impl BlockResult {
-    /// Governing chain, control chain and results root; none before rules 3.
+    /// Governing chain, control chain and results root.
     pub fn roots(&self) -> Option<Roots> {
         Roots::from_bytes(&self.roots)
     }

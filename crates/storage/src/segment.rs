@@ -28,8 +28,7 @@ mod window;
 
 pub use error::StoreError;
 pub use header::{
-    Base, HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, VERSION_OLDEST, parse_name,
-    segment_name,
+    Base, HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, parse_name, segment_name,
 };
 pub use record::{
     ENTRY_BYTES_MAX, RECORD_BYTES_MAX, RECORD_HEADER_BYTES, Record, RecordHeader, decode_record, encode_record,

@@ -19,9 +19,7 @@ pub const CERTIFICATES_MAX: usize = 64;
 /// Largest file that is written and read, in bytes.
 const FILE_BYTES_MAX: usize = 128 * 1024 * 1024;
 /// Version of the file's format.
-const VERSION: u32 = 2;
-/// The version before, which has no certificates and counts guesses.
-const VERSION_WITHOUT_CERTIFICATES: u32 = 1;
+const VERSION: u32 = 1;
 
 /// The registered names of one organisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,8 +65,8 @@ pub struct IssuedCertificate {
     pub not_before: u64,
     /// Last valid microsecond since the UNIX epoch.
     pub not_after: u64,
-    /// The certificate, DER; empty if a version before has issued it.
-    #[serde(default, with = "hex::serde", skip_serializing_if = "Vec::is_empty")]
+    /// The certificate, DER.
+    #[serde(with = "hex::serde")]
     pub der: Vec<u8>,
 }
 
@@ -88,11 +86,10 @@ impl Registry {
                 .wanted("the registered names of this CA, as it wrote them")
                 .next("restore the file from a copy")
         };
-        let mut registry: Self = serde_json::from_slice(&content).map_err(|error| damaged(error.to_string()))?;
-        if !(VERSION_WITHOUT_CERTIFICATES..=VERSION).contains(&registry.version) {
+        let registry: Self = serde_json::from_slice(&content).map_err(|error| damaged(error.to_string()))?;
+        if registry.version != VERSION {
             return Err(damaged(format!("version {} of the format instead of {VERSION}", registry.version)));
         }
-        registry.version = VERSION;
         Ok(registry)
     }
 

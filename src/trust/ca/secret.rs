@@ -21,14 +21,10 @@ pub const PRESENTED_BYTES_MAX: usize = 128;
 pub(super) struct OneTimeSecret {
     /// SHA-256 of the secret's text. Its 128 random bits need no salt and no slow hash.
     sha256: Hash,
-    /// When it was made, microseconds since the UNIX epoch; 0 in files of version 1.
-    #[serde(default)]
+    /// When it was made, microseconds since the UNIX epoch.
     pub(super) made: u64,
     /// Until when it can be used, microseconds since the UNIX epoch.
     pub(super) expires: u64,
-    /// Wrong tries, which files of version 1 count.
-    #[serde(default, skip_serializing)]
-    wrong: u8,
     /// SHA-256 of the public key that enrolled with it. That key may come again, because an answer can be lost; no
     /// other one can.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -57,7 +53,7 @@ impl OneTimeSecret {
         })?;
         let text = hex::encode(random);
         let sha256 = hash(&text);
-        Ok((Self { sha256, made, expires, wrong: 0, used_by: None, received: None }, text))
+        Ok((Self { sha256, made, expires, used_by: None, received: None }, text))
     }
 
     /// Does this text open it now? Takes as long for every wrong text. Spaces around it and capitals are forgiven.

@@ -211,29 +211,6 @@ fn guesses_never_void_a_secret() {
 }
 
 #[test]
-fn a_file_of_the_version_before_is_read_and_its_open_secrets_work() {
-    let f = fixture();
-    let secret = "00112233445566778899aabbccddeeff";
-    let text = format!(
-        r#"{{"version":1,"organisation":"Org1","identities":{{"Salma":{{"role":"member","attributes":{{}},"registered":1,
-        "secret":{{"sha256":"{}","expires":{},"wrong":3}},"certificates":[]}},
-        "Used":{{"role":"member","attributes":{{}},"registered":1,
-        "secret":{{"sha256":"{0}","expires":{1},"wrong":0,"used_by":"{0}"}},
-        "certificates":[{{"serial":"01","issuer":"{0}","fingerprint":"{0}","not_before":1,"not_after":2}}]}}}}}}"#,
-        secret::hash(secret),
-        NOW + DAY
-    );
-    drop(f.ca);
-    fs::write(f.directory.join(registry::FILE), text).unwrap();
-    let mut ca = CertificateAuthority::open(&f.directory).unwrap();
-    let (_, csr) = request(KeyKind::Ed25519);
-    assert_eq!(code(ca.enrol("Used", secret, &csr, NOW)), Code::EnrolmentRefused);
-    ca.enrol("Salma", secret, &csr, NOW).unwrap();
-    assert!(fs::read_to_string(f.directory.join(registry::FILE)).unwrap().contains("\"version\": 2"));
-    assert_eq!(CertificateAuthority::open(&f.directory).unwrap().identity("Used").unwrap().certificates.len(), 1);
-}
-
-#[test]
 fn a_registered_name_is_not_registered_again_but_may_receive_a_new_secret_and_new_attributes() {
     let mut f = fixture();
     let (_, csr) = request(KeyKind::Ed25519);

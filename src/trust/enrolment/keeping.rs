@@ -36,12 +36,10 @@ impl EnrolmentService {
                 backup::text(&authority, &request.passphrase)
             })
             .await?;
-        if self.shared.ledger.rules().notes_emergencies() {
-            let authority = self.shared.authority(&organisation)?;
-            let proof = lock(&authority).prove(&self.shared.ledger.network(), &self.shared.own.me.full_name());
-            let told = ledger::msp::CarryCa { copied_by: Some(admin.id()), ..proof };
-            (self.shared.client.submit)("carry_ca", json(&told)?).await?;
-        }
+        let authority = self.shared.authority(&organisation)?;
+        let proof = lock(&authority).prove(&self.shared.ledger.network(), &self.shared.own.me.full_name());
+        let told = ledger::msp::CarryCa { copied_by: Some(admin.id()), ..proof };
+        (self.shared.client.submit)("carry_ca", json(&told)?).await?;
         tracing::warn!(by = admin.id(), organisation, "an admin takes a copy of the CA's key under a passphrase");
         Ok(v1::CopyCaResponse { verdict: Some(v1::Verdict::default()), file: file.into() })
     }

@@ -200,7 +200,8 @@ impl World {
                 (kind, What::Read { asks, person, service, may_be_stale: !linearizable })
             }
             call => {
-                let (chaincode, function, args) = call.transaction();
+                let whole = self.whole_set(person, call);
+                let (chaincode, function, args) = whole.as_ref().unwrap_or(call).transaction();
                 let valid = self.random.clients.between(5, 60) * SECOND;
                 let not_after = client.ahead + self.now + self.valid(function, valid);
                 let introduce = !client.introduced || self.random.clients.percent(10);

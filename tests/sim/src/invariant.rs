@@ -57,8 +57,8 @@ pub use stops_last::StopsLast;
 
 use crate::people::People;
 use bytes::Bytes;
+use ledger::Outcome;
 use ledger::transaction::Transaction;
-use ledger::{Outcome, Rules};
 use serde::Deserialize;
 use std::fmt;
 use std::sync::Arc;
@@ -164,7 +164,7 @@ pub struct Invariants {
 
 impl Invariants {
     /// Before anything has happened.
-    pub fn new(people: &Arc<People>, founded: Rules) -> Self {
+    pub fn new(people: &Arc<People>) -> Self {
         Self {
             election_safety: ElectionSafety::default(),
             log_matching: LogMatching::default(),
@@ -181,7 +181,7 @@ impl Invariants {
             revoked: RevokedStaysRevoked::new(Arc::clone(people)),
             committed: CommittedIsImmutable::default(),
             refused_is_final: RefusedIsFinal::default(),
-            rules_by_height: RulesByHeight::new(founded.number()),
+            rules_by_height: RulesByHeight::default(),
             answered_is_seen: AnsweredIsSeen::default(),
             fair_share: FairShare,
             in_order: InOrder::default(),

@@ -2,7 +2,6 @@
 
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
-use ledger::Rules;
 use ledger_replica::Timing;
 use std::collections::BTreeSet;
 use testkit::Random;
@@ -42,7 +41,7 @@ pub struct Plan {
     pub network: NetworkPlan,
     /// Longest time of an ordinary flush of the log.
     pub disk_max: u64,
-    /// The network is founded with the oldest rules, some nodes speak no others yet, and newer ones are activated.
+    /// Newer rules are activated, which some nodes do not speak yet: [`ledger::Rules::OF_TESTS`], which are in no release.
     pub activates: bool,
     /// Owners choose who wins, users wait in line, robots are stopped; in the other seeds there are only the older calls.
     pub contests: bool,
@@ -75,11 +74,6 @@ pub struct NetworkPlan {
 pub const HEAL_MAX: u64 = 90 * SECOND;
 
 impl Plan {
-    /// The rules that the network is founded with.
-    pub fn rules(&self) -> Rules {
-        if self.activates { Rules::FIRST } else { Rules::NEWEST }
-    }
-
     /// The plan of a seed.
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed, "plan");

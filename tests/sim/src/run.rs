@@ -95,7 +95,7 @@ fn play(world: &mut World) -> Check {
 
 /// The owner's admins put a set in force under which a user is served. All whose approval may be needed give it.
 fn last_agreement(world: &mut World, deadline: u64) -> Check {
-    if !world.governs_now() {
+    if !world.plan.governs {
         return Ok(());
     }
     let proposal = world.last_proposal();
@@ -133,7 +133,7 @@ fn last_word(world: &mut World, deadline: u64) -> Check {
     let user = world.employ_for("Org1/Nina", orders.collect(), false);
     until(world, deadline, "a user is served", |world| world.clients[user].orders.is_empty())?;
     let mut codes = world.clients[user].obeyed.clone();
-    if world.confides_now() {
+    if world.plan.confidential {
         for (person, orders) in world.last_secrets() {
             let client = world.employ_for(person, orders, false);
             until(world, deadline, "secrets are told", |world| world.clients[client].orders.is_empty())?;

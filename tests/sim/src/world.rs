@@ -248,8 +248,8 @@ impl World {
             if plan.faults.contains(&Fault::Pruning) {
                 node.keep = Some(random.faults.between(5, 60));
             }
-            if plan.activates && random.nodes.percent(60) {
-                node.speaks = Rules::FIRST;
+            if plan.activates && !random.nodes.percent(60) {
+                node.speaks = Rules::OF_TESTS;
             }
             nodes.insert(id, node);
         }
@@ -258,7 +258,7 @@ impl World {
             people: Arc::clone(people),
             nodes,
             history: History::default(),
-            invariants: Invariants::new(people, plan.rules()),
+            invariants: Invariants::new(people),
             coverage,
             trace: Trace::new(keep_text),
             blocks: Vec::new(),
@@ -440,7 +440,7 @@ fn found(plan: &Plan, people: &People, seed: u64) -> (Bytes, Hash) {
         voter: id <= plan.voters,
     });
     let genesis = Genesis {
-        rules: plan.rules().number(),
+        rules: Rules::NEWEST.number(),
         label: "simulated".into(),
         created: EPOCH - SECOND,
         salt: Hash::of(&[&seed.to_be_bytes()]),

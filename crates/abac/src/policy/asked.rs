@@ -32,13 +32,11 @@ pub(super) fn asked(question: &Question) -> Result<Asked, String> {
     let user_attributes = [pair("organisation", &user.organisation), pair("name", &user.name), pair("role", user.role)];
     let (robots_own, own) = (&object.own.0, &object.own.1);
     let tags = user.attributes.iter().map(|(key, value)| pair(key, value));
-    let mut robot_attributes = vec![pair("name", &object.robot), pair("owner", &object.owner)];
-    if let Some(more) = &object.of_robot {
-        robot_attributes.extend(more.iter().map(|(key, value)| pair(key, value)).chain([trusted.clone()]));
-    }
+    let of_robot = object.of_robot.iter().map(|(key, value)| pair(key, value));
+    let robot_attributes = [pair("name", &object.robot), pair("owner", &object.owner), trusted.clone()];
     let mut entities = vec![
         Entity::new_with_tags(principal.clone(), user_attributes, [home.clone()], tags).map_err(display)?,
-        Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], tags_of([robots_own]))
+        Entity::new_with_tags(robot.clone(), of_robot.chain(robot_attributes), [owner.clone()], tags_of([robots_own]))
             .map_err(display)?,
         Entity::new_no_attrs(home.clone(), HashSet::new()),
     ];

@@ -1,16 +1,15 @@
 //! Permission: asks the owner's policies and remembers the answers.
 
-use super::defaults::Defaults;
+use super::action::{Action, Object, RobotAction};
 use super::explain::{Explanation, WORK_OF_QUESTION, WORK_OF_REFUSAL};
-use super::limits::{self, STEPS_MAX};
+use super::limits;
 use super::texts::{self, Version};
 use super::{Answer, Engine, Permit, Question, Resource, Texts, User, Verdict, refusal};
 use crate::records::Records;
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
 use crate::records::robot::Robot;
-use crate::records::service::Target;
-use crate::records::sharing;
+use crate::records::target::Target;
 use crate::rules::Table;
 use ledger::Context;
 use ledger_base::hash::Hash;
@@ -25,49 +24,6 @@ const DECISIONS_MAX: usize = 16 * 1024;
 /// Most reasons of denials that are remembered.
 const REASONS_MAX: usize = 1024;
 
-/// A use of a service; each is an action of the schema.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Action {
-    Acquire,
-    Publish,
-    Subscribe,
-    /// Taking it whatever its rule says.
-    Override,
-    /// Agreeing that somebody else acquires it.
-    Confirm,
-}
-
-/// An action on a whole robot; each is in the schema since rules 3.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum RobotAction {
-    Stop,
-    Resume,
-}
-
-/// The object of a question.
-#[derive(Clone, Copy)]
-pub(crate) enum Object<'a> {
-    Service(&'a Target, Action),
-    Robot(&'a Robot, RobotAction),
-}
-
-impl<'a> Object<'a> {
-    fn robot(self) -> &'a Robot {
-        match self {
-            Self::Service(target, _) => &target.robot,
-            Self::Robot(robot, _) => robot,
-        }
-    }
-
-    /// The action as policies name it.
-    pub(crate) fn action(self) -> &'static str {
-        match self {
-            Self::Service(_, action) => action.name(),
-            Self::Robot(_, action) => action.name(),
-        }
-    }
-}
-
 /// All that a decision depends on besides the time. Policies and robots go by hashes of their contents, so an
 /// answer stays true for ever, and one learned in a simulated call is true in an executed one.
 #[derive(Clone, PartialEq, Eq)]
@@ -79,8 +35,6 @@ struct Key {
     /// Empty if the question is about the robot.
     service: String,
     action: &'static str,
-    /// Do policies see more of a robot than its name and owner?
-    of_robot: bool,
 }
 
 /// Keys that are equal have equal parts; these are enough to tell most others apart, and quick to hash.
@@ -97,7 +51,7 @@ impl std::hash::Hash for Key {
 impl Key {
     /// Names the question in a block, whose time it is asked at.
     fn question(&self) -> Hash {
-        let Self { fingerprint, principal, policies, robot, service, action, of_robot: _ } = self;
+        let Self { fingerprint, principal, policies, robot, service, action } = self;
         let text = [principal.as_str(), service, action].join("\0");
         Hash::of(&[&fingerprint.0, &policies.0, &robot.0, text.as_bytes()])
     }
@@ -117,37 +71,6 @@ pub(crate) struct Decider {
     pub(crate) rules: Table,
 }
 
-impl Action {
-    /// The uses that need a decision again and again.
-    pub(crate) const ALL: [Self; 3] = [Self::Acquire, Self::Publish, Self::Subscribe];
-
-    /// May an admin of the owner do it always, without a policy?
-    pub(crate) const fn is_of_owner(&self) -> bool {
-        matches!(self, Self::Override | Self::Confirm)
-    }
-
-    /// As policies name it.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Acquire => "acquire",
-            Self::Publish => "publish",
-            Self::Subscribe => "subscribe",
-            Self::Override => "override",
-            Self::Confirm => "confirm",
-        }
-    }
-}
-
-impl RobotAction {
-    /// As policies name it.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Stop => "stop",
-            Self::Resume => "resume",
-        }
-    }
-}
-
 impl Decider {
     /// # Errors
     /// As [`Engine::start`].
@@ -164,25 +87,18 @@ impl Decider {
 
     /// Is this text acceptable as a policy?
     pub(crate) fn check(&self, ctx: &Context<'_>, text: &str) -> Result<(), Rejection> {
-        if texts::bounded(ctx) {
-            limits::steps(text)?;
-        }
-        self.engine_for(ctx)?.check(Defaults::of(ctx.rules()).schema, sharing::known(ctx), text)
+        limits::steps(text)?;
+        self.engine_for(ctx)?.check(text)
     }
 
     /// The faults of a text as a policy, with their places.
-    pub(crate) fn diagnose(&self, ctx: &Context<'_>, text: &str) -> Vec<PolicyFault> {
+    pub(crate) fn diagnose(&self, text: &str) -> Vec<PolicyFault> {
         let whole = |refused: Rejection| {
             let message = format!("{}: found {}, wanted {}", refused.message, refused.found, refused.wanted);
             vec![PolicyFault { message, help: String::new(), line: 0, column: 0, length: 0, text: String::new() }]
         };
-        let bounded = || if texts::bounded(ctx) { limits::steps(text).map(drop) } else { Ok(()) };
-        match limits::check(text).and_then(|()| bounded()) {
-            Ok(()) => {
-                let (schema, known) = (Defaults::of(ctx.rules()).schema, sharing::known(ctx));
-                let told = self.aside().and_then(|engine| engine.diagnose(schema, known, text));
-                told.unwrap_or_else(whole)
-            }
+        match limits::check(text).and_then(|()| limits::steps(text)) {
+            Ok(_) => self.aside().and_then(|engine| engine.diagnose(text)).unwrap_or_else(whole),
             Err(refused) => whole(refused),
         }
     }
@@ -238,16 +154,13 @@ impl Decider {
         let robot = object.robot();
         let owner = &robot.organisation;
         let Version { hash, steps, .. } = texts::version(ctx, owner)?;
-        // A set from before steps were counted may be larger than it may be now: then it decides otherwise.
-        let doubted = steps.is_none() && texts::bounded(ctx);
-        let version = if doubted { Hash::of(&[b"doubted\0", &hash.0]) } else { hash };
-        let key = key(ctx, principal, object, version);
-        ctx.charge_steps(owner, steps.unwrap_or(STEPS_MAX), || key.question());
+        let key = key(principal, object, hash);
+        ctx.charge_steps(owner, steps, || key.question());
         let known = self.decisions.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
         if let Some(verdict) = known {
             return Ok(verdict);
         }
-        let answer = self.ask(ctx, principal, object, (version, doubted))?;
+        let answer = self.ask(ctx, principal, object, hash)?;
         if answer.timeless {
             self.remember(key, answer.verdict.clone());
         }
@@ -259,24 +172,22 @@ impl Decider {
         ctx: &Context<'_>,
         principal: &Principal,
         object: Object<'_>,
-        (version, doubted): (Hash, bool),
+        version: Hash,
     ) -> Result<Answer, Rejection> {
-        let question = question(ctx, principal, object, (version, doubted), milliseconds(ctx.block_time()));
+        let question = question(principal, object, version, milliseconds(ctx.block_time()));
         self.engine.decide(question, || ctx.remembered(|| texts::in_force(ctx, &object.robot().organisation)))
     }
 
-    /// The reasons of a denial by the policies in force; none before rules 3, whose refusals stay as they are.
+    /// The reasons of a denial by the policies in force.
     fn explanation(&self, ctx: &Context<'_>, principal: &Principal, object: Object<'_>) -> Explanation {
         let owner = &object.robot().organisation;
-        // A set that nobody has measured is explained to nobody.
-        let version = texts::version(ctx, owner).ok().filter(|version| version.steps.is_some() && sharing::known(ctx));
-        let Some(Version { hash, .. }) = version else { return Explanation::default() };
-        let key = key(ctx, principal, object, hash);
+        let Ok(Version { hash, .. }) = texts::version(ctx, owner) else { return Explanation::default() };
+        let key = key(principal, object, hash);
         let known = self.reasons.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
         if let Some(why) = known {
             return why;
         }
-        let question = question(ctx, principal, object, (hash, false), milliseconds(ctx.block_time()));
+        let question = question(principal, object, hash, milliseconds(ctx.block_time()));
         let texts = || ctx.remembered(|| texts::in_force(ctx, owner));
         let why = self.engine.explain(question, WORK_OF_REFUSAL, texts).map(|(_, why)| why).unwrap_or_default();
         if why.timeless {
@@ -288,13 +199,12 @@ impl Decider {
     /// What do these policies decide at a time (microseconds), and why? On a thread of its own, because it takes long.
     pub(crate) fn explain(
         &self,
-        ctx: &Context<'_>,
         principal: &Principal,
         object: Object<'_>,
         texts: &Texts,
         time: u64,
     ) -> Result<(Verdict, Explanation), Rejection> {
-        let question = question(ctx, principal, object, (texts::hash(texts), false), milliseconds(time));
+        let question = question(principal, object, texts::hash(texts), milliseconds(time));
         self.aside()?.explain(question, WORK_OF_QUESTION, || Ok(texts.clone()))
     }
 
@@ -308,7 +218,7 @@ impl Decider {
         texts: &Texts,
     ) -> bool {
         let (object, time) = (Object::Service(target, action), milliseconds(ctx.block_time()));
-        let question = question(ctx, principal, object, (texts::hash(texts), false), time);
+        let question = question(principal, object, texts::hash(texts), time);
         let answer = self.engine_for(ctx).and_then(|engine| engine.decide(question, || Ok(texts.clone())));
         answer.is_ok_and(|answer| matches!(answer.verdict, Verdict::Permit(_) | Verdict::Closed(_)))
     }
@@ -339,7 +249,7 @@ fn by_version(ctx: &Context<'_>, owner: &str, forbidding: &[String], mut refused
 }
 
 /// All that a decision depends on besides the time.
-fn key(ctx: &Context<'_>, principal: &Principal, object: Object<'_>, policies: Hash) -> Key {
+fn key(principal: &Principal, object: Object<'_>, policies: Hash) -> Key {
     Key {
         fingerprint: principal.fingerprint,
         principal: principal.id(),
@@ -350,7 +260,6 @@ fn key(ctx: &Context<'_>, principal: &Principal, object: Object<'_>, policies: H
             Object::Robot(..) => String::new(),
         },
         action: object.action(),
-        of_robot: sharing::known(ctx),
     }
 }
 
@@ -360,13 +269,7 @@ fn milliseconds(time: u64) -> i64 {
 }
 
 /// The question to the policies of the owner.
-fn question(
-    ctx: &Context<'_>,
-    principal: &Principal,
-    object: Object<'_>,
-    (version, doubted): (Hash, bool),
-    time_ms: i64,
-) -> Question {
+fn question(principal: &Principal, object: Object<'_>, version: Hash, time_ms: i64) -> Question {
     let robot = object.robot();
     let (attribute, value) = robot.required();
     let required = [("requiredAttribute", attribute.to_owned()), ("requiredValue", value.to_owned())];
@@ -398,14 +301,13 @@ fn question(
             robot: robot.name.clone(),
             owner: robot.organisation.clone(),
             trusted: robot.trusted.clone(),
-            of_robot: sharing::known(ctx).then(|| required.to_vec()),
+            of_robot: required.to_vec(),
             own: match object {
                 Object::Service(target, _) => (robot.attributes.clone(), target.service.attributes.clone()),
                 Object::Robot(..) => (robot.attributes.clone(), Attributes::new()),
             },
         },
         time_ms,
-        doubted,
     }
 }
 

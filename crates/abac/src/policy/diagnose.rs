@@ -10,8 +10,8 @@ const FAULTS_MAX: usize = 16;
 const _: () = assert!(FAULTS_MAX >= FAULTS_SHOWN_MAX);
 
 /// The faults of a text as a policy; none if it is acceptable.
-pub(super) fn diagnose(validator: &Validator, annotated: bool, text: &str) -> Vec<PolicyFault> {
-    let mut faults = found(validator, annotated, text);
+pub(super) fn diagnose(validator: &Validator, text: &str) -> Vec<PolicyFault> {
+    let mut faults = found(validator, text);
     // Cedar finds them in no particular order.
     faults.sort_by(|one, other| (one.line, one.column, &one.message).cmp(&(other.line, other.column, &other.message)));
     faults.dedup();
@@ -19,7 +19,7 @@ pub(super) fn diagnose(validator: &Validator, annotated: bool, text: &str) -> Ve
     faults
 }
 
-fn found(validator: &Validator, annotated: bool, text: &str) -> Vec<PolicyFault> {
+fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
     let policies: PolicySet = match text.parse() {
         Ok(policies) => policies,
         Err(faults) => return cedar_policy::ParseErrors::iter(&faults).map(|fault| placed(text, fault)).collect(),
@@ -32,7 +32,7 @@ fn found(validator: &Validator, annotated: bool, text: &str) -> Vec<PolicyFault>
     if policies.is_empty() {
         return vec![fault(text, "no policy in the text".to_owned(), String::new(), None)];
     }
-    if annotated && let Err(faults) = annotation::check(&policies) {
+    if let Err(faults) = annotation::check(&policies) {
         return faults.into_iter().map(|message| annotation_fault(text, message)).collect();
     }
     let result = validator.validate(&policies, ValidationMode::Strict);

@@ -92,7 +92,7 @@ fn string_bytes(text: &str) -> usize {
     text.len()
 }
 
-/// The steps that the policies of a text take, within what they may be since rules 3.
+/// The steps that the policies of a text take, within what they may be.
 ///
 /// # Errors
 /// [`ledger_base::rejection::Code::PolicyInvalid`] with what is too large.

@@ -1,11 +1,11 @@
 //! Why policies deny, in words.
 
 use super::Verdict;
-use super::decider::{Action, RobotAction};
+use super::action::{Action, RobotAction};
 use super::explain::Explanation;
 use crate::records::principal::Principal;
 use crate::records::robot::Robot;
-use crate::records::service::Target;
+use crate::records::target::Target;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Condition, Direction};
 use std::collections::BTreeSet;

@@ -1,6 +1,6 @@
 //! The policies on the ledger: every organisation keeps its own, and they decide about its robots only.
 
-use super::defaults::Defaults;
+use super::defaults::{DEFAULT_POLICY, DEFAULT_VERSION};
 use super::{Texts, limits};
 use crate::records::store;
 use ledger::Context;
@@ -9,43 +9,33 @@ use ledger_base::rejection::{Code, Rejection};
 
 /// Most policies of one organisation.
 pub(crate) const POLICIES_MAX: usize = 64;
-/// The rules since which the steps of policies are counted and bounded.
-const BOUNDED_SINCE: u32 = 3;
 /// The id under which the built-in policy is listed.
 pub(crate) const DEFAULT_ID: &str = "default";
 
 /// The policies that decide about the robots of an organisation.
 pub(crate) fn in_force(ctx: &Context<'_>, organisation: &str) -> Result<Texts, Rejection> {
     let own = own(ctx, organisation)?;
-    Ok(if own.is_empty() { built_in(ctx) } else { own })
+    Ok(if own.is_empty() { built_in() } else { own })
 }
 
 /// The policies of an organisation that has put none.
-pub(crate) fn built_in(ctx: &Context<'_>) -> Texts {
-    vec![(DEFAULT_ID.to_owned(), Defaults::of(ctx.rules()).policy.to_owned())]
+pub(crate) fn built_in() -> Texts {
+    vec![(DEFAULT_ID.to_owned(), DEFAULT_POLICY.to_owned())]
 }
-
-/// Are the steps of policies counted and bounded under these rules?
-pub(crate) fn bounded(ctx: &Context<'_>) -> bool {
-    ctx.rules().number() >= BOUNDED_SINCE
-}
-
-/// Stands for the steps of a set that takes more than any may.
-const TOO_MANY: u64 = u64::MAX;
 
 /// The set of policies that decides about the robots of an organisation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Version {
     /// Over the texts.
     pub(crate) hash: Hash,
-    /// Steps of a decision; none if the set was put before they were counted.
-    pub(crate) steps: Option<u64>,
-    /// Its number; 0 if the organisation has never had a policy, or not since sets are numbered.
+    /// Steps of a decision.
+    pub(crate) steps: u64,
+    /// Its number; 0 if the organisation has never had a policy.
     pub(crate) number: u64,
 }
 
-/// A set as it stands on the ledger. With policies of the organisation's own it is the hash, since rules 3 followed by the steps
-/// and the number (`u64` BE each). Without any more it is the number alone.
+/// A set as it stands on the ledger. With policies of the organisation's own it is the hash, then the steps and the
+/// number (`u64` BE each). Without any more it is the number alone.
 enum Stored {
     Own(Version),
     BuiltIn(u64),
@@ -55,9 +45,8 @@ impl Stored {
     fn to_bytes(&self) -> Vec<u8> {
         match self {
             Self::BuiltIn(number) => number.to_be_bytes().to_vec(),
-            Self::Own(Version { hash, steps: None, number: 0 }) => hash.0.to_vec(),
             Self::Own(Version { hash, steps, number }) => {
-                [&hash.0[..], &steps.unwrap_or(TOO_MANY).to_be_bytes(), &number.to_be_bytes()].concat()
+                [&hash.0[..], &steps.to_be_bytes(), &number.to_be_bytes()].concat()
             }
         }
     }
@@ -67,60 +56,36 @@ impl Stored {
             return Some(Self::BuiltIn(u64::from_be_bytes(number)));
         }
         let (hash, rest) = bytes.split_first_chunk::<32>()?;
-        let hash = Hash(*hash);
-        if rest.is_empty() {
-            return Some(Self::Own(Version { hash, steps: None, number: 0 }));
-        }
         let (steps, number) = rest.split_first_chunk::<8>()?;
         let (steps, number) = (u64::from_be_bytes(*steps), u64::from_be_bytes(number.try_into().ok()?));
-        Some(Self::Own(Version { hash, steps: Some(steps).filter(|steps| *steps != TOO_MANY), number }))
+        Some(Self::Own(Version { hash: Hash(*hash), steps, number }))
     }
 }
 
-/// The policies of an organisation have changed: writes down what names them now. Answers with the number of the set: the one after
-/// `newest` since rules 3, and 0 before. `put` says whether any of them is new.
+/// The policies of an organisation have changed: writes down what names them now. Answers with the number of the set.
 ///
 /// # Errors
-/// [`Code::PolicyInvalid`] if one was put and a decision by all would take too many steps. To remove one from such a set,
-/// which older rules allowed, is no error; the set goes on denying.
-pub(crate) fn changed(
-    ctx: &mut Context<'_>,
-    organisation: &str,
-    own: &Texts,
-    (newest, put): (u64, bool),
-) -> Result<u64, Rejection> {
-    let key = store::version_key(organisation);
-    let number = if bounded(ctx) { newest.saturating_add(1) } else { 0 };
-    if own.is_empty() && number == 0 {
-        ctx.delete(&key);
-        return Ok(number);
-    }
-    if own.is_empty() {
-        ctx.put(&key, Stored::BuiltIn(number).to_bytes());
-        return Ok(number);
-    }
-    let steps = match limits::steps_of_all(own) {
-        _ if !bounded(ctx) => None,
-        Err(refused) if put => return Err(refused),
-        steps => steps.ok(),
+/// [`Code::PolicyInvalid`] if a decision by all would take too many steps.
+pub(crate) fn changed(ctx: &mut Context<'_>, organisation: &str, own: &Texts) -> Result<u64, Rejection> {
+    let number = version(ctx, organisation)?.number.saturating_add(1);
+    let stored = match own.is_empty() {
+        true => Stored::BuiltIn(number),
+        false => Stored::Own(Version { hash: hash(own), steps: limits::steps_of_all(own)?, number }),
     };
-    ctx.put(&key, Stored::Own(Version { hash: hash(own), steps, number }).to_bytes());
+    ctx.put(&store::version_key(organisation), stored.to_bytes());
     Ok(number)
 }
 
 /// The version of the policies that decide about the robots of an organisation.
 pub(crate) fn version(ctx: &Context<'_>, organisation: &str) -> Result<Version, Rejection> {
-    let built_in = |number| {
-        let Defaults { version, policy, .. } = Defaults::of(ctx.rules());
-        Version { hash: *version, steps: Some(policy.len() as u64), number }
-    };
+    let built_in = |number| Version { hash: *DEFAULT_VERSION, steps: DEFAULT_POLICY.len() as u64, number };
     let Some(value) = ctx.get(&store::version_key(organisation)) else { return Ok(built_in(0)) };
     match Stored::parse(&value) {
         Some(Stored::Own(version)) => Ok(version),
         Some(Stored::BuiltIn(number)) => Ok(built_in(number)),
         None => Err(Rejection::new(Code::Corrupt, format!("policy version of {organisation} is not readable"))
             .found(format!("{} bytes", value.len()))
-            .wanted("8, 32 or 48 bytes")),
+            .wanted("8 or 48 bytes")),
     }
 }
 

@@ -8,8 +8,9 @@
 
 use super::principal::Principal;
 use super::robot::Robot;
-use super::service::{Service, Target};
-use super::{service, store};
+use super::service::Service;
+use super::target::Target;
+use super::{store, target};
 use bytes::Bytes;
 use ledger::Context;
 use ledger_base::mutation::lease_clock;
@@ -154,7 +155,7 @@ pub(crate) fn put(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Reject
 
 /// A service that is granted is one of a registered robot: what ends with a robot is found by its services.
 fn check_offered(ctx: &mut Context<'_>, id: &str) -> Result<(), Rejection> {
-    let robot: Option<Robot> = store::read(ctx, &store::robot_key(service::split(id).0))?;
+    let robot: Option<Robot> = store::read(ctx, &store::robot_key(target::split(id).0))?;
     let offers = robot.as_ref().is_some_and(|robot| Target::all_of(robot).any(|target| target.id == id));
     if !offers {
         ctx.contradicted(
@@ -332,7 +333,7 @@ mod tests {
             replace(ctx, &holding(5), &holding(9)).unwrap();
             assert_eq!(ctx.range(b"due/", 9).len(), 1);
             remove(ctx, &holding(9));
-            assert_eq!(ctx.range(b"", 9).len(), 3, "the robot, and what finds it by its owner");
+            assert_eq!(ctx.range(b"", 9).len(), 2, "the robot, and what finds it by its owner");
         })
         .unwrap();
     }

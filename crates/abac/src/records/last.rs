@@ -25,7 +25,7 @@ pub(crate) struct Last {
     /// Block time (microseconds), where the service's rule asks for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) at: Option<u64>,
-    /// The policies that permitted it without a grant: the number of their set, and their ids. Since rules 3.
+    /// The policies that permitted it without a grant: the number of their set, and their ids.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) permitted: Option<(u64, Vec<String>)>,
 }
@@ -102,7 +102,7 @@ mod tests {
         let registry = Registry::new();
         let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
         let rules = ledger::Rules::NEWEST;
-        let meter = ledger::Meter::default();
+        let meter = ledger::Meter::of_query();
         let environment = Environment {
             registry: &registry,
             submitter,

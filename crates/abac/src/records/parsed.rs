@@ -89,7 +89,7 @@ mod tests {
             height: 1,
             time: 0,
             transaction: Hash::ZERO,
-            meter: &Meter::default(),
+            meter: &Meter::of_query(),
         };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         body(&mut Context::new(environment, "abac", &mut overlay, &mut events));

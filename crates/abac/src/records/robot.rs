@@ -12,10 +12,6 @@ use ledger_contract::Attributes;
 use ledger_identity::{Identity, Role};
 use serde::{Deserialize, Serialize};
 
-/// Most robots of a network before rules 3. Since then each organisation has a quota.
-pub(crate) const ROBOTS_MAX: usize = 1024;
-/// The rules since which organisations have quotas, and their robots an index.
-const QUOTAS_SINCE: u32 = 3;
 /// Most robots of which one is suggested to who mistypes a name.
 const SUGGESTED_MAX: usize = 64;
 /// Most services of one robot.
@@ -35,7 +31,7 @@ pub(crate) struct Robot {
     pub(crate) trusted: Vec<String>,
     /// In the order of the owner's description.
     pub(crate) services: Vec<Service>,
-    /// Facts for policies; since rules 3.
+    /// Facts for policies.
     #[serde(default, skip_serializing_if = "Attributes::is_empty")]
     pub(crate) attributes: Attributes,
     /// Hash over all of the above: names this state of the robot in caches.
@@ -59,15 +55,9 @@ impl Robot {
     }
 }
 
-/// Has every organisation quotas of its own?
-pub(crate) fn has_quotas(ctx: &Context<'_>) -> bool {
-    ctx.rules().number() >= QUOTAS_SINCE
-}
-
 /// All registered robots in order of their names.
 pub(crate) fn all(ctx: &Context<'_>) -> Result<Vec<Robot>, Rejection> {
-    let most = if has_quotas(ctx) { usize::MAX } else { ROBOTS_MAX };
-    ctx.range(b"robot/", most).iter().map(|(key, value)| store::parse(key, value)).collect()
+    ctx.range(b"robot/", usize::MAX).iter().map(|(key, value)| store::parse(key, value)).collect()
 }
 
 /// The robot of that name.
@@ -88,44 +78,23 @@ pub(crate) fn find(ctx: &Context<'_>, name: &str) -> Result<Robot, Rejection> {
         .next(did_you_mean(name, names, "ledgerctl robot list")))
 }
 
-/// The names of the robots of an organisation, in order; since rules 3.
-pub(crate) fn names_of(ctx: &mut Context<'_>, organisation: &str) -> Result<Vec<String>, Rejection> {
-    index(ctx)?;
+/// The names of the robots of an organisation, in order.
+pub(crate) fn names_of(ctx: &Context<'_>, organisation: &str) -> Vec<String> {
     let prefix = store::owned_prefix(organisation);
     let keys = ctx.range(&prefix, usize::MAX);
-    Ok(keys.iter().filter_map(|(key, _)| String::from_utf8(key.strip_prefix(&prefix[..])?.to_vec()).ok()).collect())
-}
-
-/// Makes the index of owners, if older rules have left robots without: once.
-fn index(ctx: &mut Context<'_>) -> Result<(), Rejection> {
-    if ctx.get(store::INDEXED).is_some() {
-        return Ok(());
-    }
-    ctx.put(store::INDEXED, Bytes::new());
-    let robots = ctx.remembered(|| all(ctx))?;
-    for robot in robots {
-        ctx.put(&store::owned_key(&robot.organisation, &robot.name), Bytes::new());
-    }
-    Ok(())
+    keys.iter().filter_map(|(key, _)| String::from_utf8(key.strip_prefix(&prefix[..])?.to_vec()).ok()).collect()
 }
 
 /// Writes a robot with the hash that names this state of it.
 pub(crate) fn write(ctx: &mut Context<'_>, robot: &mut Robot) -> Result<(), Rejection> {
     robot.version = Hash::ZERO;
     robot.version = Hash::of(&[&store::json(&robot)?]);
-    if has_quotas(ctx) {
-        index(ctx)?;
-        ctx.put(&store::owned_key(&robot.organisation, &robot.name), Bytes::new());
-    }
+    ctx.put(&store::owned_key(&robot.organisation, &robot.name), Bytes::new());
     store::write(ctx, &store::robot_key(&robot.name), &robot)
 }
 
 /// Removes a robot.
-pub(crate) fn remove(ctx: &mut Context<'_>, robot: &Robot) -> Result<(), Rejection> {
-    if has_quotas(ctx) {
-        index(ctx)?;
-        ctx.delete(&store::owned_key(&robot.organisation, &robot.name));
-    }
+pub(crate) fn remove(ctx: &mut Context<'_>, robot: &Robot) {
+    ctx.delete(&store::owned_key(&robot.organisation, &robot.name));
     ctx.delete(&store::robot_key(&robot.name));
-    Ok(())
 }

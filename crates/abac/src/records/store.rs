@@ -3,14 +3,13 @@
 //! | key | value |
 //! |---|---|
 //! | `robot/<name>` | the registered robot |
-//! | `owned/<organisation>/<robot>` | nothing: finds the robots of an organisation; since rules 3 |
-//! | `owned/` | nothing: that index is complete |
-//! | `undecided/<organisation>/<robot>` | key of the last grant that was decided again, or nothing; while some are left, since rules 3 |
+//! | `owned/<organisation>/<robot>` | nothing: finds the robots of an organisation |
+//! | `undecided/<organisation>/<robot>` | key of the last grant that was decided again, or nothing; while some are left |
 //! | `epoch/<service>` | newest epoch given, decimal; outlives grants and robots, so that no epoch comes twice |
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
 //! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
-//! | `line/<service>␀<contender>[␀<task, 16 hex digits>]` | a place in line; since rules 3, as all that follow down to the stop |
+//! | `line/<service>␀<contender>[␀<task, 16 hex digits>]` | a place in line, as all that follow down to the stop |
 //! | `contender/<service>␀<contender>[␀<task>]` | the certificate of a contender in line |
 //! | `waiting/<issuer>/<serial>/<service>␀<contender>[␀<task>]` | nothing: finds the places of a revoked certificate |
 //! | `pending/<service>␀<contender>` | a contender that waits to be confirmed |
@@ -26,8 +25,8 @@
 //! | `times/<service>␀<time, 16 hex digits>/<task>` | nothing: orders tasks by the time at which they join the line or expire |
 //! | `ended/<service>␀<time>/<task>` | nothing: orders the tasks of a service that have ended; the newest 16 are kept |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
-//! | `door/<service>` | the last report of a side door of the service; since rules 3 |
-//! | `reader/<service>␀<reader>` | a reader of a confidential service, with its reading key; since rules 3, as the next three |
+//! | `door/<service>` | the last report of a side door of the service |
+//! | `reader/<service>␀<reader>` | a reader of a confidential service, with its reading key, as the next three |
 //! | `reading/<issuer>/<serial>/<service>` | its name: finds what a revoked certificate reads |
 //! | `readers/<service>` | how often the readers of the service have changed; outlives them |
 //! | `shared/<service>␀<publisher>` | where a publisher's newest content key is, and for which readers it was made |
@@ -54,9 +53,6 @@ use std::collections::BTreeSet;
 pub(crate) fn robot_key(name: &str) -> Vec<u8> {
     ["robot/", name].concat().into_bytes()
 }
-
-/// Stands when every robot has its [`owned_key`].
-pub(crate) const INDEXED: &[u8] = b"owned/";
 
 /// The prefix of the robots of an organisation.
 pub(crate) fn owned_prefix(organisation: &str) -> Vec<u8> {

@@ -1,7 +1,6 @@
 //! Attributes of robots and services: typed facts by which policies speak of capabilities and not of names.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, farhad, owner, robot, salma};
-use ledger::Rules;
 use ledger_abac::{Attribute, RobotAsset, RobotChange};
 use ledger_base::rejection::Code;
 
@@ -92,16 +91,4 @@ fn names_values_and_their_sum_are_bounded() {
     let of_service = format!("{{{}}}", many[..4].join(","));
     fleet.refused(&owner(), Code::LimitExceeded, "configure", &[HUSKY, &format!(r#"{{"attributes":{of_service}}}"#)]);
     fleet.ok(&owner(), "configure", &["Husky", &format!(r#"{{"attributes":{of_service}}}"#)]);
-}
-
-#[test]
-fn older_rules_know_no_attributes_whatever_they_say() {
-    let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    for settings in [CRANE, r#"{"attributes":{}}"#, r#"{"attributes":{"a":null}}"#, r#"{"attributes":null}"#] {
-        fleet.refused(&owner(), Code::BadArgument, "configure", &["NoRobot", settings]);
-    }
-    for empty in ["{}", r#"{"kind":"dog"}"#] {
-        let with = robot("Spot", "exclusive").replacen('{', &format!(r#"{{"attributes":{empty},"#), 1);
-        fleet.refused(&owner(), Code::BadArgument, "setup", &[&with]);
-    }
 }

@@ -4,7 +4,7 @@ use crate::arguments::FUNCTIONS;
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, admin1, bytes, farhad, identity, owner, robot, salma};
 use bytes::Bytes;
 use ledger::msp::QUOTAS;
-use ledger::{CALL_BUDGET, Chaincode, PAGE_MAX, Page, Rules, Usage};
+use ledger::{CALL_BUDGET, Chaincode, PAGE_MAX, Page, Usage};
 use ledger_abac::{DEFAULT_POLICY, Grant, PolicyChange, PolicyEntry, RobotAsset};
 use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
@@ -173,23 +173,21 @@ fn a_list_that_is_asked_for_without_pages_is_one_page_or_refused() {
         fleet.ok(&admin, "setup", &[&robot(&format!("R{number}"), "open")]);
         fleet.ok(&farhad(), "acquire", &[&format!("R{number}/cmd_vel")]);
     };
-    for rules in Rules::all() {
-        let mut fleet = Fleet::of_the_paper_under(rules);
-        (0..PAGE_MAX - 3).for_each(|number| add(&mut fleet, number));
-        let listed: Vec<serde_json::Value> = fleet.get(&salma(), "robots", &[]);
-        assert_eq!(listed.len(), PAGE_MAX, "with the three of the paper");
-        add(&mut fleet, PAGE_MAX - 3);
-        let refused = fleet.refused(&salma(), Code::OverBudget, "robots", &[]);
-        assert!(refused.next.contains("{}"), "{refused}");
-        (PAGE_MAX - 2..=PAGE_MAX).for_each(|number| add(&mut fleet, number));
-        fleet.refused(&salma(), Code::OverBudget, "grants", &[]);
-        // A page ends by its bytes, too.
-        for number in 0..40 {
-            let text = format!("permit (principal, action, resource); // {}", "x".repeat(8000));
-            fleet.ok(&owner(), "policy", &["put", &format!("p{number}"), &text]);
-        }
-        fleet.refused(&salma(), Code::OverBudget, "policies", &[]);
+    let mut fleet = Fleet::of_the_paper();
+    (0..PAGE_MAX - 3).for_each(|number| add(&mut fleet, number));
+    let listed: Vec<serde_json::Value> = fleet.get(&salma(), "robots", &[]);
+    assert_eq!(listed.len(), PAGE_MAX, "with the three of the paper");
+    add(&mut fleet, PAGE_MAX - 3);
+    let refused = fleet.refused(&salma(), Code::OverBudget, "robots", &[]);
+    assert!(refused.next.contains("{}"), "{refused}");
+    (PAGE_MAX - 2..=PAGE_MAX).for_each(|number| add(&mut fleet, number));
+    fleet.refused(&salma(), Code::OverBudget, "grants", &[]);
+    // A page ends by its bytes, too.
+    for number in 0..40 {
+        let text = format!("permit (principal, action, resource); // {}", "x".repeat(8000));
+        fleet.ok(&owner(), "policy", &["put", &format!("p{number}"), &text]);
     }
+    fleet.refused(&salma(), Code::OverBudget, "policies", &[]);
 }
 
 #[test]

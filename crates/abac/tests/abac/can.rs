@@ -1,8 +1,7 @@
 //! May somebody do something, and why: the answer names the condition that failed, what was found and what is wanted.
 
 use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, bytes, farhad, owner, salma};
-use bytes::Bytes;
-use ledger::{Page, Rules};
+use ledger::Page;
 use ledger_abac::{Ask, Can, Could, DEFAULT_POLICY, PolicyChange, PolicyDiff, PolicyFault, PolicyText};
 use ledger_base::rejection::Code;
 
@@ -274,14 +273,5 @@ fn hostile_policies_are_explained_within_bounds() {
         let no = can(&mut fleet, &with(ask("Org1/Farhad", "publish", TURTLEBOT), &policy));
         assert!(!no.allowed);
         assert!(serde_json::to_string(&no).unwrap().len() < 8192);
-    }
-}
-
-#[test]
-fn older_rules_have_no_such_functions() {
-    let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    for function in ["can", "could", "check", "diff"] {
-        let refused = fleet.call(&salma(), function, &[Bytes::from_static(b"{}")]).unwrap_err();
-        assert_eq!(refused.code, Code::UnknownFunction, "{refused}");
     }
 }

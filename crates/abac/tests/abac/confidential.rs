@@ -389,16 +389,3 @@ fn calls_are_not_confidential_and_messages_of_every_mode_may_be() {
     let change: RobotChange = fleet.get(&owner(), "configure", &["Arm/home", r#"{"sharing":{"confidential":false}}"#]);
     assert_eq!((change.changed[0].before.as_str(), change.changed[0].after.as_str()), ("true", "false"));
 }
-
-#[test]
-fn rules_before_3_know_nothing_of_it() {
-    let mut fleet = Fleet::of_the_paper_under(ledger::Rules::find(2).unwrap());
-    fleet.refused(&owner(), Code::BadArgument, "configure", &[POSES, r#"{"sharing":{"confidential":true}}"#]);
-    for (function, args) in [("reader", &[POSES, "none"][..]), ("readers", &[POSES]), ("share", &[POSES, "0", "{}"])] {
-        fleet.refused(&owner(), Code::UnknownFunction, function, args);
-    }
-    let sealed = [&[0xe5, 1][..], &[0; 50]].concat();
-    let mut args = bytes(&[POSES, "0", "1"]);
-    args.push(sealed.into());
-    assert_eq!(fleet.call(&camera(), "set", &args).unwrap_err().code, Code::BadArgument);
-}

@@ -1,8 +1,7 @@
 //! The examples of docs/policies.md, each with its cases, and the schema that the page shows.
 
 use crate::fleet::{Fleet, admin1, identity, owner};
-use ledger::Rules;
-use ledger_abac::{Ask, Can, DEFAULT_POLICY, PolicyFault, PolicyText, schema};
+use ledger_abac::{Ask, Can, DEFAULT_POLICY, PolicyFault, PolicyText, SCHEMA};
 use ledger_identity::{Identity, Role};
 use std::collections::BTreeMap;
 
@@ -107,7 +106,7 @@ fn a_case_that_the_policy_decides_otherwise_is_noticed() {
 
 #[test]
 fn the_page_shows_the_schema_that_policies_are_checked_against() {
-    assert_eq!(blocks(PAGE, "cedarschema"), [schema(Rules::NEWEST).trim_end()]);
+    assert_eq!(blocks(PAGE, "cedarschema"), [SCHEMA.trim_end()]);
 }
 
 #[test]

@@ -3,13 +3,13 @@
 use bytes::Bytes;
 use ledger::msp::{CertifiedHolder, QUOTAS, Quotas};
 use ledger::{Chaincode, Context, Environment, Meter, Registry, Revocation, Rules};
-use ledger_abac::AccessControl;
+use ledger_abac::{AccessControl, PolicyDraft, PolicyText};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::PublicKey;
 use ledger_identity::{Identity, Role};
 use ledger_storage::result::Event;
-use ledger_storage::state::{MemoryState, Overlay, WriteSet};
+use ledger_storage::state::{MemoryState, Overlay, StateRead, WriteSet};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -86,7 +86,6 @@ pub(crate) struct Fleet {
     pub(crate) events: Vec<Event>,
     /// The writes of each block.
     pub(crate) writes: Vec<WriteSet>,
-    pub(crate) rules: Rules,
     /// The next call comes in the block of the one before.
     pub(crate) joins: bool,
     /// Counts what the calls of the newest block use.
@@ -157,23 +156,19 @@ pub(crate) fn bytes(args: &[&str]) -> Vec<Bytes> {
 impl Fleet {
     /// A network of Org1 and Org2 without robots.
     pub(crate) fn empty() -> Self {
-        Self::empty_under(Rules::NEWEST)
-    }
-
-    fn empty_under(rules: Rules) -> Self {
-        let mut fleet = Self::under(rules, AccessControl::new().unwrap());
+        let mut fleet = Self::of(AccessControl::new().unwrap());
         fleet.forget();
         fleet
     }
 
     /// A network of Org1 and Org2 without robots, with this chaincode.
     pub(crate) fn with(abac: AccessControl) -> Self {
-        let mut fleet = Self::under(Rules::NEWEST, abac);
+        let mut fleet = Self::of(abac);
         fleet.install();
         fleet
     }
 
-    fn under(rules: Rules, abac: AccessControl) -> Self {
+    fn of(abac: AccessControl) -> Self {
         Self {
             abac: Arc::new(abac),
             members: Arc::new(Members(
@@ -189,20 +184,14 @@ impl Fleet {
             transaction: Hash::ZERO,
             events: vec![],
             writes: vec![],
-            rules,
             joins: false,
-            meter: Meter::default(),
+            meter: Meter::of_query(),
         }
     }
 
     /// The network of the paper: Org2 registered its three robots.
     pub(crate) fn of_the_paper() -> Self {
-        Self::of_the_paper_under(Rules::NEWEST)
-    }
-
-    /// The same under other rules.
-    pub(crate) fn of_the_paper_under(rules: Rules) -> Self {
-        let mut fleet = Self::empty_under(rules);
+        let mut fleet = Self::empty();
         let (turtlebot, husky) = (robot("Turtlebot4", "exclusive"), robot("Husky", "exclusive"));
         fleet.ok(&owner(), "setup", &[&turtlebot, &husky, OPTITRACK]);
         fleet
@@ -222,9 +211,41 @@ impl Fleet {
 
     /// Executes one block with one call; returns its outcome. Events of this block are the last of `events`.
     pub(crate) fn call(&mut self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        let args = &self.with_one_changed(who, function, args)?;
         self.block(|fleet, overlay, events| {
             Registry::invoke(fleet.environment(Some(who)), overlay, events, "abac", function, args)
         })
+    }
+
+    /// `policy put ID TEXT [i-mean-it]` and `policy remove ID [i-mean-it]` as `ledgerctl` does them: the set in force with one
+    /// policy changed, applied with its number.
+    fn with_one_changed(&self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Vec<Bytes>, Rejection> {
+        let text = |bytes: &Bytes| String::from_utf8(bytes.to_vec()).unwrap();
+        let given = if function == "policy" { args } else { &[] };
+        let given: Vec<&str> = given.iter().map(|arg| std::str::from_utf8(arg).unwrap_or_default()).collect();
+        let (id, new, means_it) = match given.as_slice() {
+            ["put", id, text] => (*id, Some(*text), false),
+            ["put", id, text, "i-mean-it"] => (*id, Some(*text), true),
+            ["remove", id] => (*id, None, false),
+            ["remove", id, "i-mean-it"] => (*id, None, true),
+            _ => return Ok(args.to_vec()),
+        };
+        let prefix = format!("abac\0policy/{}/", who.organisation);
+        let pairs = self.state.range(prefix.as_bytes(), None, usize::MAX).unwrap();
+        let policy =
+            |(key, value): &(Bytes, Bytes)| PolicyText { id: text(key)[prefix.len()..].to_owned(), text: text(value) };
+        let mut policies: Vec<PolicyText> = pairs.iter().map(policy).collect();
+        let before = policies.len();
+        policies.retain(|policy| policy.id != id);
+        match new {
+            Some(new) => policies.push(PolicyText { id: id.to_owned(), text: new.to_owned() }),
+            None if policies.len() < before => {}
+            None => return Err(Rejection::new(Code::NotFound, format!("{} has no policy {id:?}", who.organisation))),
+        }
+        let version = self.state.get(format!("abac\0version/{}", who.organisation).as_bytes()).unwrap();
+        let number = version.and_then(|version| version.last_chunk::<8>().copied()).map_or(0, u64::from_be_bytes);
+        let draft = PolicyDraft { policies: Some(policies), base: Some(number), means_it, ..PolicyDraft::default() };
+        Ok(bytes(&["apply", &serde_json::to_string(&draft).unwrap()]))
     }
 
     /// A call that must succeed and whose answer is thrown away.
@@ -347,8 +368,9 @@ impl Fleet {
 
     /// Executes on the committed state and throws the writes away, as gateways do before they order a call.
     pub(crate) fn simulate(&self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        let args = self.with_one_changed(who, function, args)?;
         let mut overlay = Overlay::new(self.state.clone());
-        Registry::invoke(self.environment(Some(who)), &mut overlay, &mut vec![], "abac", function, args)
+        Registry::invoke(self.environment(Some(who)), &mut overlay, &mut vec![], "abac", function, &args)
     }
 
     fn look<T>(&self, who: Option<&Identity>, body: impl FnOnce(&Context<'_>, &AccessControl) -> T) -> T {
@@ -361,7 +383,7 @@ impl Fleet {
             registry: &self.registry,
             submitter,
             network: Hash::ZERO,
-            rules: self.rules,
+            rules: Rules::NEWEST,
             height: self.height,
             time: self.time,
             transaction: self.transaction,
@@ -382,7 +404,7 @@ impl Fleet {
         if begins {
             self.height += 1;
             self.time += 1000;
-            self.meter = Meter::of_block(self.rules);
+            self.meter = Meter::of_block();
         }
         let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
         if begins {

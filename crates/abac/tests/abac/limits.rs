@@ -1,7 +1,6 @@
 //! Limits: what policies bind a grant to, and windows of time.
 
 use crate::fleet::{Fleet, SECOND, START, TURTLEBOT, farhad, owner, salma};
-use ledger::Rules;
 use ledger_abac::{Grant, Limits, Reason, Released};
 use ledger_base::rejection::Code;
 
@@ -137,14 +136,4 @@ fn limits_that_nobody_could_enforce_are_refused() {
     let text = "@max_rate(\"5\") forbid (principal, action, resource);";
     let refused = fleet.refused(&owner(), Code::PolicyInvalid, "policy", &["put", "p", text]);
     assert_eq!(refused.found, "@max_rate on a forbid; wanted it on a permit");
-}
-
-#[test]
-fn a_limit_that_older_rules_did_not_look_at_denies_under_newer_ones_unless_it_can_be_read() {
-    let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    put(&mut fleet, "@max_rate(\"fast\") permit (principal, action, resource);");
-    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
-    fleet.ok(&salma(), "release", &[TURTLEBOT]);
-    fleet.rules = Rules::NEWEST;
-    fleet.refused(&salma(), Code::PolicyError, "acquire", &[TURTLEBOT]);
 }

@@ -42,5 +42,4 @@ mod starving;
 mod task_ends;
 mod tasks;
 mod together;
-mod upgrade;
 mod versions;

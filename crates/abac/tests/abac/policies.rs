@@ -230,6 +230,7 @@ fn an_organisation_has_a_bounded_number_of_policies() {
     fleet.ok(&owner(), "policy", &["put", "p63", "forbid (principal, action, resource);"]);
     fleet.ok(&owner(), "policy", &["remove", "p0"]);
     fleet.ok(&owner(), "policy", &["put", "p64", ALL]);
+    fleet.ok(&owner(), "policy", &["remove", "p1"]);
     fleet.refused(&owner(), Code::BadName, "policy", &["put", "a/b", ALL]);
 }
 

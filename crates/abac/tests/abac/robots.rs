@@ -1,7 +1,6 @@
 //! Registering robots: who may, and whom a robot trusts.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, bytes, farhad, identity, owner, robot, salma};
-use ledger::Rules;
 use ledger_abac::{
     Declaration, Direction, Fencing, Grant, Mode, Publishing, Reason, Released, RobotAsset, RobotEvent, ServiceState,
 };
@@ -9,6 +8,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_identity::Role;
 use ledger_storage::state::StateRead;
+use std::collections::BTreeSet;
 
 #[test]
 fn only_an_admin_registers_robots() {
@@ -172,12 +172,11 @@ fn what_is_no_ros_name_or_out_of_range_is_refused() {
 }
 
 #[test]
-fn capabilities_are_told_to_whoever_asks_and_never_by_a_transaction() {
+fn capabilities_are_told_to_whoever_asks_and_in_the_answer_of_a_transaction() {
     let mut fleet = Fleet::of_the_paper();
     let asked: ServiceState = fleet.get(&salma(), "service", &["Husky"]);
     let known = asked.capabilities().unwrap();
     assert_eq!((known.publishing, known.fencing), (Publishing::Grant, Fencing::Newest));
-    assert!(asked.capabilities.is_some());
     fleet.transaction = Hash([7; 32]);
     for function in ["service", "robot"] {
         fleet.refused(&owner(), Code::QueryOnly, function, &["Husky"]);
@@ -186,7 +185,7 @@ fn capabilities_are_told_to_whoever_asks_and_never_by_a_transaction() {
         let argument = argument.as_str();
         let answer = fleet.call(&owner(), function, &bytes(&[argument])).unwrap();
         let answer = std::str::from_utf8(&answer).unwrap();
-        assert!(answer.contains("Org2") && !answer.contains("capabilities"), "{function}: {answer}");
+        assert!(answer.contains("Org2") && answer.contains("capabilities"), "{function}: {answer}");
     }
 }
 
@@ -213,5 +212,36 @@ fn a_declaration_tells_how_a_robot_stands_and_writes_its_record_as_it_is() {
         Fencing::PerHolder,
         "a gate learns what follows from a rule that it does not know"
     );
-    Fleet::of_the_paper_under(Rules::FIRST).refused(&farhad(), Code::UnknownFunction, "declare", &["Turtlebot4"]);
+}
+
+#[test]
+fn types_of_ros_2_services_and_actions_are_registered() {
+    let lamp = robot("Lamp", "exclusive").replace("geometry_msgs/msg/Twist", "std_srvs/srv/SetBool");
+    let nav = robot("Nav", "exclusive").replace("geometry_msgs/msg/Twist", "nav2_msgs/action/NavigateToPose");
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&owner(), "setup", &[&lamp]);
+    fleet.ok(&owner(), "setup", &[&nav]);
+    for bad in ["std_srvs/srv/", "std_srvs/service/SetBool", "std_srvs/srv/Set Bool", "srv/SetBool"] {
+        let bad = robot("Lamp2", "exclusive").replace("geometry_msgs/msg/Twist", bad);
+        fleet.refused(&owner(), Code::BadName, "setup", &[&bad]);
+    }
+}
+
+/// The keys of the index of owners: `ORGANISATION/ROBOT`.
+fn index(fleet: &Fleet) -> BTreeSet<String> {
+    let prefix = b"abac\0owned/";
+    let keys = fleet.state.range(prefix, None, usize::MAX).unwrap();
+    keys.iter().map(|(key, _)| String::from_utf8(key[prefix.len()..].to_vec()).unwrap()).collect()
+}
+
+#[test]
+fn the_index_of_owners_follows_the_robots() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&admin1(), "setup", &[&robot("Spot", "exclusive")]);
+    let all = ["Org1/Spot", "Org2/Husky", "Org2/OptiTrack", "Org2/Turtlebot4"];
+    assert_eq!(index(&fleet), all.map(str::to_owned).into());
+    fleet.ok(&owner(), "remove", &["Husky"]);
+    assert!(!index(&fleet).contains("Org2/Husky"));
+    fleet.remove_organisation("Org1");
+    assert!(!index(&fleet).contains("Org1/Spot"), "{:?}", index(&fleet));
 }

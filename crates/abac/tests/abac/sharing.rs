@@ -1,7 +1,6 @@
 //! The settings of rules: what is refused, and what each of them does by itself.
 
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, farhad, identity, owner, robot, salma};
-use ledger::Rules;
 use ledger_abac::{
     AccessControl, Acquired, Authorization, Capabilities, Claim, Decision, Fencing, Grant, Left, LeftReason, LineState,
     LineTold, Mode, Place, Publishing, Reason, Released, RobotAsset, RobotChange, Rule, Sequence, Sharing, Situation,
@@ -80,19 +79,6 @@ fn numbers_beyond_their_bounds_are_refused_with_the_bounds() {
         let refused = fleet.refused(&owner(), Code::BadArgument, "configure", &[TURTLEBOT, settings]);
         assert!(refused.wanted.contains(wanted), "{settings}: {refused}");
     }
-}
-
-#[test]
-fn older_rules_know_no_settings_of_rules_and_no_emergency() {
-    let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    for settings in [r#"{"sharing":{"on_conflict":"queue"}}"#, r#"{"mode":"limited","sharing":{"publishers":2}}"#] {
-        let refused = fleet.refused(&owner(), Code::BadArgument, "configure", &[TURTLEBOT, settings]);
-        assert_eq!(refused.wanted, "rules 3 or newer", "{refused}");
-    }
-    for function in ["stop", "resume", "take", "line"] {
-        fleet.refused(&owner(), Code::UnknownFunction, function, &[TURTLEBOT, "why"]);
-    }
-    fleet.refused(&salma(), Code::BadArgument, "acquire", &[TURTLEBOT, "{}"]);
 }
 
 #[test]
@@ -273,8 +259,6 @@ fn a_policy_has_annotations_that_exist_with_values_that_they_can_have() {
     }
     let text = "@description(\"all\") @id(\"x\") @priority(\"-1\") permit (principal, action, resource);";
     fleet.ok(&owner(), "policy", &["put", "p", text]);
-    let mut older = Fleet::of_the_paper_under(Rules::FIRST);
-    older.ok(&owner(), "policy", &["put", "p", "@prioritty(\"x\") permit (principal, action, resource);"]);
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Reports that somebody publishes on a robot's own topic, around the ledger.
 
 use crate::fleet::{Fleet, SECOND, TURTLEBOT, admin1, camera, farhad, identity, owner, robot, salma};
-use ledger::Rules;
 use ledger_abac::{RobotAsset, SideDoor};
 use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
@@ -118,10 +117,4 @@ fn a_service_that_is_taken_away_leaves_no_report() {
     fleet.ok(&owner(), "replace", &[&other]);
     fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "exclusive")]);
     assert_eq!(shown(&mut fleet), None);
-}
-
-#[test]
-fn older_rules_know_no_side_doors() {
-    let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    fleet.refused(&turtlebot(), Code::UnknownFunction, REPORT, &[TURTLEBOT, "/cmd_vel", "1"]);
 }

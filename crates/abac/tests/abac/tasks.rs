@@ -1,7 +1,6 @@
 //! Tasks: points for a robot, which wait in line as contenders do and run one after the other.
 
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, admin1, camera, farhad, identity, owner, salma};
-use ledger::Rules;
 use ledger_abac::{
     Acquired, Declaration, Grant, LineState, Reason, Released, Submitted, Task, TaskSpec, TaskState, TaskTold,
 };
@@ -350,14 +349,6 @@ fn an_interrupted_contender_of_a_task_is_told_by_the_event_task_alone() {
     assert_eq!(fleet.told(since), [("task", TURTLEBOT), ("line", TURTLEBOT)]);
     fleet.ok(&farhad(), "release", &[TURTLEBOT]);
     assert!(line(&fleet).line.is_empty());
-}
-
-#[test]
-fn older_rules_know_no_tasks() {
-    let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    for (function, args) in [("submit", &[TURTLEBOT, TWO][..]), ("cancel", &["1"]), ("tasks", &[])] {
-        fleet.refused(&salma(), Code::UnknownFunction, function, args);
-    }
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Numbered sets of policies: who may replace them, what is kept of them, and what names them.
 
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, admin1, farhad, identity, owner, robot, salma};
-use ledger::Rules;
 use ledger::msp::QUOTAS;
 use ledger_abac::{
     Acquired, Ask, Can, DEFAULT_POLICY, Grant, Permitted, PolicyApprovals, PolicyChange, PolicyDraft, PolicyProposal,
@@ -141,10 +140,6 @@ fn a_publisher_without_a_grant_is_told_with_the_policies_that_permit_it_once_and
     let permitted: Permitted = fleet.newest("permitted");
     assert_eq!((permitted.policy_version, permitted.policies), (2, vec!["all".to_owned(), "also".to_owned()]));
     assert_eq!(told(&fleet, 0), 4);
-    let mut before = Fleet::of_the_paper_under(Rules::find(2).unwrap());
-    before.ok(&owner(), "replace", &[&robot("Turtlebot4", "open")]);
-    before.set(&salma(), TURTLEBOT, 0, 1, 1).unwrap();
-    assert_eq!(told(&before, 0), 0, "older rules tell nothing");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A stored chain: genesis, blocks, and what executing each of them gave.
 
 use bytes::Bytes;
-use ledger::{Ledger, Registry};
+use ledger::{Ledger, Registry, Rules};
 use ledger_abac::AccessControl;
 use ledger_base::hash::Hash;
 use ledger_storage::entry::{Entry, EntryKind};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"ledgerd chain of one rules number\n";
 
 /// The content of the file: `MAGIC`, the genesis, then each block as index, term, kind, data, hash, digest, events.
-/// Chains that reach rules 3 have the results root behind the events, zero before those rules.
+/// Behind the events is the results root, zero where the block is not certified.
 /// Numbers are `u64` BE; genesis and data are preceded by their length.
 pub(crate) struct Chain {
     pub(crate) genesis: Bytes,
@@ -29,7 +29,7 @@ pub(crate) struct Block {
     pub(crate) digest: Hash,
     /// Over everything that it emitted.
     pub(crate) events: Hash,
-    /// The results root that its voters sign; none before rules 3.
+    /// The results root that its voters sign, if it is certified.
     pub(crate) results: Option<Hash>,
 }
 
@@ -39,9 +39,10 @@ pub(crate) fn path(rules: u32) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// An empty ledger with the chaincodes of a node.
+/// An empty ledger with the chaincodes of a node, which speaks one number more than any release.
 pub(crate) fn open(genesis: &[u8]) -> Ledger {
     let mut registry = Registry::new();
+    registry.speak_up_to(Rules::OF_TESTS);
     registry.install(Arc::new(AccessControl::new().unwrap())).unwrap();
     let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
     Ledger::open(genesis, registry, state, Arc::new(ResultStore::in_memory())).unwrap()
@@ -72,13 +73,13 @@ impl Chain {
             let kind = EntryKind::from_code(rest.take(1)[0]).unwrap();
             let entry = Entry { index, term, kind, data: rest.part() };
             let (hash, digest, events) = (rest.hash(), rest.hash(), rest.hash());
-            let results = (rules >= 3).then(|| rest.hash()).filter(|root| *root != Hash::ZERO);
+            let results = Some(rest.hash()).filter(|root| *root != Hash::ZERO);
             blocks.push(Block { entry, hash, digest, events, results });
         }
         Self { genesis, blocks }
     }
 
-    pub(crate) fn to_bytes(&self, rules: u32) -> Vec<u8> {
+    pub(crate) fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         part(&mut bytes, &self.genesis);
         for Block { entry, hash, digest, events, results } in &self.blocks {
@@ -86,8 +87,8 @@ impl Chain {
             bytes.extend(entry.term.to_be_bytes());
             bytes.push(entry.kind.code());
             part(&mut bytes, &entry.data);
-            let results = (rules >= 3).then(|| results.unwrap_or(Hash::ZERO));
-            [hash, digest, events].into_iter().chain(&results).for_each(|hash| bytes.extend(hash.0));
+            let results = results.unwrap_or(Hash::ZERO);
+            [hash, digest, events, &results].into_iter().for_each(|hash| bytes.extend(hash.0));
         }
         bytes
     }

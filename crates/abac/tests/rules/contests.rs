@@ -1,6 +1,6 @@
-//! The part of the story about who wins; since rules 3.
+//! The part of the story about who wins.
 
-use crate::story::{BOSS, COMMANDS, FARHAD, MESSAGE, NODE1, OWNER, SALMA};
+use crate::story::{self, BOSS, COMMANDS, FARHAD, MESSAGE, NODE1, OWNER, SALMA};
 use crate::teller::{SECOND, Teller};
 use ledger::msp::CarryCa;
 use ledger_base::hash::Hash;
@@ -142,10 +142,10 @@ fn readers(teller: &mut Teller) {
     teller.call(SALMA, Ok, "abac", "acquire", &[places]);
     teller.call(FARHAD, Code::Held, "abac", "acquire", &[places]);
     let policy = r#"@max_linear("0.5") @between("00:00-24:00 Z") permit (principal, action, resource);"#;
-    teller.call(OWNER, Ok, "abac", "policy", &["put", "slow", policy]);
+    teller.call(OWNER, Ok, "abac", "policy", &["apply", &story::set(&[("slow", policy)])]);
     let grant = teller.call(FARHAD, Ok, "abac", "acquire", &["Turtlebot4"]);
     assert_eq!(grant["limits"]["max_linear_mm_s"], 500);
     teller.call(FARHAD, Ok, "abac", "release", &["Turtlebot4"]);
-    teller.call(OWNER, Ok, "abac", "policy", &["remove", "slow"]);
+    teller.call(OWNER, Ok, "abac", "policy", &["apply", &story::set(&[])]);
     set(teller, r#"{"mode":"exclusive","clear":["publishers","subscribers"]}"#);
 }

@@ -53,7 +53,7 @@ fn a_stored_chain_ends_each_call_of_the_story_as_a_new_one_does() {
         let told = story::tell(rules);
         if std::env::var("STORE_RULES_CHAIN").is_ok_and(|number| number == rules.to_string()) {
             assert!(!path(rules).exists(), "{} exists; a released chain is never stored again", path(rules).display());
-            std::fs::write(path(rules), told.to_bytes(rules)).unwrap();
+            std::fs::write(path(rules), told.to_bytes()).unwrap();
         }
         let codes = |chain: &Chain| -> Vec<Vec<Code>> {
             let ledger = chain::open(&chain.genesis);

@@ -4,9 +4,8 @@ use crate::chain::Chain;
 use crate::contests::contests;
 use crate::teller::{SECOND, Teller, Who};
 use bytes::Bytes;
-use ledger::Rules;
 use ledger::members::{Change, MembershipChange};
-use ledger_abac::default_policy;
+use ledger_abac::DEFAULT_POLICY;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code::{self, Ok};
 use ledger_identity::certificate::Certificate;
@@ -27,9 +26,9 @@ pub(crate) const COMMANDS: &str = "Turtlebot4/cmd_vel";
 /// CDR of nothing in particular.
 pub(crate) const MESSAGE: &str = "\0\u{1}\0\0message";
 
-/// The whole story: it begins under the oldest rules, and goes on under these.
+/// The whole story: it begins under these rules, and goes on under the next ones.
 pub(crate) fn tell(rules: u32) -> Chain {
-    let mut teller = Teller::new(Rules::FIRST.number());
+    let mut teller = Teller::new(rules);
     // What a new leader begins with.
     teller.entry(EntryKind::Normal, Bytes::new());
     robots(&mut teller);
@@ -37,13 +36,11 @@ pub(crate) fn tell(rules: u32) -> Chain {
     policies(&mut teller);
     changed_robots(&mut teller);
     forged(&mut teller);
-    (Rules::FIRST.number() + 1..=rules).for_each(|number| activation(&mut teller, number));
-    if rules >= 3 {
-        contests(&mut teller);
-    }
-    nodes(&mut teller, rules);
-    identities(&mut teller, rules);
-    organisations(&mut teller, rules);
+    activation(&mut teller, rules + 1);
+    contests(&mut teller);
+    nodes(&mut teller);
+    identities(&mut teller);
+    organisations(&mut teller);
     teller.finish()
 }
 
@@ -68,9 +65,9 @@ fn robots(teller: &mut Teller) {
         ("authorize", &["Husky", "publish"]),
         ("GetSubmittingClientIdentity", &[]),
     ] {
-        teller.call(SALMA, Ok, "abac", function, args);
+        teller.read(SALMA, "abac", function, args);
     }
-    teller.call(SALMA, Code::UnknownRobot, "abac", "robot", &["Go2"]);
+    teller.call(SALMA, Code::UnknownRobot, "abac", "declare", &["Go2"]);
     teller.call(CAMERA, Ok, "abac", "set", &["OptiTrack", "0", "1", MESSAGE, MESSAGE]);
 }
 
@@ -106,16 +103,21 @@ fn leases(teller: &mut Teller) {
 
 fn policies(teller: &mut Teller) {
     teller.call(FARHAD, Ok, "abac", "acquire", &["Turtlebot4", "600000"]);
-    let default = default_policy(Rules::FIRST);
-    let stricter = format!("{default}\nforbid (principal == User::\"Org1/Farhad\", action, resource);");
-    teller.call(SALMA, Code::NotAdmin, "abac", "policy", &["put", "stricter", &stricter]);
-    teller.call(OWNER, Code::PolicyInvalid, "abac", "policy", &["put", "wrong", "permit (principal"]);
+    let stricter = format!("{DEFAULT_POLICY}\nforbid (principal == User::\"Org1/Farhad\", action, resource);");
+    teller.call(SALMA, Code::NotAdmin, "abac", "policy", &["apply", &set(&[("stricter", &stricter)])]);
+    teller.call(OWNER, Code::PolicyInvalid, "abac", "policy", &["apply", &set(&[("wrong", "permit (principal")])]);
     // Ends Farhad's grant in the same block.
-    teller.call(OWNER, Ok, "abac", "policy", &["put", "stricter", &stricter]);
+    teller.call(OWNER, Ok, "abac", "policy", &["apply", &set(&[("stricter", &stricter)])]);
     teller.call(FARHAD, Code::DeniedByPolicy, "abac", "acquire", &["Turtlebot4"]);
-    teller.call(SALMA, Ok, "abac", "policies", &[]);
-    teller.call(OWNER, Ok, "abac", "policy", &["remove", "stricter"]);
+    teller.read(SALMA, "abac", "policies", &[]);
+    teller.call(OWNER, Ok, "abac", "policy", &["apply", &set(&[])]);
     teller.call(FARHAD, Ok, "abac", "acquire", &["Turtlebot4", "600000"]);
+}
+
+/// A whole set of policies.
+pub(crate) fn set(policies: &[(&str, &str)]) -> String {
+    let policies: Vec<_> = policies.iter().map(|(id, text)| json!({ "id": id, "text": text })).collect();
+    json!({ "policies": policies }).to_string()
 }
 
 fn changed_robots(teller: &mut Teller) {
@@ -127,7 +129,7 @@ fn changed_robots(teller: &mut Teller) {
 
 /// Calls that nobody should send, and blocks that are none.
 fn forged(teller: &mut Teller) {
-    let good = teller.signed(SALMA, "abac", "robots", &[]);
+    let good = teller.signed(SALMA, "abac", "declare", &["Turtlebot4"]);
     let other_network = {
         let mut body = teller.body(SALMA, "abac", "robots", &[]);
         body.network = Bytes::from_static(&[7; 32]);
@@ -160,7 +162,7 @@ fn forged(teller: &mut Teller) {
         teller.signed(STRANGER, "abac", "robots", &[]),
         teller.signed(SALMA, "inventory", "robots", &[]),
         teller.signed(SALMA, "abac", "steal", &[]),
-        teller.signed(SALMA, "abac", "robots", &["superfluous"]),
+        teller.signed(SALMA, "abac", "declare", &["Turtlebot4", "superfluous"]),
     ];
     let codes: Vec<_> = teller.block(block).into_iter().map(|(code, _)| code).collect();
     let wanted = [
@@ -190,23 +192,23 @@ fn activation(teller: &mut Teller, number: u32) {
     teller.call(NODE1, Ok, "msp", "speak", &[&speaks]);
     assert_eq!(teller.call(BOSS, Ok, "msp", "activate_rules", &[&activate])["executed"], false);
     assert_eq!(teller.call(OWNER, Ok, "msp", "activate_rules", &[&activate])["executed"], true);
-    teller.read(OWNER, number, "msp", "rules", &[]);
+    teller.read(OWNER, "msp", "rules", &[]);
 }
 
-fn nodes(teller: &mut Teller, rules: u32) {
-    teller.read(NODE1, rules, "msp", "nodes", &[]);
+fn nodes(teller: &mut Teller) {
+    teller.read(NODE1, "msp", "nodes", &[]);
     teller.call(NODE1, Ok, "msp", "join_node", &[r#"{"address":"10.0.0.1:7450"}"#]);
     teller.call(NODE3, Ok, "msp", "join_node", &[r#"{"address":"10.0.0.3:7450","name":"node3"}"#]);
     let (height, hash) = (teller.height(), Hash::of(&[b"block"]));
     let attest = json!({ "height": height, "hash": hash, "digest": hash }).to_string();
     teller.call(NODE2, Ok, "msp", "attest", &[&attest]);
     teller.call(SALMA, Code::WrongRole, "msp", "attest", &[&attest]);
-    teller.read(NODE1, rules, "msp", "attestations", &[]);
+    teller.read(NODE1, "msp", "attestations", &[]);
     // Another organisation must agree.
     let voter = r#"{"organisation":"Org2","name":"node2","role":"voter"}"#;
     let decision = teller.call(OWNER, Ok, "msp", "set_node_role", &[voter]);
     assert_eq!(decision["executed"], false);
-    teller.read(SALMA, rules, "msp", "proposals", &[]);
+    teller.read(SALMA, "msp", "proposals", &[]);
     let id = decision["proposal"]["id"].as_str().unwrap().to_owned();
     teller.call(SALMA, Code::NotAdmin, "msp", "approve", &[&id]);
     assert_eq!(teller.call(BOSS, Ok, "msp", "approve", &[&id])["executed"], true);
@@ -214,20 +216,17 @@ fn nodes(teller: &mut Teller, rules: u32) {
     let change = MembershipChange::new([Change::AddVoter(2)]).to_bytes();
     teller.entry(EntryKind::ConfChangeV2, change);
     let promote = r#"{"organisation":"Org2","name":"node3","role":"voter"}"#;
-    let late = (rules >= 3).then(|| teller.call(BOSS, Ok, "msp", "set_node_role", &[promote]));
+    let late = teller.call(BOSS, Ok, "msp", "set_node_role", &[promote]);
     let removed = r#"{"organisation":"Org2","name":"node3","role":"removed"}"#;
     assert_eq!(teller.call(OWNER, Ok, "msp", "set_node_role", &[removed])["executed"], true);
-    if let Some(late) = late {
-        let decision = teller.call(OWNER, Ok, "msp", "approve", &[late["proposal"]["id"].as_str().unwrap()]);
-        assert_eq!(decision["proposal"]["failed"]["code"], Code::NotAMember.number());
-        quorums(teller, rules);
-    }
-    teller.read(NODE1, rules, "msp", "nodes", &[]);
+    let decision = teller.call(OWNER, Ok, "msp", "approve", &[late["proposal"]["id"].as_str().unwrap()]);
+    assert_eq!(decision["proposal"]["failed"]["code"], Code::NotAMember.number());
+    quorums(teller);
+    teller.read(NODE1, "msp", "nodes", &[]);
 }
 
-/// Since rules 3.
-fn quorums(teller: &mut Teller, rules: u32) {
-    teller.read(SALMA, rules, "msp", "quorums", &[]);
+fn quorums(teller: &mut Teller) {
+    teller.read(SALMA, "msp", "quorums", &[]);
     let call = |function: &str, argument: &str| {
         json!({ "chaincode": "msp", "function": function, "args": [hex::encode(argument)] }).to_string()
     };
@@ -241,35 +240,33 @@ fn quorums(teller: &mut Teller, rules: u32) {
     assert_eq!(all["executed"], true);
 }
 
-fn identities(teller: &mut Teller, rules: u32) {
+fn identities(teller: &mut Teller) {
     let expires = teller.time + 3600 * SECOND;
     let register = json!({ "name": "Nadia", "role": "member", "attributes": { "Husky": "true" },
         "secret": Hash::of(&[b"secret"]), "expires": expires });
     teller.call(BOSS, Ok, "msp", "register", &[&register.to_string()]);
     teller.call(BOSS, Code::AlreadyRegistered, "msp", "register", &[&register.to_string()]);
-    if rules >= 3 {
-        for (name, code) in [("Nad\u{456}a", Code::BadName), ("Noel", Ok), ("Noe1", Code::AlreadyRegistered)] {
-            let mut alike = register.clone();
-            alike["name"] = name.into();
-            teller.call(BOSS, code, "msp", "register", &[&alike.to_string()]);
-        }
+    for (name, code) in [("Nad\u{456}a", Code::BadName), ("Noel", Ok), ("Noe1", Code::AlreadyRegistered)] {
+        let mut alike = register.clone();
+        alike["name"] = name.into();
+        teller.call(BOSS, code, "msp", "register", &[&alike.to_string()]);
     }
-    teller.read(BOSS, rules, "msp", "identities", &["{}"]);
+    teller.read(BOSS, "msp", "identities", &["{}"]);
     teller.call(BOSS, Ok, "msp", "cancel_registration", &[r#"{"name":"Nadia"}"#]);
     // Farhad still holds the Turtlebot4: his grant ends in this block.
-    teller.read(FARHAD, rules, "abac", "GetSubmittingClientIdentity", &[]);
+    teller.read(FARHAD, "abac", "GetSubmittingClientIdentity", &[]);
     let certificate = Certificate::parse(&teller.farhad.certificate).unwrap();
     let issuer = Hash::of(&[&certificate.issuer_name]).to_string();
     let serial = hex::encode(&certificate.serial);
     teller.call(OWNER, Code::NotAdmin, "msp", "revoke", &[&issuer, &serial]);
     teller.call(BOSS, Ok, "msp", "revoke", &[&issuer, &serial, "left"]);
     teller.call(FARHAD, Code::Revoked, "abac", "robots", &[]);
-    teller.read(SALMA, rules, "msp", "revocations", &[]);
+    teller.read(SALMA, "msp", "revocations", &[]);
 }
 
-fn organisations(teller: &mut Teller, rules: u32) {
-    teller.read(SALMA, rules, "msp", "organisations", &[]);
-    teller.read(SALMA, rules, "msp", "organisation", &["Org2"]);
+fn organisations(teller: &mut Teller) {
+    teller.read(SALMA, "msp", "organisations", &[]);
+    teller.read(SALMA, "msp", "organisation", &["Org2"]);
     let expires = teller.time + 3600 * SECOND;
     let invite = json!({ "name": "Org3", "key": Hash::of(&[b"key"]), "expires": expires }).to_string();
     let id = teller.call(BOSS, Ok, "msp", "invite_organisation", &[&invite])["proposal"]["id"].clone();
@@ -277,7 +274,7 @@ fn organisations(teller: &mut Teller, rules: u32) {
     teller.call(BOSS, Ok, "msp", "invite_organisation", &[&invite]);
     // The same action is an approval.
     assert_eq!(teller.call(OWNER, Ok, "msp", "invite_organisation", &[&invite])["executed"], true);
-    teller.read(SALMA, rules, "msp", "invitations", &[]);
+    teller.read(SALMA, "msp", "invitations", &[]);
     teller.call(BOSS, Ok, "msp", "cancel_invitation", &[r#"{"name":"Org3"}"#]);
     teller.call(SALMA, Ok, "abac", "acquire", &["Turtlebot4", "600000"]);
     let remove = r#"{"name":"Org1"}"#;
@@ -286,5 +283,5 @@ fn organisations(teller: &mut Teller, rules: u32) {
     // Ends Salma's grant, and what Org1 is trusted with.
     assert_eq!(teller.call(OWNER, Ok, "msp", "remove_organisation", &[remove])["executed"], true);
     teller.call(SALMA, Code::Untrusted, "abac", "robots", &[]);
-    teller.read(OWNER, rules, "msp", "organisations", &[]);
+    teller.read(OWNER, "msp", "organisations", &[]);
 }

@@ -141,11 +141,10 @@ impl Teller {
         self.ends(signed, wanted)
     }
 
-    /// A block with one call that only reads: no transaction since rules 3.
+    /// A block with one call that only reads, which is no transaction.
     #[track_caller]
-    pub(crate) fn read(&mut self, by: Who, rules: u32, chaincode: &str, function: &str, args: &[&str]) {
-        let wanted = if rules >= 3 { Code::QueryOnly } else { Code::Ok };
-        self.call(by, wanted, chaincode, function, args);
+    pub(crate) fn read(&mut self, by: Who, chaincode: &str, function: &str, args: &[&str]) {
+        self.call(by, Code::QueryOnly, chaincode, function, args);
     }
 
     /// A block with one transaction that ends with this code.

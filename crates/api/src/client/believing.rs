@@ -50,12 +50,11 @@ impl Client {
         Ok(Certified { response: committed.response, checkpoint })
     }
 
-    /// The beginning that the network's name covers. None if the network was founded with rules that certify nothing: then a
-    /// reader begins at a checkpoint.
+    /// The beginning that the network's name covers.
     ///
     /// # Errors
     /// [`Code::WrongNetwork`] if the node shows another genesis; [`Code::Malformed`].
-    pub async fn beginning(&self) -> Result<Option<Governance>, Rejection> {
+    pub async fn beginning(&self) -> Result<Governance, Rejection> {
         begin(&self.credentials.network, &self.genesis().await?)
     }
 
@@ -194,15 +193,7 @@ fn no_way() -> Rejection {
 fn take(way: &mut Option<Way>, network: &Hash, step: v1::GovernanceStep, to: Option<&Proof>) -> Result<(), Rejection> {
     let way = match way {
         Some(way) => way,
-        None => {
-            let begun = begin(network, &step.genesis)?.ok_or_else(|| {
-                Rejection::new(Code::UnknownRules, "the genesis of this network is certified by nobody")
-                    .found("rules older than 3")
-                    .wanted("a network that was founded with rules 3 or newer")
-                    .next("begin at a checkpoint that somebody made whom you trust")
-            })?;
-            way.insert(Way::from(begun))
-        }
+        None => way.insert(Way::from(begin(network, &step.genesis)?)),
     };
     for v1::GovernanceChange { height, writes } in step.changes {
         way.change(height, &writes)?;
@@ -216,9 +207,9 @@ fn take(way: &mut Option<Way>, network: &Hash, step: v1::GovernanceStep, to: Opt
     Ok(())
 }
 
-/// The beginning, if this is the genesis of the network; none if nobody certifies it. The name comes first: a node that shows the
+/// The beginning, if this is the genesis of the network. The name comes first: a node that shows the
 /// genesis of another network says nothing about this one.
-fn begin(network: &Hash, genesis: &[u8]) -> Result<Option<Governance>, Rejection> {
+fn begin(network: &Hash, genesis: &[u8]) -> Result<Governance, Rejection> {
     let named = Genesis::network_of(genesis)?;
     if named != *network {
         return Err(other_genesis(&named, network));

@@ -13,7 +13,6 @@ use super::retry::is_final;
 use super::uplink::Uplink;
 use crate::connect::{Connection, Credentials};
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
-use ledger::Rules;
 use ledger_base::rejection::{Code, Rejection};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -52,8 +51,6 @@ struct Link {
     connection: Connection,
     /// The organisations whose CA its node carries.
     carries: Vec<String>,
-    /// The number of the rules by which the network executes blocks.
-    rules: u32,
     /// Why it is not usable, if it is not.
     broken: Option<Rejection>,
 }
@@ -72,7 +69,7 @@ impl Session {
         }
         let (unwanted, complaints) = watch::channel(0);
         let connection = opened.connection.clone();
-        let (link, _) = watch::channel(Link { number: 0, connection, carries: Vec::new(), rules: 0, broken: None });
+        let (link, _) = watch::channel(Link { number: 0, connection, carries: Vec::new(), broken: None });
         let session = Arc::new(Self {
             in_flight: InFlight::new(credentials.identity.clone(), options.deadline, nodes.are_several()),
             clock: Clock::new(),
@@ -155,11 +152,6 @@ impl Session {
         self.seen.load(Ordering::Relaxed)
     }
 
-    /// Does the network take long transactions that are signed by their id?
-    pub(super) fn signs_ids(&self) -> bool {
-        Rules::find(self.link.borrow().rules).is_some_and(Rules::signs_ids)
-    }
-
     pub(super) fn see(&self, height: u64) {
         self.seen.fetch_max(height, Ordering::Relaxed);
     }
@@ -189,7 +181,7 @@ impl Session {
         self.clock.learn(told.clock, at);
         self.in_flight.several.store(self.several(), Ordering::Relaxed);
         self.in_flight.attach(requests);
-        self.link.send_replace(Link { number, connection, carries: told.carries, rules: told.rules, broken: None });
+        self.link.send_replace(Link { number, connection, carries: told.carries, broken: None });
         answers
     }
 
@@ -200,7 +192,6 @@ impl Session {
         self.in_flight.several.store(self.several(), Ordering::Relaxed);
         self.link.send_if_modified(|link| {
             link.carries = told.carries;
-            link.rules = told.rules;
             false
         });
         if news {

@@ -47,7 +47,7 @@ fn genesis(authority: &Authority, label: &str) -> Genesis {
 /// The proof of a block with one verdict, signed as this node.
 fn proof(network: Hash, genesis: &[u8], height: u64, (id, response): (Hash, &[u8]), by: (u64, &TlsIdentity)) -> Bytes {
     // What the genesis writes, the governing chain of a network covers.
-    let begun = Genesis::governance(genesis).unwrap().unwrap();
+    let begun = Genesis::governance(genesis).unwrap();
     let ground =
         Fact::Ground { governing: begun.chain(), control: Hash::ZERO, digest: Hash::ZERO, previous: Hash::ZERO };
     let verdict = Fact::Verdict { index: 0, id, code: 0, response: Hash::of(&[response]) };

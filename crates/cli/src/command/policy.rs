@@ -4,12 +4,12 @@ mod apply;
 mod check;
 mod diff;
 mod history;
+mod one;
 mod propose;
 mod recorded;
 mod set;
 mod test;
 
-use crate::answer;
 use crate::argument::bytes;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -32,8 +32,8 @@ pub(crate) enum Policy {
     Test(test::Test),
     Diff(diff::Diff),
     Shadow(recorded::Shadow),
-    Put(Put),
-    Remove(Remove),
+    Put(one::Put),
+    Remove(one::Remove),
     Apply(apply::Apply),
     History(history::History),
     Rollback(apply::Rollback),
@@ -63,36 +63,6 @@ pub(crate) struct Show {
     version: Option<u64>,
 }
 
-/// Put a policy of your organisation in force, or replace it; for admins.
-///
-/// The first policy of an organisation takes the place of the built-in one. Grants that the policies no longer permit
-/// end in the same block.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Example:
-  ledgerctl policy put night @night.cedar
-  ledgerctl policy put no-farhad 'forbid(principal == User::\"Org1/Farhad\", action, resource);'")]
-pub(crate) struct Put {
-    /// Name of the policy within your organisation
-    id: String,
-    /// The policy in Cedar: text, @FILE, or - for standard input
-    policy: String,
-    /// Also if nobody may publish to some robot then
-    #[arg(long)]
-    i_mean_it: bool,
-}
-
-/// Remove a policy of your organisation; for admins.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl policy remove night")]
-pub(crate) struct Remove {
-    /// Name of the policy within your organisation
-    id: String,
-    /// Also if nobody may publish to some robot then
-    #[arg(long)]
-    i_mean_it: bool,
-}
-
 /// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words {
     arguments: &[
@@ -118,42 +88,26 @@ fn text(policy: &str) -> Result<Bytes, Rejection> {
     bytes::argument(policy)
 }
 
-/// The last argument of a change that is meant, even if nobody may publish to some robot then.
-fn meant(means_it: bool) -> Option<Bytes> {
-    means_it.then(|| "i-mean-it".into())
-}
-
 impl Policy {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let args = match self {
-            Self::List(_) => {
-                return output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?));
-            }
-            Self::Show(show) => return show.run(global, output).await,
-            Self::Check(check) => return check.run(global, output).await,
-            Self::Diff(diff) => return diff.run(global, output).await,
-            Self::Shadow(shadow) => return shadow.run(global, output).await,
-            Self::Test(test) => return test.run(global, output).await,
-            Self::Apply(apply) => return apply.run(global, output).await,
-            Self::Rollback(rollback) => return rollback.run(global, output).await,
-            Self::History(history) => return history.run(global, output).await,
-            Self::Propose(propose) => return propose.run(global, output).await,
-            Self::Proposals(proposals) => return proposals.run(global, output).await,
-            Self::Approve(approve) => return approve.run(global, output).await,
-            Self::Withdraw(withdraw) => return withdraw.run(global, output).await,
-            Self::Approvals(approvals) => return approvals.run(global, output).await,
-            Self::Put(put) => {
-                let args = vec!["put".into(), Bytes::from(put.id), text(&put.policy)?];
-                args.into_iter().chain(meant(put.i_mean_it)).collect()
-            }
-            Self::Remove(remove) => {
-                let args = vec!["remove".into(), Bytes::from(remove.id)];
-                args.into_iter().chain(meant(remove.i_mean_it)).collect()
-            }
-        };
-        let done =
-            Session::open(global).await?.call(ABAC, "policy", args).await.map_err(|refused| WORDS.told(refused))?;
-        output.show(&Changed(answer::parse(&done.response, "a change of policies")?))
+        match self {
+            Self::List(_) => output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?)),
+            Self::Show(show) => show.run(global, output).await,
+            Self::Check(check) => check.run(global, output).await,
+            Self::Diff(diff) => diff.run(global, output).await,
+            Self::Shadow(shadow) => shadow.run(global, output).await,
+            Self::Test(test) => test.run(global, output).await,
+            Self::Apply(apply) => apply.run(global, output).await,
+            Self::Rollback(rollback) => rollback.run(global, output).await,
+            Self::History(history) => history.run(global, output).await,
+            Self::Propose(propose) => propose.run(global, output).await,
+            Self::Proposals(proposals) => proposals.run(global, output).await,
+            Self::Approve(approve) => approve.run(global, output).await,
+            Self::Withdraw(withdraw) => withdraw.run(global, output).await,
+            Self::Approvals(approvals) => approvals.run(global, output).await,
+            Self::Put(put) => put.run(global, output).await,
+            Self::Remove(remove) => remove.run(global, output).await,
+        }
     }
 }
 

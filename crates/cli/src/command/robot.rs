@@ -256,7 +256,8 @@ mod tests {
         "services":[{"service":"Turtlebot4/cmd_vel","robot":"Turtlebot4","organisation":"Org2","topic":"/cmd_vel",
         "type":"geometry_msgs/msg/Twist","mode":"exclusive","direction":"command","max_age_ms":1000,"lease_ms":10000,
         "lease_ms_max":600000,"stop_hex":null,"holder":"Org1/Salma","holders":["Org1/Salma"],"epoch":3,
-        "expires":11000000}]}"#;
+        "expires":11000000,
+        "capabilities":{"fencing":"newest","publishing":"grant","sequence":"per_epoch"}}]}"#;
 
     fn text(facts: &impl Facts) -> String {
         let mut out = Vec::new();
@@ -301,8 +302,8 @@ Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  
 
     #[test]
     fn what_a_newer_node_tells_is_shown_as_it_came() {
-        let newer =
-            ASSET.replace("exclusive", "limited").replace(r#""holder":"#, r#""capabilities":{"places":"2"},"holder":"#);
+        let (before, _) = ASSET.split_once(r#""capabilities":"#).unwrap();
+        let newer = before.replace("exclusive", "limited") + r#""capabilities":{"places":"2"}}]}"#;
         let robots = Robots(vec![serde_json::from_str(&newer).unwrap()], 1_000_000);
         assert!(text(&robots).contains("  limited  "), "{}", text(&robots));
         let json = serde_json::to_string(&robots).unwrap();

@@ -8,7 +8,6 @@
 
 use super::Ledger;
 use crate::execution::check_network;
-use crate::rules::Rules;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -252,17 +251,12 @@ impl Ledger {
     pub(super) fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
         let judged = |basis, rejection| Judged { who: None, rejection, basis };
         let (overlay, leaf) = (self.overlay(), transaction.leaf());
-        let rules = self.rules();
-        let (identity, _) = self.identities.creator(transaction, &overlay, (time, rules)).map_err(|rejection| {
+        let (identity, _) = self.identities.creator(transaction, &overlay, time).map_err(|rejection| {
             // A revocation is never taken back.
             judged(if rejection.code == Code::Revoked { Basis::Past } else { Basis::Creator }, rejection)
         })?;
         if !self.verified.contains(&leaf) {
-            transaction.verify_by(rules, &identity.public_key).map_err(|rejection| {
-                // Newer rules may accept its form.
-                let for_ever = rules == Rules::NEWEST || transaction.verify(&identity.public_key).is_err();
-                judged(if for_ever { Basis::Bytes } else { Basis::Creator }, rejection)
-            })?;
+            transaction.verify(&identity.public_key).map_err(|rejection| judged(Basis::Bytes, rejection))?;
         }
         Ok((identity, leaf))
     }

@@ -32,7 +32,7 @@ impl Ledger {
     /// # Errors
     /// As [`Ledger::members`].
     pub fn governing(&self, height: u64) -> Result<Change, Rejection> {
-        facts::begin(&*self.state, &self.registry, height).map(|(_, all)| all)
+        facts::governing(&*self.state, &self.registry, height)
     }
 
     /// Facts of a certified block with their paths: the ground, then what `wanted` names. None if the block is not due to be
@@ -55,9 +55,6 @@ impl Ledger {
     /// The roots that a certified block was built on.
     fn roots_before(&self, height: u64) -> Result<Option<Roots>, Rejection> {
         for before in (0..height).rev() {
-            if self.rules_of(before + 1)?.certifies_every().is_none() {
-                break;
-            }
             match self.block_hashes(before)? {
                 Some(BlockHashes { roots: Some(roots), .. }) => return Ok(Some(roots)),
                 Some(_) => {}
@@ -73,21 +70,16 @@ impl Ledger {
 ///
 /// # Errors
 /// A fault of the store; [`Code::Corrupt`] if results are missing.
-pub(super) fn newest_roots(
-    tip: u64,
-    genesis: &BlockResult,
-    results: &ResultStore,
-    certifies: impl Fn(u64) -> bool,
-) -> Result<Option<Roots>, Rejection> {
-    for height in (1..=tip).rev().take_while(|height| certifies(*height)) {
+pub(super) fn newest_roots(tip: u64, genesis: &BlockResult, results: &ResultStore) -> Result<Roots, Rejection> {
+    for height in (1..=tip).rev() {
         let stored = results.get(height)?.ok_or_else(|| {
             Rejection::new(Code::Corrupt, "a result is missing that the next certified block builds on")
                 .found(format!("none of block {height}"))
                 .next("delete the directories state/ and results/; the node makes both again from the blocks")
         })?;
         if let Some(roots) = stored.roots() {
-            return Ok(Some(roots));
+            return Ok(roots);
         }
     }
-    Ok(genesis.roots())
+    genesis.roots().ok_or_else(|| Rejection::new(Code::Internal, "the genesis has no roots"))
 }

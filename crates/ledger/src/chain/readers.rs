@@ -17,7 +17,7 @@ impl Ledger {
         self.identities.check_current(reader, self.tip().time)?;
         let chaincode = self.registry.find(&event.chaincode)?;
         let tip = self.tip();
-        let meter = Meter::default();
+        let meter = Meter::of_query();
         let environment = self.environment(Some(reader), &tip, tip.time, &meter);
         chaincode.may_read(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), event)
     }
@@ -40,7 +40,7 @@ impl Ledger {
         self.identities.check_current(reader, self.tip().time)?;
         let emitting = self.registry.emitting(chaincode, names)?;
         let tip = self.tip();
-        let (mut refused, meter) = (Ok(()), Meter::default());
+        let (mut refused, meter) = (Ok(()), Meter::of_query());
         for chaincode in emitting {
             let environment = self.environment(Some(reader), &tip, tip.time, &meter);
             let mut none = Vec::new();

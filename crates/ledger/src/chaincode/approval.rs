@@ -184,7 +184,7 @@ pub struct ApprovedBy {
     pub proposal: Hash,
     /// The organisation that proposed it.
     pub proposer: String,
-    /// Names of the admins that agreed, by their organisations. Proposals from before rules 3 know no names.
+    /// Names of the admins that agreed, by their organisations.
     pub admins: BTreeMap<String, BTreeSet<String>>,
 }
 

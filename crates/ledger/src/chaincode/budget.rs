@@ -5,7 +5,6 @@
 //! block counts for each organisation apart, so that nobody uses up what others need. The steps of policies are counted for
 //! the organisation whose policies they are.
 
-use crate::rules::Rules;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use std::cell::{Cell, RefCell};
@@ -99,10 +98,9 @@ struct Budgets {
 }
 
 /// Counts what the calls of one block use, or one query.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Meter {
-    /// None: nothing is refused.
-    budgets: Option<Budgets>,
+    budgets: Budgets,
     /// Is a call counted now? Hooks are not: what they do is bounded by their chaincodes, and must be done.
     counting: Cell<bool>,
     call: Cell<Usage>,
@@ -119,15 +117,26 @@ pub struct Meter {
 pub(super) struct Stopped;
 
 impl Meter {
-    /// Of a block that is executed by these rules, or of a call that is simulated.
-    pub fn of_block(rules: Rules) -> Self {
-        let budgets = Budgets { call: CALL_BUDGET, block: BLOCK_BUDGET };
-        Self { budgets: rules.has_budgets().then_some(budgets), ..Self::default() }
+    /// Of a block, or of a call that is simulated.
+    pub fn of_block() -> Self {
+        Self::of(Budgets { call: CALL_BUDGET, block: BLOCK_BUDGET })
     }
 
     /// Of a query.
     pub fn of_query() -> Self {
-        Self { budgets: Some(Budgets { call: QUERY_BUDGET, block: QUERY_BUDGET }), ..Self::default() }
+        Self::of(Budgets { call: QUERY_BUDGET, block: QUERY_BUDGET })
+    }
+
+    fn of(budgets: Budgets) -> Self {
+        Self {
+            budgets,
+            counting: Cell::default(),
+            call: Cell::default(),
+            block: RefCell::default(),
+            payer: RefCell::default(),
+            asked: RefCell::default(),
+            over: RefCell::default(),
+        }
     }
 
     /// The use of the last call.
@@ -216,7 +225,7 @@ impl Meter {
         let mut call = self.call.get();
         call.add(more);
         self.call.set(call);
-        let Some(Budgets { call: of_call, block: of_block }) = &self.budgets else { return Ok(()) };
+        let Budgets { call: of_call, block: of_block } = &self.budgets;
         if let Some((kind, used, most)) = call.beyond(of_call) {
             let reading = kind == "bytes of the answer";
             return Err(Rejection::new(Code::OverBudget, "the call uses more than a call may")
@@ -258,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_call_beyond_its_budget_is_stopped_and_the_next_one_begins_anew() {
-        let meter = Meter::of_block(Rules::NEWEST);
+        let meter = Meter::of_block();
         let within = CALL_BUDGET.written_bytes as usize;
         assert!(used(&meter, |meter| meter.write(within)).is_ok());
         let mut went_on = false;
@@ -274,7 +283,7 @@ mod tests {
 
     #[test]
     fn who_uses_up_a_block_stops_nobody_else() {
-        let meter = Meter::of_block(Rules::NEWEST);
+        let meter = Meter::of_block();
         let most = CALL_BUDGET.read_bytes as usize;
         let calls = (BLOCK_BUDGET.read_bytes / CALL_BUDGET.read_bytes) as usize;
         for _ in 0..calls {
@@ -289,7 +298,7 @@ mod tests {
 
     #[test]
     fn the_steps_of_a_question_are_counted_once_in_a_block_and_for_whose_policies_they_are() {
-        let meter = Meter::of_block(Rules::NEWEST);
+        let meter = Meter::of_block();
         let question = |number: u64| Hash::of(&[&number.to_be_bytes()]);
         let ask =
             |meter: &Meter, number| used(meter, |meter| meter.steps("Org2", CALL_BUDGET.steps, || question(number)));
@@ -302,10 +311,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_uncounted_and_what_older_rules_execute_has_no_budget() {
-        let meter = Meter::of_block(Rules::NEWEST);
+    fn what_is_uncounted_has_no_budget() {
+        let meter = Meter::of_block();
         assert!(used(&meter, |meter| meter.uncounted(|| meter.write(usize::MAX))).is_ok());
         assert!(used(&meter, |meter| meter.write(usize::MAX)).is_err());
-        assert!(used(&Meter::of_block(Rules::FIRST), |meter| meter.write(usize::MAX)).is_ok());
     }
 }

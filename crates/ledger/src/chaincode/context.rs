@@ -49,7 +49,7 @@ pub struct Environment<'a> {
 impl Environment<'_> {
     /// Refuses a transaction with a call that only reads: every node would execute it, and store it with its answer.
     pub(super) fn check_changes(&self, callee: &dyn Chaincode, function: &str) -> Result<(), Rejection> {
-        let ordered = self.transaction != Hash::ZERO && self.rules.has_budgets();
+        let ordered = self.transaction != Hash::ZERO;
         if !ordered || !callee.reads().contains(&function) {
             return Ok(());
         }
@@ -77,7 +77,7 @@ impl Environment<'_> {
 
     /// A code that speaks of a node, such as [`Code::Overloaded`], tells clients to try again: no verdict on a call.
     pub(super) fn speaks_of_the_call(&self, mut refused: Rejection) -> Rejection {
-        if self.rules.refuses_calls_only() && refused.code.class() == Class::Unreachable {
+        if refused.code.class() == Class::Unreachable {
             refused.code = Code::Refused;
         }
         refused
@@ -242,7 +242,7 @@ impl<'a> Context<'a> {
     }
 
     /// Tells subscribers that something happened. Kept only if the call succeeds. Beyond the limits (1024 events of 1 MiB) the
-    /// call is rejected when it returns. A hook cannot be, since rules 3: its events beyond the limit are not told.
+    /// call is rejected when it returns. A hook cannot be: its events beyond the limit are not told.
     pub fn emit(&mut self, name: &str, subject: &str, payload: impl Into<Bytes>) {
         let payload = payload.into();
         if self.cannot_refuse && self.events_left() == 0 {
@@ -374,7 +374,7 @@ pub(super) fn run_hook(
     body: impl FnOnce(&mut Context<'_>),
 ) -> Result<(), Rejection> {
     run((environment, None), chaincode, depth, overlay, events, |ctx| {
-        ctx.cannot_refuse = environment.rules.hooks_leave_room();
+        ctx.cannot_refuse = true;
         body(ctx);
         Ok(Bytes::new())
     })

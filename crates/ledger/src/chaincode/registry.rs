@@ -26,7 +26,7 @@ impl Registry {
         Self::default()
     }
 
-    /// Speaks no newer rules than these: the node is as one of an older release.
+    /// Speaks no newer rules than these: the node is as one of another release.
     pub fn speak_up_to(&mut self, newest: Rules) {
         self.newest = newest;
     }
@@ -38,7 +38,7 @@ impl Registry {
 
     /// The rules of a number, if the node speaks them.
     pub(crate) fn speaks(&self, number: u32) -> Option<Rules> {
-        Rules::find(number).filter(|rules| *rules <= self.newest)
+        self.newest.find_up_to(number)
     }
 
     /// Installs a chaincode.

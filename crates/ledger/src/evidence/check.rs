@@ -209,7 +209,7 @@ impl Link {
 
 /// Where the way begins: at what its reader knows of this network, else at the genesis.
 fn beginning(genesis: &[u8], known: Option<&Governance>) -> Result<Governance, Rejection> {
-    let Some(known) = known else { return Genesis::governance(genesis)?.ok_or_else(no_beginning) };
+    let Some(known) = known else { return Genesis::governance(genesis) };
     let network = Genesis::network_of(genesis)?;
     if known.network() == network {
         return Ok(known.clone());
@@ -218,12 +218,6 @@ fn beginning(genesis: &[u8], known: Option<&Governance>) -> Result<Governance, R
         .found(known.network().to_string())
         .wanted(format!("{network}, the network of the genesis"))
         .next("take a checkpoint of this network"))
-}
-
-fn no_beginning() -> Rejection {
-    Rejection::new(Code::UnknownRules, "the genesis of this network is certified by nobody")
-        .found("rules older than 3")
-        .wanted("a network that was founded with rules 3 or newer")
 }
 
 fn no_header() -> Rejection {

@@ -3,7 +3,6 @@
 
 use crate::identities::Identities;
 use crate::msp::{self, ORGANISATION_KEYS};
-use crate::rules::Rules;
 use ledger_base::rejection::Rejection;
 use ledger_storage::state::{Overlay, WriteSet};
 
@@ -25,10 +24,7 @@ impl<'a> Trust<'a> {
     ///
     /// # Errors
     /// [`ledger_base::rejection::Code::Corrupt`] if an organisation cannot be read.
-    pub(super) fn now(&mut self, rules: Rules, overlay: &Overlay) -> Result<&Identities, Rejection> {
-        if !rules.ends_rights_of_lost_authorities() {
-            return Ok(self.before);
-        }
+    pub(super) fn now(&mut self, overlay: &Overlay) -> Result<&Identities, Rejection> {
         if !overlay.written(ORGANISATION_KEYS).eq(self.changed.iter().flat_map(|(writes, _)| writes)) {
             let writes = overlay.written(ORGANISATION_KEYS).map(|(key, value)| (key.clone(), value.clone())).collect();
             let identities = self.before.with(&msp::organisations_in(overlay)?)?;

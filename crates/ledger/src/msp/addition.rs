@@ -1,15 +1,15 @@
 //! An organisation of another software comes in: the others approve its authorities as they are, and its people
 //! count from the next block on. Nobody of it signs, and it runs no node.
 
-use super::action::Action;
+use super::ADD_ORGANISATION;
 use super::caller::{admin, check_name, object};
 use super::invitations::check_look;
 use super::organisations;
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::revocation_lists;
 use super::store::{invitation_key, json};
-use super::{ADD_ORGANISATION, NAME};
-use crate::chaincode::{Call, Context};
+use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
@@ -46,8 +46,7 @@ pub(super) fn add(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Reje
         return execute(ctx, &add, &approved.proposer);
     }
     let caller = admin(ctx, "add organisations")?;
-    let call = Call { chaincode: NAME.to_owned(), function: ADD_ORGANISATION.to_owned(), args: vec![json(&add)?] };
-    json(&decide(ctx, caller, Action::Call(call))?)
+    json(&decide(ctx, caller, own_call(ADD_ORGANISATION, &add)?)?)
 }
 
 /// Does what was approved; a proposal is rehearsed with it as well.

@@ -4,7 +4,6 @@
 //! reaches: services of its cloud, its own links, groups. Loopback and private addresses stay allowed, as networks in one
 //! machine or one building use them. A name is looked up when it is dialled, and what it leads to is checked then.
 
-use crate::rules::Rules;
 use ledger_base::rejection::{Code, Rejection};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
@@ -20,8 +19,8 @@ const METADATA: [Ipv4Addr; 3] =
 /// That of Amazon EC2.
 const METADATA_V6: Ipv6Addr = Ipv6Addr::new(0xfd00, 0xec2, 0, 0, 0, 0, 0, 0x254);
 
-/// Checks `HOST:PORT`. Since rules 3 the host is a name, or an IP address that nodes dial.
-pub(super) fn check_address(rules: Rules, address: &str) -> Result<(), Rejection> {
+/// Checks `HOST:PORT`. The host is a name, or an IP address that nodes dial.
+pub(super) fn check_address(address: &str) -> Result<(), Rejection> {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_.:[]%".contains(c);
     let host = address.rsplit_once(':').filter(|(host, port)| {
         !host.is_empty() && port.parse::<u16>().is_ok_and(|number| number != 0 && number.to_string() == *port)
@@ -33,9 +32,6 @@ pub(super) fn check_address(rules: Rules, address: &str) -> Result<(), Rejection
             .wanted("HOST:PORT under which the other nodes reach it, such as 10.0.0.4:7450"))
     };
     let Some((host, _)) = host.filter(|_| usable) else { return refused("is not usable") };
-    if !rules.addresses_are_checked() {
-        return Ok(());
-    }
     match literal(host) {
         Some(ip) => never_dialled(ip).map_or(Ok(()), |kind| refused(&format!("is {kind}, which no node dials"))),
         None if is_name(host) => Ok(()),
@@ -141,12 +137,12 @@ mod tests {
     }
 
     #[test]
-    fn a_registered_address_is_a_name_or_an_address_that_nodes_dial_and_was_less_before_rules_3() {
+    fn a_registered_address_is_a_name_or_an_address_that_nodes_dial() {
         for usable in ["node9:7450", "a.b-c.example:1", "my_node:7450", "10.0.0.4:7450", "[::1]:7450", "localhost:1"] {
-            assert_eq!(check_address(Rules::NEWEST, usable), Ok(()), "{usable}");
+            assert_eq!(check_address(usable), Ok(()), "{usable}");
         }
         let long = format!("{}:1", "a".repeat(64));
-        for before in [
+        for unusable in [
             "169.254.169.254:80",
             "[fe80::1]:7450",
             "0.0.0.0:7450",
@@ -159,8 +155,7 @@ mod tests {
             "[fe80::1%eth0]:1",
             &long,
         ] {
-            assert_eq!(check_address(Rules::FIRST, before), Ok(()), "{before}");
-            assert_eq!(check_address(Rules::NEWEST, before).unwrap_err().code, Code::BadArgument, "{before}");
+            assert_eq!(check_address(unusable).unwrap_err().code, Code::BadArgument, "{unusable}");
         }
     }
 }

@@ -3,13 +3,13 @@
 //! An organisation brings in nodes by certificates of its CA. Each costs the others connections, replication and a place, so
 //! the network limits them. It changes the number by a proposal.
 
-use super::action::Action;
+use super::ALLOW_NODES;
 use super::caller::{admin, object};
 use super::organisations;
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::store::{self, allowance_key, json};
-use super::{ALLOW_NODES, NAME, NODES_PER_ORGANISATION_MAX};
-use crate::chaincode::{Call, Context};
+use crate::chaincode::Context;
 use crate::members::NODES_MAX;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
@@ -30,9 +30,6 @@ pub struct AllowNodes {
 
 /// How many nodes this organisation may have.
 pub(super) fn of(ctx: &Context<'_>, organisation: &str) -> Result<usize, Rejection> {
-    if !ctx.rules().nodes_are_allowed() {
-        return Ok(NODES_PER_ORGANISATION_MAX);
-    }
     Ok(store::read(ctx, &allowance_key(organisation))?.unwrap_or(NODES_ALLOWED_DEFAULT))
 }
 
@@ -48,8 +45,7 @@ pub(super) fn allow(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
     }
     let caller = admin(ctx, "decide how many nodes an organisation has")?;
     check(ctx, &allow)?;
-    let call = Call { chaincode: NAME.to_owned(), function: ALLOW_NODES.to_owned(), args: vec![json(&allow)?] };
-    json(&decide(ctx, caller, Action::Call(call))?)
+    json(&decide(ctx, caller, own_call(ALLOW_NODES, &allow)?)?)
 }
 
 /// An organisation that leaves comes back with the number of a new one.

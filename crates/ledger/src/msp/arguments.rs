@@ -30,11 +30,12 @@ pub struct InviteOrganisation {
 /// Argument of `remove_organisation`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct RemoveOrganisation {
-    pub(super) name: String,
+pub struct RemoveOrganisation {
+    /// Its name.
+    pub name: String,
 }
 
-/// Argument of `set_node_role`: the node by id, or by organisation and name.
+/// Argument of `set_node_role`: the node by id, or by organisation and name. A proposal names all three.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetNodeRole {

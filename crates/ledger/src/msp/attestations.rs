@@ -59,7 +59,7 @@ pub struct AttestationRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub snapshot: Option<Attestation>,
     /// The newest before it that a node of another organisation attests, too. So there is always one that two organisations
-    /// attest, once there was. Since rules 3.
+    /// attest, once there was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shared: Option<Attestation>,
 }
@@ -145,8 +145,7 @@ fn still_shared(
     before: &AttestationRecord,
     newer: Option<&Attestation>,
 ) -> Result<Option<Attestation>, Rejection> {
-    let last = before.snapshot.as_ref().filter(|_| ctx.rules().keeps_shared_snapshots());
-    let (Some(last), Some(newer)) = (last, newer) else { return Ok(before.shared.clone()) };
+    let (Some(last), Some(newer)) = (&before.snapshot, newer) else { return Ok(before.shared.clone()) };
     if last.attest.height == newer.attest.height {
         return Ok(before.shared.clone());
     }

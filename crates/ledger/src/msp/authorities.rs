@@ -22,7 +22,7 @@ pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation
     store::write(ctx, &organisation_key(&organisation.name), organisation)?;
     let described = json(&describe(organisation)?)?;
     ctx.emit("organisation_updated", &organisation.name, described.clone());
-    if let Some(before) = before.filter(|_| ctx.rules().ends_rights_of_lost_authorities()) {
+    if let Some(before) = before {
         for issuer in lost(&before, organisation)? {
             proposals::forget_approvals(ctx, |approval| approval.issuer.0 == issuer)?;
             ctx.tell_authority_lost(&issuer)?;

@@ -8,7 +8,7 @@ use ledger_identity::{Identity, Role};
 use serde::de::DeserializeOwned;
 
 /// The submitter, if their organisation still belongs to the network. A block that removes an organisation may hold
-/// transactions of its members behind that. Before rules 3 only this chaincode refuses them; since then every one does.
+/// transactions of its members behind that. Every chaincode refuses them.
 pub(super) fn submitter<'a>(ctx: &Context<'a>) -> Result<&'a Identity, Rejection> {
     let caller = ctx.submitter()?;
     if ctx.get(organisation_key(&caller.organisation).as_bytes()).is_some() {

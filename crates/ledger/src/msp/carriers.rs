@@ -39,7 +39,7 @@ pub struct CarrierRecord {
     pub node: String,
     /// Since when, block time in microseconds.
     pub since: u64,
-    /// The newest copy of the key that an admin has taken there; since rules 3.
+    /// The newest copy of the key that an admin has taken there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub copied: Option<Copied>,
 }
@@ -71,7 +71,7 @@ pub struct CarryCa {
     /// Facts that the node knows from its own disk, and the ledger does not yet.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub identities: Vec<KnownIdentity>,
-    /// The admin, `ORGANISATION/NAME`, who takes a copy of the key now; since rules 3.
+    /// The admin, `ORGANISATION/NAME`, who takes a copy of the key now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub copied_by: Option<String>,
 }
@@ -134,9 +134,6 @@ pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
             .found(carry.identities.len().to_string())
             .wanted(format!("at most {ADOPTED_MAX}")));
     }
-    if carry.copied_by.is_some() && !ctx.rules().notes_emergencies() {
-        return Err(unknown_field());
-    }
     check_proof(ctx, &carry, caller)?;
     let key = carrier_key(&carry.organisation, &caller.organisation, &caller.name);
     if ctx.get(key.as_bytes()).is_none() {
@@ -161,11 +158,6 @@ pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
         identities::adopt(ctx, caller, &carry.organisation, known)?;
     }
     Ok(Bytes::new())
-}
-
-/// As older rules refuse a field that they do not have.
-fn unknown_field() -> Rejection {
-    Rejection::new(Code::BadArgument, "the argument of carry_ca cannot be read").found("unknown field copied_by")
 }
 
 /// An admin takes a copy of the key from this node.

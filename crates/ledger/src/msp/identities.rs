@@ -23,7 +23,7 @@ pub use revocation::{RevokeIdentity, RevokedIdentity};
 pub(super) use certificates::{adopt, record, verified};
 pub(super) use holder::holder;
 use list::shown;
-pub(super) use list::{enrolled, executed, list};
+pub(super) use list::{enrolled, list};
 pub(super) use registrar::{registrars, set as set_registrar};
 pub(super) use registration::{cancel, register};
 pub(super) use revocation::revoke;
@@ -38,8 +38,6 @@ use ledger_storage::state::StateRead;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Most registered names of one organisation.
-pub const IDENTITIES_MAX: u64 = 10_000;
 /// Most certificates of one name that are kept; beyond it those that have expired are forgotten.
 pub const CERTIFICATES_MAX: usize = 64;
 /// Longest life of a one-time secret, in microseconds of block time: a year.
@@ -73,7 +71,6 @@ pub struct IdentityRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub local: Option<LocalSecret>,
     /// Block time at which everything of this name was last revoked, or a secret at a node cancelled, microseconds; 0 = never.
-    /// Before rules 3, also of any other secret that was cancelled.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voided: u64,
     /// Block time at which its attributes were last changed, microseconds; 0 = never.
@@ -94,7 +91,7 @@ pub struct Secret {
     /// The key that has used it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub used: Option<Use>,
-    /// The certificate by which it was made; none before rules 3, and in answers.
+    /// The certificate by which it was made; none in answers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub maker: Option<Maker>,
 }

@@ -4,11 +4,12 @@
 //! public key, its private half travels in the token, and the newcomer signs all that it brings with it. A carrier of
 //! the request can lose it but not change it.
 
-use super::action::Action;
+use super::INVITE_ORGANISATION;
 use super::address::check_address;
 use super::arguments::InviteOrganisation;
 use super::caller::{admin, check_name, node, object};
 use super::organisations;
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::store::{self, INVITATIONS, invitation_key, json};
 use crate::chaincode::Context;
@@ -121,8 +122,8 @@ pub(super) fn invite(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     }
     let caller = admin(ctx, "invite organisations")?;
     check(ctx, &invite.name, invite.expires)?;
-    let action = Action::InviteOrganisation { name: invite.name, key: invite.key, expires: invite.expires };
-    json(&decide(ctx, caller, action)?)
+    let call = own_call(INVITE_ORGANISATION, &invite)?;
+    json(&decide(ctx, caller, call)?)
 }
 
 /// Does what was approved.
@@ -210,7 +211,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         .verify(&join.signed_bytes(&ctx.network()), &signature)
         .map_err(|error| not_invited(name, &error.to_string()))?;
     check_name(&join.node_name)?;
-    check_address(ctx.rules(), &join.address)?;
+    check_address(&join.address)?;
     organisations::add(ctx, &join.organisation)?;
     ctx.delete(key.as_bytes());
     let answer = json(&organisations::describe(&join.organisation)?)?;
@@ -237,9 +238,6 @@ fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
 
 /// A new organisation has a name that people can tell from the others.
 pub(super) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
-    if !ctx.rules().names_are_readable() {
-        return Ok(());
-    }
     check_readable(name)?;
     let wanted = looks(name);
     let alike = |known: &FoundingOrganisation| !looks(&known.name).is_disjoint(&wanted);

@@ -36,7 +36,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
             .found(format!("{:?}", name.chars().take(80).collect::<String>()))
             .wanted(format!("{:?}", caller.name)));
     }
-    check_address(ctx.rules(), &join.address)?;
+    check_address(&join.address)?;
     let nodes = all(ctx)?;
     let live = || nodes.iter().filter(|node| node.role != NodeRole::Removed);
     let own = |node: &&NodeRecord| node.organisation == caller.organisation && node.name == caller.name;

@@ -22,14 +22,11 @@ pub(super) struct Joins {
     count: u64,
 }
 
-/// Counts a new node of this organisation; since rules 3.
+/// Counts a new node of this organisation.
 ///
 /// # Errors
 /// [`Code::LimitExceeded`] if it had too many lately.
 pub(super) fn count(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
-    if !ctx.rules().joins_are_limited() {
-        return Ok(());
-    }
     let (key, now) = (joins_key(organisation), ctx.block_time());
     let before = store::read::<Joins>(ctx, &key)?.filter(|joins| now < joins.since.saturating_add(JOINS_TIME));
     let Joins { since, count } = before.unwrap_or(Joins { since: now, count: 0 });

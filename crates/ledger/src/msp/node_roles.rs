@@ -1,12 +1,12 @@
 //! Changes of the wanted roles of nodes.
 
-use super::action::Action;
 use super::arguments::SetNodeRole;
 use super::caller::{admin, object};
 use super::nodes::{NodeRecord, NodeRole, RECORDS_MAX, REMOVED_MAX, all, desired, write};
+use super::own_call::own_call;
 use super::proposals::{Decision, decide};
 use super::store::{self, NODES, json, node_key};
-use super::{attestations, carriers, refusals, rules};
+use super::{SET_NODE_ROLE, attestations, carriers, refusals, rules};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
@@ -24,12 +24,15 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     let nodes = all(ctx)?;
     let node = match (&set.id, &set.organisation, &set.name) {
         (Some(id), None, None) => nodes.iter().find(|node| node.id == *id),
+        (Some(id), Some(organisation), Some(name)) => {
+            nodes.iter().find(|node| node.id == *id && node.organisation == *organisation && node.name == *name)
+        }
         (None, Some(organisation), Some(name)) => nodes
             .iter()
             .rfind(|node| node.organisation == *organisation && node.name == *name && node.role != NodeRole::Removed),
         _ => {
             return Err(Rejection::new(Code::BadArgument, "msp set_node_role names no node")
-                .wanted("either id, or organisation and name"));
+                .wanted("id, or organisation and name, or all three"));
         }
     };
     let Some(node) = node else { return Err(no_such_node(&nodes)) };
@@ -41,8 +44,13 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
         put_role(ctx, node, set.role)?;
         return json(&Decision::done(None));
     };
-    let action = Action::SetNodeRole { id: node.id, node: node.full_name(), role: set.role };
-    json(&decide(ctx, caller, action)?)
+    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &wish(node, set.role))?)?)
+}
+
+/// The wish for a role of this node, as a proposal has it.
+fn wish(node: &NodeRecord, role: NodeRole) -> SetNodeRole {
+    let (organisation, name) = (Some(node.organisation.clone()), Some(node.name.clone()));
+    SetNodeRole { id: Some(node.id), organisation, name, role }
 }
 
 /// Removes the nodes of an organisation that leaves.

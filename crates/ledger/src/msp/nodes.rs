@@ -14,9 +14,6 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// Most nodes of one organisation before rules 3, so that none can fill the network with its own.
-pub const NODES_PER_ORGANISATION_MAX: usize = NODES_MAX / 2;
-
 /// Most records of nodes that were removed; beyond it the oldest is forgotten.
 pub(super) const REMOVED_MAX: usize = 256;
 /// Most records there can be.

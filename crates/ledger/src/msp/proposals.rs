@@ -6,12 +6,8 @@
 //!
 //! A proposal ends after [`PROPOSAL_LIFE_MAX`] of block time, or when its call fails. Nothing of such a call is kept; the
 //! proposal stands as failed until it expires or is withdrawn.
-//!
-//! Before rules 3 a proposal knows the organisations that agreed and not their admins, and one that fails goes on waiting.
-//! Approvals from then do not count any more: they name no certificate that could be revoked.
 
 use super::MspChaincode;
-use super::action::Action;
 use super::caller::{admin, bad, object, text};
 use super::quorums;
 use super::store::{self, NEXT_PROPOSAL, PROPOSALS, REVOKED, json, proposal_key};
@@ -41,8 +37,8 @@ pub const CALL_ARGS_MAX: usize = 64;
 pub struct Proposal {
     /// SHA-256 over its content and a number that is used once.
     pub id: Hash,
-    /// The proposed action.
-    pub action: Action,
+    /// The proposed call.
+    pub call: Call,
     /// The admin who proposed it.
     pub by: String,
     /// Their organisation.
@@ -53,8 +49,7 @@ pub struct Proposal {
     pub created: u64,
     /// Last block time at which it can be approved, microseconds.
     pub expires: u64,
-    /// The admins who approve for these organisations; empty before rules 3.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    /// The admins who approve for these organisations.
     pub approved_by: Vec<Approval>,
     /// Why it can be approved no longer, if its call was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -94,7 +89,7 @@ pub struct Decision {
     pub missing: usize,
     /// The organisations that could give them.
     pub pending: Vec<String>,
-    /// How many must approve, while it waits; before rules 3 always more than half of the organisations.
+    /// How many must approve, while it waits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quorum: Option<Quorum>,
 }
@@ -116,9 +111,6 @@ impl Proposal {
     fn approved(&self) -> ApprovedBy {
         let mut approved =
             ApprovedBy { proposal: self.id, proposer: self.organisation.clone(), ..ApprovedBy::default() };
-        for organisation in &self.approvals {
-            approved.admins.entry(organisation.clone()).or_default();
-        }
         for Approval { organisation, admin, .. } in &self.approved_by {
             approved.admins.entry(organisation.clone()).or_default().insert(admin.clone());
         }
@@ -150,10 +142,8 @@ fn counted(ctx: &Context<'_>, mut proposal: Proposal) -> Option<Proposal> {
     if proposal.expires < ctx.block_time() {
         return None;
     }
-    if ctx.rules().proposes_calls() {
-        proposal.approved_by.retain(|approval| !is_revoked(ctx, approval));
-        proposal.count_organisations();
-    }
+    proposal.approved_by.retain(|approval| !is_revoked(ctx, approval));
+    proposal.count_organisations();
     Some(proposal)
 }
 
@@ -168,13 +158,11 @@ pub(super) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
         None => waiting(ctx, proposal),
         Some(_) => Ok(Decision::failed(proposal)),
     };
-    if let Some(paging) = Paging::of(ctx, "msp proposals", args)? {
-        let read = |key: &[u8], value: &[u8]| counted(ctx, store::parse(key, value)?).map(decide).transpose();
-        let mut page = paging.page(ctx, PROPOSALS.as_bytes(), read)?;
-        page.items.sort_by_key(|decision| decision.proposal.as_ref().map(|proposal| (proposal.created, proposal.id)));
-        return paging.answer(&page);
-    }
-    json(&known(ctx)?.into_iter().map(decide).collect::<Result<Vec<_>, _>>()?)
+    let paging = Paging::of("msp proposals", args)?;
+    let read = |key: &[u8], value: &[u8]| counted(ctx, store::parse(key, value)?).map(decide).transpose();
+    let mut page = paging.page(ctx, PROPOSALS.as_bytes(), read)?;
+    page.items.sort_by_key(|decision| decision.proposal.as_ref().map(|proposal| (proposal.created, proposal.id)));
+    paging.answer(&page)
 }
 
 /// `propose {chaincode, function, args}`. A function of this chaincode is proposed by calling it.
@@ -186,19 +174,17 @@ pub(super) fn propose(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, 
     if call.chaincode == NAME {
         return MspChaincode.invoke(ctx, &call.function, &call.args);
     }
-    json(&decide(ctx, caller, Action::Call(call))?)
+    json(&decide(ctx, caller, call)?)
 }
 
-/// Proposes an action for the caller's organisation, or approves the same one that stands already.
-pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, action: Action) -> Result<Decision, Rejection> {
+/// Proposes a call for the caller's organisation, or approves the same one that is proposed already.
+pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, call: Call) -> Result<Decision, Rejection> {
     forget_expired(ctx)?;
     let proposals = standing(ctx)?;
-    if let Some(same) = proposals.iter().find(|proposal| proposal.action == action) {
+    if let Some(same) = proposals.iter().find(|proposal| proposal.call == call) {
         return add_approval(ctx, caller, same.clone());
     }
-    if ctx.rules().proposes_calls() {
-        check_call(ctx, caller, &action)?;
-    }
+    check_call(ctx, caller, &call)?;
     let known = known(ctx)?;
     let own = known.iter().filter(|proposal| proposal.organisation == caller.organisation).count();
     for (found, max) in [(known.len(), PROPOSALS_MAX), (own, PROPOSALS_PER_ORGANISATION_MAX)] {
@@ -212,8 +198,8 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, action: Action) -
     let number = store::next_number(ctx, NEXT_PROPOSAL)?;
     let created = ctx.block_time();
     let mut proposal = Proposal {
-        id: Hash::of(&[b"ledgerd proposal v1\0", &number.to_be_bytes(), &json(&action)?]),
-        action,
+        id: Hash::of(&[b"ledgerd proposal v1\0", &number.to_be_bytes(), &json(&call)?]),
+        call,
         by: caller.id(),
         organisation: caller.organisation.clone(),
         approvals: BTreeSet::new(),
@@ -222,7 +208,7 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, action: Action) -
         approved_by: Vec::new(),
         failed: None,
     };
-    agree(ctx, caller, &mut proposal)?;
+    agree(caller, &mut proposal)?;
     ctx.emit("proposed", &proposal.id.to_string(), json(&proposal)?);
     settle(ctx, proposal)
 }
@@ -266,8 +252,7 @@ pub(super) fn forget_approvals(ctx: &mut Context<'_>, of: impl Fn(&Approval) -> 
     Ok(())
 }
 
-/// Does what has become due without another approval: there are fewer organisations now, or a quorum has changed. Before
-/// rules 3, an action that cannot be done stays a proposal.
+/// Does what has become due without another approval: there are fewer organisations now, or a quorum has changed.
 fn settle_all(ctx: &mut Context<'_>) -> Result<(), Rejection> {
     // Each round ends one proposal, so this ends.
     for _ in 0..PROPOSALS_MAX {
@@ -288,17 +273,14 @@ fn settle_all(ctx: &mut Context<'_>) -> Result<(), Rejection> {
 }
 
 fn add_approval(ctx: &mut Context<'_>, caller: &Identity, mut proposal: Proposal) -> Result<Decision, Rejection> {
-    if agree(ctx, caller, &mut proposal)? {
+    if agree(caller, &mut proposal)? {
         ctx.emit("approved", &proposal.id.to_string(), json(&proposal)?);
     }
     settle(ctx, proposal)
 }
 
 /// Adds the caller to those who agree. Answers whether that is new.
-fn agree(ctx: &Context<'_>, caller: &Identity, proposal: &mut Proposal) -> Result<bool, Rejection> {
-    if !ctx.rules().proposes_calls() {
-        return Ok(proposal.approvals.insert(caller.organisation.clone()));
-    }
+fn agree(caller: &Identity, proposal: &mut Proposal) -> Result<bool, Rejection> {
     let approval = Approval {
         organisation: caller.organisation.clone(),
         admin: caller.name.clone(),
@@ -332,38 +314,33 @@ fn settle(ctx: &mut Context<'_>, proposal: Proposal) -> Result<Decision, Rejecti
         store::write(ctx, &proposal_key(&proposal.id), &proposal)?;
         return Ok(decision);
     }
-    let removes = matches!(proposal.action, Action::RemoveOrganisation { .. });
-    let next = format!("if it can never be done: ledgerctl network withdraw {}", proposal.id);
-    let decision = execute(ctx, proposal).map_err(|fault| fault.next(next))?;
-    if decision.executed && (removes || ctx.rules().proposes_calls()) {
+    let decision = execute(ctx, proposal)?;
+    if decision.executed {
         settle_all(ctx)?;
     }
     Ok(decision)
 }
 
-/// Executes the call of a proposal, and ends the proposal. One that fails leaves nothing but that; before rules 3 it goes on
-/// waiting.
+/// Executes the call of a proposal, and ends the proposal. One that fails leaves nothing but that.
 fn execute(ctx: &mut Context<'_>, mut proposal: Proposal) -> Result<Decision, Rejection> {
     let key = proposal_key(&proposal.id);
-    match ctx.call_approved(&proposal.approved(), &proposal.action.call()?) {
+    match ctx.call_approved(&proposal.approved(), &proposal.call) {
         Ok(_) => {
             ctx.delete(key.as_bytes());
             ctx.emit("executed", &proposal.id.to_string(), json(&proposal)?);
             Ok(Decision::done(Some(proposal)))
         }
-        Err(reason) if ctx.rules().proposes_calls() => {
+        Err(reason) => {
             proposal.failed = Some(Failed { code: reason.code.number(), height: ctx.height() });
             store::write(ctx, &key, &proposal)?;
             ctx.emit("failed", &proposal.id.to_string(), json(&proposal)?);
             Ok(Decision::failed(proposal))
         }
-        Err(reason) => Err(reason),
     }
 }
 
 /// Refuses a call that is too long, and one that would be refused now if every organisation agreed.
-fn check_call(ctx: &mut Context<'_>, caller: &Identity, action: &Action) -> Result<(), Rejection> {
-    let call = action.call()?;
+fn check_call(ctx: &mut Context<'_>, caller: &Identity, call: &Call) -> Result<(), Rejection> {
     let names = call.chaincode.len().saturating_add(call.function.len());
     let bytes = call.args.iter().map(Bytes::len).fold(names, usize::saturating_add);
     for (found, max, what) in [(bytes, CALL_BYTES_MAX, "bytes"), (call.args.len(), CALL_ARGS_MAX, "arguments")] {
@@ -376,18 +353,18 @@ fn check_call(ctx: &mut Context<'_>, caller: &Identity, action: &Action) -> Resu
     let mut approved = ApprovedBy { proposer: caller.organisation.clone(), ..ApprovedBy::default() };
     approved.admins = organisations::names(ctx)?.into_iter().map(|name| (name, BTreeSet::new())).collect();
     approved.admins.entry(caller.organisation.clone()).or_default().insert(caller.name.clone());
-    ctx.rehearse_approved(&approved, &call).map(drop)
+    ctx.rehearse_approved(&approved, call).map(drop)
 }
 
 fn waiting(ctx: &Context<'_>, proposal: Proposal) -> Result<Decision, Rejection> {
     let organisations = organisations::names(ctx)?;
-    let (quorum, approved) = (quorums::of(ctx, &proposal.action)?, proposal.approved());
+    let (quorum, approved) = (quorums::of(ctx, &proposal.call)?, proposal.approved());
     Ok(Decision {
         executed: false,
         missing: quorum.missing(&approved, &organisations),
         pending: quorum.pending(&approved, &organisations),
         proposal: Some(proposal),
-        quorum: ctx.rules().proposes_calls().then_some(quorum),
+        quorum: Some(quorum),
     })
 }
 

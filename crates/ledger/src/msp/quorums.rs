@@ -3,7 +3,6 @@
 //! A function begins with the quorum of its chaincode's table. Another one is set by a proposal, which needs the quorum
 //! that the function has then: nobody makes it easier than it is to decide.
 
-use super::action::Action;
 use super::caller::object;
 use super::store::{self, QUORUMS, json, quorum_key};
 use super::{NAME, SET_QUORUM};
@@ -61,17 +60,14 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
     json(&quorums)
 }
 
-/// The quorum that a proposed action needs now. A function that newer rules have taken away needs what most do; its call is
+/// The quorum that a proposed call needs now. A function that newer rules have taken away needs what most do; its call is
 /// then refused.
-pub(super) fn of(ctx: &Context<'_>, action: &Action) -> Result<Quorum, Rejection> {
-    if !ctx.rules().proposes_calls() {
-        return Ok(Quorum::Majority);
-    }
-    let Call { chaincode, function, args } = action.call()?;
+pub(super) fn of(ctx: &Context<'_>, call: &Call) -> Result<Quorum, Rejection> {
+    let Call { chaincode, function, args } = call;
     let changed = ((chaincode.as_str(), function.as_str()) == (NAME, SET_QUORUM)).then_some(args.first()).flatten();
     let (chaincode, function) = match changed.map(argument).transpose()? {
         Some(set) => (set.chaincode, set.function),
-        None => (chaincode, function),
+        None => (chaincode.clone(), function.clone()),
     };
     if let Some(set) = store::read(ctx, &quorum_key(&chaincode, &function))? {
         return Ok(set);

@@ -3,13 +3,13 @@
 //! They begin with the same defaults for everybody. Another one is set by a proposal. A smaller quota
 //! removes nothing: nothing more is added.
 
-use super::action::Action;
+use super::SET_QUOTA;
 use super::caller::{admin, object};
 use super::organisations;
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::store::{self, json, quota_key};
-use super::{NAME, SET_QUOTA};
-use crate::chaincode::{Call, Context};
+use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -72,8 +72,7 @@ pub(super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Reje
     if ctx.approved_by().is_none() {
         let caller = admin(ctx, "change a quota")?;
         check(ctx, &set)?;
-        let call = Call { chaincode: NAME.to_owned(), function: SET_QUOTA.to_owned(), args: vec![json(&set)?] };
-        return json(&decide(ctx, caller, Action::Call(call))?);
+        return json(&decide(ctx, caller, own_call(SET_QUOTA, &set)?)?);
     }
     check(ctx, &set)?;
     store::write(ctx, &quota_key(&set.organisation), &set)?;
@@ -85,7 +84,7 @@ pub(super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Reje
 /// The quotas of an organisation that leaves.
 pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) {
     let key = quota_key(name);
-    if ctx.rules().has_budgets() && ctx.get(key.as_bytes()).is_some() {
+    if ctx.get(key.as_bytes()).is_some() {
         ctx.delete(key.as_bytes());
     }
 }

@@ -1,7 +1,7 @@
 //! The record of a recovery by force: an operator made one node the only voter, because most voters were lost.
 //!
 //! Nobody signs a change of members. So the node itself says in the context of the change what was done. Executing the change
-//! writes it down since rules 3: as a record for ever, and as an event.
+//! writes it down: as a record for ever, and as an event.
 
 use super::node_roles;
 use super::nodes::{self, NodeRole};

@@ -126,7 +126,6 @@ fn check(told: &TellRefusals) -> Result<(), Rejection> {
 /// Forgets when a node told last that was removed.
 pub(super) fn forget(ctx: &mut Context<'_>, node: &NodeRecord) {
     let key = store::told_key(&node.organisation, &node.name);
-    // Before rules 3 there is none, and nothing may be written.
     if ctx.get(key.as_bytes()).is_some() {
         ctx.delete(key.as_bytes());
     }

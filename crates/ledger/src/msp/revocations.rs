@@ -12,8 +12,6 @@ use ledger_identity::certificate::Certificate;
 use ledger_identity::{Identity, Role};
 use serde::{Deserialize, Serialize};
 
-/// Most entries that the list answers with as a transaction, which it was before rules 3.
-const LIST_MAX: usize = 10_000;
 /// Most bytes of a reason.
 const REASON_BYTES_MAX: usize = 512;
 
@@ -38,11 +36,9 @@ pub struct RevocationRecord {
 
 /// `revocations [PAGE_JSON]`
 pub(super) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    if let Some(paging) = Paging::of(ctx, "msp revocations", args)? {
-        let read = |key: &[u8], value: &[u8]| store::parse::<RevocationRecord>(key, value).map(Some);
-        return paging.answer(&paging.page(ctx, REVOKED, read)?);
-    }
-    json(&store::list::<RevocationRecord>(ctx, REVOKED, LIST_MAX)?)
+    let paging = Paging::of("msp revocations", args)?;
+    let read = |key: &[u8], value: &[u8]| store::parse::<RevocationRecord>(key, value).map(Some);
+    paging.answer(&paging.page(ctx, REVOKED, read)?)
 }
 
 /// `revoke ISSUER SERIAL [REASON]`: by an admin of the organisation that issued it.
@@ -89,7 +85,7 @@ pub(super) fn revoke_certificate(
     if let Some(known) = ctx.get(&key) {
         return Ok(known);
     }
-    if revoked.issuer == caller.issuer && revoked.serial == caller.serial && !ctx.rules().admins_revoke_themselves() {
+    if revoked.issuer == caller.issuer && revoked.serial == caller.serial {
         return Err(Rejection::new(
             Code::LastOne,
             format!("{} may not revoke the certificate that it signs with", caller.id()),

@@ -4,10 +4,11 @@
 //! of the organisations approve it and every voter has said that it speaks them. They hold from the next block on, or from
 //! a later one that the proposal names.
 
-use super::action::Action;
+use super::ACTIVATE_RULES;
 use super::arguments::ActivateRules;
 use super::caller::{admin, bad, node, object};
 use super::nodes::{self, NodeRecord, NodeRole, Speaks};
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::store::{self, ACTIVATIONS, json};
 use crate::chaincode::Context;
@@ -92,7 +93,7 @@ pub(super) fn activate(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     }
     let caller = admin(ctx, "activate rules")?;
     check(ctx, number)?;
-    json(&decide(ctx, caller, Action::ActivateRules { number, height })?)
+    json(&decide(ctx, caller, own_call(ACTIVATE_RULES, &ActivateRules { number, height })?)?)
 }
 
 /// The activation that was approved.

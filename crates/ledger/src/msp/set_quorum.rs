@@ -1,13 +1,13 @@
 //! Changes of quorums: by a proposal, which needs the quorum that the function has then.
 
-use super::action::Action;
 use super::caller::admin;
 use super::organisations;
+use super::own_call::own_call;
 use super::proposals::decide;
 use super::quorums::{SetQuorum, argument};
 use super::store::{self, json, quorum_key};
 use super::{NAME, SET_QUORUM};
-use crate::chaincode::{Call, Context, Quorum, quorum_of};
+use crate::chaincode::{Context, Quorum, quorum_of};
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 
@@ -19,8 +19,7 @@ pub(super) fn set(ctx: &mut Context<'_>, given: &Bytes) -> Result<Bytes, Rejecti
     }
     let caller = admin(ctx, "change a quorum")?;
     check(ctx, &set)?;
-    let call = Call { chaincode: NAME.to_owned(), function: SET_QUORUM.to_owned(), args: vec![json(&set)?] };
-    json(&decide(ctx, caller, Action::Call(call))?)
+    json(&decide(ctx, caller, own_call(SET_QUORUM, &set)?)?)
 }
 
 fn change(ctx: &mut Context<'_>, set: &SetQuorum) -> Result<Bytes, Rejection> {

@@ -6,12 +6,12 @@
 //! | `former/<name>` | an organisation that was removed, as it was last |
 //! | `node/<id, 20 digits>` | [`super::NodeRecord`] |
 //! | `allowance/<organisation>` | how many nodes it may have, if the network has decided that |
-//! | `joins/<organisation>` | [`super::joins::Joins`]: how many nodes it has brought in lately; since rules 3 |
+//! | `joins/<organisation>` | [`super::joins::Joins`]: how many nodes it has brought in lately |
 //! | `next/node`, `next/proposal` | the next number, never given twice |
 //! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
 //! | `governed/<height, 20 digits>` | the control writes of a block to this chaincode ([`ledger_light::Change`]); only the execution of blocks writes it |
-//! | `recovery/<height, 20 digits>` | [`super::Recovery`]: the members were changed by force; only the execution of that block writes it; since rules 3 |
+//! | `recovery/<height, 20 digits>` | [`super::Recovery`]: the members were changed by force; only the execution of that block writes it |
 //! | `proposal/<id>` | [`super::Proposal`] |
 //! | `quota/<organisation>` | [`super::SetQuota`] |
 //! | `invitation/<name>` | [`super::Invitation`] |
@@ -44,7 +44,7 @@ use serde::de::DeserializeOwned;
 pub(crate) const MEMBERS_KEY: &[u8] = b"msp\0members";
 /// Which rules were activated at which heights; a block that writes it may change the rules of the next one.
 pub(crate) const RULES_KEY: &[u8] = b"msp\0rules";
-/// Keys of the organisations start with this. A write to one changes whom the next block trusts, and since rules 3 the
+/// Keys of the organisations start with this. A write to one changes whom the next block trusts, and the
 /// rest of the same block.
 pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
 

@@ -144,8 +144,7 @@ fn a_genesis_of_the_vectors_governs_as_they_say() {
     let beginnings = vectors["beginnings"].as_object().unwrap().values();
     let mut founded = 0;
     for begin in beginnings.filter(|begin| begin["genesis"].is_string()) {
-        let governance =
-            ledger::network::Genesis::governance(begin["genesis"].as_str().unwrap().as_bytes()).unwrap().unwrap();
+        let governance = ledger::network::Genesis::governance(begin["genesis"].as_str().unwrap().as_bytes()).unwrap();
         let hash = |field: &str| Hash::from_hex(begin[field].as_str().unwrap()).unwrap();
         assert_eq!((governance.network(), governance.chain()), (hash("network"), hash("governing")));
         assert_eq!(governance.time(), begin["time"].as_u64().unwrap());

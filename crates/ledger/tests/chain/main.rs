@@ -16,7 +16,7 @@ use bytes::Bytes;
 use ledger::block::Payload;
 use ledger::transaction::SIGNED_WHOLE_MAX;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Ground, Rules};
+use ledger::{Admission, Ground};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
@@ -75,29 +75,23 @@ fn a_forged_copy_does_not_use_up_the_id() {
 }
 
 #[test]
-fn a_long_transaction_may_be_signed_by_its_id_from_rules_3_on() {
-    for (rules, wanted) in [(2, Code::BadSignature), (3, Code::Ok)] {
-        let world = World::founded_with(Rules::find(rules).unwrap());
-        let ledger = world.ledger();
-        let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
-        let long = "x".repeat(SIGNED_WHOLE_MAX);
-        let body = salma.body(world.network, "put", &["a", &long]);
-        let by_id = Transaction::sign_by_id(&body, &salma.key).unwrap();
-        let by_id = by_id.with_certificate(salma.certificate.clone()).unwrap();
-        let whole = salma.sign(&salma.body(world.network, "put", &["b", &long]));
-        let admitted = ledger.admit(by_id.encoded().clone(), NOW).map_err(|refused| refused.ground);
-        match rules {
-            // Not for ever: the network may go over to rules by which it is good.
-            2 => assert_eq!(admitted, Err(Ground::State { height: 0 })),
-            _ => assert_eq!(admitted, Ok(Admission::New(by_id.clone()))),
-        }
-        assert_eq!(codes(&block(&ledger, NOW, &[&by_id, &whole])), [wanted, Code::Ok]);
-        let mallory = world.org1.user("M", "member", KeyKind::Ed25519);
-        let forged = Transaction::sign_by_id(&salma.body(world.network, "put", &["c", &long]), &mallory.key).unwrap();
-        let refused = ledger.admit(forged.encoded().clone(), NOW).unwrap_err();
-        assert_eq!((refused.rejection.code, refused.ground), (Code::BadSignature, Ground::Bytes));
-        assert_eq!(codes(&block(&ledger, NOW, &[&forged])), [Code::BadSignature]);
-    }
+fn a_long_transaction_may_be_signed_by_its_id() {
+    let world = World::new();
+    let ledger = world.ledger();
+    let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
+    let long = "x".repeat(SIGNED_WHOLE_MAX);
+    let body = salma.body(world.network, "put", &["a", &long]);
+    let by_id = Transaction::sign_by_id(&body, &salma.key).unwrap();
+    let by_id = by_id.with_certificate(salma.certificate.clone()).unwrap();
+    let whole = salma.sign(&salma.body(world.network, "put", &["b", &long]));
+    let admitted = ledger.admit(by_id.encoded().clone(), NOW).map_err(|refused| refused.ground);
+    assert_eq!(admitted, Ok(Admission::New(by_id.clone())));
+    assert_eq!(codes(&block(&ledger, NOW, &[&by_id, &whole])), [Code::Ok, Code::Ok]);
+    let mallory = world.org1.user("M", "member", KeyKind::Ed25519);
+    let forged = Transaction::sign_by_id(&salma.body(world.network, "put", &["c", &long]), &mallory.key).unwrap();
+    let refused = ledger.admit(forged.encoded().clone(), NOW).unwrap_err();
+    assert_eq!((refused.rejection.code, refused.ground), (Code::BadSignature, Ground::Bytes));
+    assert_eq!(codes(&block(&ledger, NOW, &[&forged])), [Code::BadSignature]);
 }
 
 #[test]

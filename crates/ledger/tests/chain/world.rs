@@ -162,13 +162,9 @@ pub(crate) struct World {
 
 impl World {
     pub(crate) fn new() -> Self {
-        Self::founded_with(Rules::NEWEST)
-    }
-
-    pub(crate) fn founded_with(rules: Rules) -> Self {
         let (org1, org2) = (Ca::new("org1-ca"), Ca::new("org2-ca"));
         let genesis = Genesis {
-            rules: rules.number(),
+            rules: Rules::NEWEST.number(),
             label: "test".into(),
             created: NOW - SECOND,
             salt: Hash::ZERO,

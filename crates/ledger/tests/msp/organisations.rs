@@ -1,6 +1,5 @@
 use crate::world::{Ca, DAY, Network, SECOND, code, is_executed, json, waiting};
 use bytes::Bytes;
-use ledger::Rules;
 use ledger::msp::{self, JoinOrganisation, NodeRole, Organisation};
 use ledger::network::FoundingOrganisation;
 use ledger_base::hash::Hash;
@@ -194,44 +193,37 @@ fn what_a_removed_organisation_signed_has_no_effect_behind_the_removal_in_the_sa
 
 #[test]
 fn behind_the_removal_of_an_organisation_in_a_block_its_members_call_no_chaincode() {
-    for (rules, wanted) in [(Rules::FIRST, Code::Ok), (Rules::NEWEST, Code::Untrusted)] {
-        let mut network = Network::founded_with(rules, 3, 3);
-        let id = waiting(network.admin(1, "remove_organisation", &[&remove("Org3")]));
-        let boss = network.cas[1].user("Boss", "admin", KeyKind::Ed25519);
-        let [salma, omar] = [2, 0].map(|index| network.cas[index].user("Salma", "member", KeyKind::Ed25519));
-        let before = network.sign_for("listener", &salma, "arm", &[]);
-        let approve = network.sign(&boss, "approve", &[&id]);
-        let behind = network.sign_for("listener", &salma, "arm", &[]);
-        let other = network.sign_for("listener", &omar, "arm", &[]);
-        let codes: Vec<_> = network.block(&[&before, &approve, &behind, &other]).iter().map(code).collect();
-        assert_eq!(codes, [Code::Ok, Code::Ok, wanted, Code::Ok], "rules {rules}");
-        let late = network.sign_for("listener", &salma, "arm", &[]);
-        assert_eq!(code(&network.block(&[&late]).remove(0)), Code::Untrusted, "rules {rules}");
-    }
+    let mut network = Network::new(3, 3);
+    let id = waiting(network.admin(1, "remove_organisation", &[&remove("Org3")]));
+    let boss = network.cas[1].user("Boss", "admin", KeyKind::Ed25519);
+    let [salma, omar] = [2, 0].map(|index| network.cas[index].user("Salma", "member", KeyKind::Ed25519));
+    let before = network.sign_for("listener", &salma, "arm", &[]);
+    let approve = network.sign(&boss, "approve", &[&id]);
+    let behind = network.sign_for("listener", &salma, "arm", &[]);
+    let other = network.sign_for("listener", &omar, "arm", &[]);
+    let codes: Vec<_> = network.block(&[&before, &approve, &behind, &other]).iter().map(code).collect();
+    assert_eq!(codes, [Code::Ok, Code::Ok, Code::Untrusted, Code::Ok]);
+    let late = network.sign_for("listener", &salma, "arm", &[]);
+    assert_eq!(code(&network.block(&[&late]).remove(0)), Code::Untrusted);
 }
 
 #[test]
 fn behind_the_loss_of_an_authority_in_a_block_nobody_acts_with_its_certificates() {
-    for (rules, wanted) in [(Rules::FIRST, Code::Ok), (Rules::NEWEST, Code::Untrusted)] {
-        let mut network = Network::founded_with(rules, 2, 2);
-        let renewed = Ca::new("org1-ca-2031");
-        let both = authorities(&[&network.cas[0], &renewed]);
-        network.admin(1, "update_organisation", &[&both]).unwrap();
-        let anew = renewed.user("Admin", "admin", KeyKind::Ed25519);
-        let [old, salma] =
-            [("Boss", "admin"), ("Salma", "member")].map(|(name, role)| network.cas[0].user(name, role, KeyKind::P256));
-        let update = network.sign(&anew, "update_organisation", &[&authorities(&[&renewed])]);
-        let register = format!(
-            r#"{{"name":"Mallory","role":"admin","secret":"{}","expires":{}}}"#,
-            Hash::ZERO,
-            network.time + DAY
-        );
-        let register = network.sign(&old, "register", &[&register]);
-        let arm = network.sign_for("listener", &salma, "arm", &[]);
-        let stays = network.sign_for("listener", &anew, "arm", &[]);
-        let codes: Vec<_> = network.block(&[&update, &register, &arm, &stays]).iter().map(code).collect();
-        assert_eq!(codes, [Code::Ok, wanted, wanted, Code::Ok], "rules {rules}");
-    }
+    let mut network = Network::new(2, 2);
+    let renewed = Ca::new("org1-ca-2031");
+    let both = authorities(&[&network.cas[0], &renewed]);
+    network.admin(1, "update_organisation", &[&both]).unwrap();
+    let anew = renewed.user("Admin", "admin", KeyKind::Ed25519);
+    let [old, salma] =
+        [("Boss", "admin"), ("Salma", "member")].map(|(name, role)| network.cas[0].user(name, role, KeyKind::P256));
+    let update = network.sign(&anew, "update_organisation", &[&authorities(&[&renewed])]);
+    let register =
+        format!(r#"{{"name":"Mallory","role":"admin","secret":"{}","expires":{}}}"#, Hash::ZERO, network.time + DAY);
+    let register = network.sign(&old, "register", &[&register]);
+    let arm = network.sign_for("listener", &salma, "arm", &[]);
+    let stays = network.sign_for("listener", &anew, "arm", &[]);
+    let codes: Vec<_> = network.block(&[&update, &register, &arm, &stays]).iter().map(code).collect();
+    assert_eq!(codes, [Code::Ok, Code::Untrusted, Code::Untrusted, Code::Ok]);
 }
 
 #[test]

@@ -2,7 +2,6 @@
 
 use crate::world::{Ca, DAY, Network, User, code, is_executed, json, waiting};
 use bytes::Bytes;
-use ledger::Rules;
 use ledger::msp::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
@@ -299,26 +298,6 @@ fn one_organisation_cannot_fill_a_proposal_with_its_admins() {
     let more = deputy(&network, 1, "more");
     assert_eq!(code(&network.call(&more, "approve", &[&id])), Code::LimitExceeded);
     assert!(is_executed(network.admin(2, "approve", &[&id])));
-}
-
-#[test]
-fn approvals_from_before_the_rules_that_count_admins_are_asked_for_again() {
-    let mut network = Network::founded_with(Rules::FIRST, 3, 1);
-    for number in [1, 2, 3] {
-        let speaks = format!(r#"{{"newest":{},"release":"9.0.0"}}"#, Rules::NEWEST);
-        network.node(number, "speak", &[&speaks]).unwrap();
-    }
-    for function in ["propose", "set_quorum", "quorums"] {
-        assert_eq!(code(&network.admin(1, function, &["{}"])), Code::UnknownFunction, "{function} before rules 3");
-    }
-    let old = waiting(network.admin(1, "set_node_role", &[r#"{"id":2,"role":"voter"}"#]));
-    let activate = format!(r#"{{"number":{}}}"#, Rules::NEWEST);
-    let id = waiting(network.admin(1, "activate_rules", &[&activate]));
-    assert!(is_executed(network.admin(2, "approve", &[&id])));
-    let standing: Vec<Decision> = network.query("proposals", &[]);
-    assert_eq!((standing.len(), standing[0].missing), (1, 2));
-    assert_eq!(waiting(network.admin(2, "approve", &[&old])), old);
-    assert!(is_executed(network.admin(1, "approve", &[&old])), "the proposer agrees anew");
 }
 
 #[test]

@@ -1,5 +1,4 @@
 use crate::world::{Network, START, code};
-use ledger::Rules;
 use ledger::msp::{REFUSALS_BYTES_MAX, REFUSALS_MAX, Refused, TellRefusals};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
@@ -53,8 +52,6 @@ fn nobody_but_a_node_of_the_network_tells_refusals() {
     assert_eq!(code(&network.admin(1, "tell_refusals", &[&said])), Code::WrongRole);
     let stranger = network.cas[0].user("edge", "node", KeyKind::Ed25519);
     assert_eq!(code(&network.call(&stranger, "tell_refusals", &[&said])), Code::NotAMember);
-    let mut old = Network::founded_with(Rules::FIRST, 2, 2);
-    assert_eq!(code(&old.node(1, "tell_refusals", &[&said])), Code::UnknownFunction);
 }
 
 #[test]

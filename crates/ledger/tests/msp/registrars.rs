@@ -2,7 +2,6 @@
 
 use crate::world::{DAY, Network, User, code, json};
 use bytes::Bytes;
-use ledger::Rules;
 use ledger::msp::{IdentityRecord, SetRegistrar};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -143,8 +142,6 @@ fn the_right_of_a_registrar_ends_by_an_admins_word_and_with_its_name() {
     }
     let more = r#"{"name":"R64","affiliation":"sales"}"#;
     assert_eq!(code(&network.admin(1, "set_registrar", &[more])), Code::LimitExceeded);
-    let mut older = Network::founded_with(Rules::FIRST, 2, 2);
-    assert_eq!(code(&older.admin(1, "set_registrar", &[more])), Code::UnknownFunction);
 }
 
 #[test]

@@ -1,18 +1,17 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::members::{Change, MembershipChange};
 use ledger::msp::{MspChaincode, NodeRecord, RulesOverview, Speaks};
 use ledger::{Activation, Chaincode, Context, Page, Rules};
-use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_base::rejection::Rejection;
 use ledger_identity::key::KeyKind;
-use ledger_light::control::{self, Write};
-use ledger_light::fact::Fact;
 use ledger_storage::entry::{Entry, EntryKind};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
+
+/// The number that is activated.
+const NEXT: u32 = Rules::OF_TESTS.number();
 
 fn speaks(newest: u32) -> String {
     format!(r#"{{"newest":{newest},"release":"9.0.0"}}"#)
@@ -26,9 +25,9 @@ fn overview(network: &Network) -> RulesOverview {
     network.query("rules", &[])
 }
 
-/// Three organisations whose nodes vote, founded with the oldest rules.
+/// Three organisations whose nodes vote.
 fn old() -> Network {
-    Network::founded_with(Rules::FIRST, 3, 3)
+    Network::new(3, 3)
 }
 
 /// The next block, which is empty.
@@ -40,114 +39,75 @@ fn next(network: &Network) -> Entry {
 #[test]
 fn rules_are_activated_when_every_voter_speaks_them_and_more_than_half_of_the_organisations_approve() {
     let mut network = old();
-    let newest = Rules::NEWEST.number();
-    assert_eq!(code(&network.admin(1, "activate_rules", &[&activate(newest)])), Code::RulesNotSpoken);
+    assert_eq!(code(&network.admin(1, "activate_rules", &[&activate(NEXT)])), Code::RulesNotSpoken);
     for node in [1, 2] {
-        network.node(node, "speak", &[&speaks(newest)]).unwrap();
+        network.node(node, "speak", &[&speaks(NEXT)]).unwrap();
     }
-    let refused = network.admin(1, "activate_rules", &[&activate(newest)]).unwrap_err();
-    assert!(refused.code == Code::RulesNotSpoken && refused.found == "Org3/node3 (up to 2)", "{refused}");
-    network.node(3, "speak", &[&speaks(newest)]).unwrap();
-    let id = waiting(network.admin(1, "activate_rules", &[&activate(newest)]));
-    assert_eq!((overview(&network).active, network.ledger.rules()), (2, Rules::FIRST));
+    let refused = network.admin(1, "activate_rules", &[&activate(NEXT)]).unwrap_err();
+    assert!(refused.code == Code::RulesNotSpoken && refused.found == "Org3/node3 (up to 1)", "{refused}");
+    network.node(3, "speak", &[&speaks(NEXT)]).unwrap();
+    let id = waiting(network.admin(1, "activate_rules", &[&activate(NEXT)]));
+    assert_eq!((overview(&network).active, network.ledger.rules()), (1, Rules::FIRST));
     assert!(is_executed(network.admin(2, "approve", &[&id])));
     let height = network.ledger.tip().height;
     let shown = overview(&network);
-    assert_eq!((shown.active, shown.pending), (newest, None), "from the next block on");
-    assert_eq!(shown.activations, [Activation { number: newest, height: height + 1 }]);
-    assert_eq!(network.ledger.rules(), Rules::NEWEST);
+    assert_eq!((shown.active, shown.pending), (NEXT, None), "from the next block on");
+    assert_eq!(shown.activations, [Activation { number: NEXT, height: height + 1 }]);
+    assert_eq!(network.ledger.rules(), Rules::OF_TESTS);
     assert_eq!(network.event_names(), ["approved", "rules_activated", "executed"]);
-    let again = network.admin(1, "activate_rules", &[&activate(newest)]);
+    let again = network.admin(1, "activate_rules", &[&activate(NEXT)]);
     assert_eq!(code(&again), Code::BadArgument, "they are in force");
-}
-
-/// All control state of the network that there is.
-fn control_state(network: &Network) -> Vec<(Bytes, Hash)> {
-    let state = network.ledger.state().world(None, 1000).unwrap();
-    let control = ["members", "node/", "organisation/", "revoked/", "rules"].map(|key| format!("msp\0{key}"));
-    let is_control = |key: &Bytes| control.iter().any(|prefix| key.starts_with(prefix.as_bytes()));
-    state.into_iter().filter(|(key, _)| is_control(key)).map(|(key, value)| (key, Hash::of(&[&value]))).collect()
-}
-
-#[test]
-fn the_chains_of_a_network_with_older_rules_begin_with_all_control_state_at_the_activation() {
-    let mut network = old();
-    let newest = Rules::NEWEST.number();
-    (1..=3).for_each(|node| drop(network.node(node, "speak", &[&speaks(newest)]).unwrap()));
-    let id = waiting(network.admin(1, "activate_rules", &[&activate(newest)]));
-    assert!(is_executed(network.admin(2, "approve", &[&id])));
-    let (height, older) = (network.ledger.tip().height, old());
-    assert_eq!(network.ledger.block_hashes(height).unwrap().unwrap().roots, None);
-    let change = MembershipChange::new([Change::AddLearner(9)]).to_bytes();
-    let entry = Entry { kind: EntryKind::ConfChangeV2, data: change, ..next(&older) };
-    let moved = older.ledger.apply(&entry).unwrap();
-    assert!(moved.governs && moved.certifiable.is_none(), "the voters before rules 3 are those of its first block");
-    let state = control_state(&network);
-    assert!(state.iter().any(|(key, _)| &key[..] == b"msp\0rules") && state.len() >= 8, "{state:?}");
-    let writes: Vec<_> = state.iter().map(|(key, value)| Write { key, value: Some(*value) }).collect();
-    let begun = control::extend(Hash::ZERO, height, &writes).unwrap();
-    let time = network.ledger.tip().time + 1_000_000;
-    let data = Payload { time, transactions: Vec::new() }.to_bytes();
-    let first = network.ledger.apply(&Entry { data, ..next(&network) }).unwrap();
-    let roots = first.certifiable.unwrap();
-    assert_eq!((roots.governing, roots.control), (begun, Hash::ZERO), "an empty block leaves them as they are");
-    let (control, previous) = (Hash::ZERO, Hash::ZERO);
-    let ground = Fact::Ground { governing: begun, control, digest: first.digest, previous };
-    assert_eq!(roots.results, ledger_light::fact::root([ground]));
-    let logged = network.ledger.changes(0, 9).unwrap();
-    let logged: Vec<_> = logged.iter().map(|change| (change.height, change.extend(Hash::ZERO).unwrap())).collect();
-    assert_eq!(logged, [(height, begun)], "the log of changes begins there, too");
 }
 
 #[test]
 fn a_voter_that_takes_its_word_back_before_the_last_approval_keeps_the_rules_as_they_are() {
     let mut network = old();
     for node in [1, 2, 3] {
-        network.node(node, "speak", &[&speaks(3)]).unwrap();
+        network.node(node, "speak", &[&speaks(NEXT)]).unwrap();
     }
-    let id = waiting(network.admin(1, "activate_rules", &[&activate(3)]));
-    network.node(3, "speak", &[&speaks(2)]).unwrap();
+    let id = waiting(network.admin(1, "activate_rules", &[&activate(NEXT)]));
+    network.node(3, "speak", &[&speaks(NEXT - 1)]).unwrap();
     assert_eq!(code(&network.admin(2, "approve", &[&id])), Code::RulesNotSpoken);
-    network.node(3, "speak", &[&speaks(3)]).unwrap();
+    network.node(3, "speak", &[&speaks(NEXT)]).unwrap();
     assert!(is_executed(network.admin(2, "approve", &[&id])));
 }
 
 #[test]
 fn rules_for_a_later_block_wait_for_it_and_nobody_becomes_a_voter_who_does_not_speak_them() {
-    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
-    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    let mut network = Network::new(1, 1);
+    network.node(1, "speak", &[&speaks(NEXT)]).unwrap();
     let edge = network.cas[0].user("edge", "node", KeyKind::Ed25519);
     network.call(&edge, "join_node", &[r#"{"address":"edge:7450"}"#]).unwrap();
     let height = network.ledger.tip().height + 6;
-    let wish = format!(r#"{{"number":3,"height":{height}}}"#);
+    let wish = format!(r#"{{"number":{NEXT},"height":{height}}}"#);
     assert!(is_executed(network.admin(1, "activate_rules", &[&wish])));
-    let pending = Some(Activation { number: 3, height });
-    assert_eq!((overview(&network).active, overview(&network).pending), (2, pending));
+    let pending = Some(Activation { number: NEXT, height });
+    assert_eq!((overview(&network).active, overview(&network).pending), (1, pending));
     assert_eq!(network.ledger.pending_rules(), pending);
-    assert_eq!(code(&network.admin(1, "activate_rules", &[&activate(4)])), Code::AlreadyExists);
+    assert_eq!(code(&network.admin(1, "activate_rules", &[&activate(NEXT + 1)])), Code::AlreadyExists);
     let voter = r#"{"id":2,"role":"voter"}"#;
     assert_eq!(code(&network.admin(1, "set_node_role", &[voter])), Code::RulesNotSpoken);
-    network.call(&edge, "speak", &[&speaks(3)]).unwrap();
+    network.call(&edge, "speak", &[&speaks(NEXT)]).unwrap();
     assert!(is_executed(network.admin(1, "set_node_role", &[voter])));
     while network.ledger.tip().height + 1 < height {
         assert_eq!(network.ledger.rules(), Rules::FIRST);
         network.block(&[]);
     }
-    assert_eq!(network.ledger.rules(), Rules::NEWEST);
-    assert_eq!((overview(&network).active, overview(&network).pending), (3, None));
+    assert_eq!(network.ledger.rules(), Rules::OF_TESTS);
+    assert_eq!((overview(&network).active, overview(&network).pending), (NEXT, None));
 }
 
 #[test]
 fn a_node_that_does_not_speak_the_rules_of_the_next_block_stops_and_says_which_release_does() {
-    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
-    let unknown = Rules::NEWEST.number() + 1;
+    let mut network = Network::new(1, 1);
+    let unknown = Rules::OF_TESTS.number() + 1;
     network.node(1, "speak", &[&speaks(unknown)]).unwrap();
     assert!(is_executed(network.admin(1, "activate_rules", &[&activate(unknown)])));
     let height = network.ledger.tip().height;
     let refused = network.ledger.apply(&next(&network)).unwrap_err();
     assert_eq!(refused.code, Code::UnknownRules);
     assert_eq!(refused.found, format!("rules {unknown} from block {} on", height + 1));
-    assert_eq!(refused.wanted, Rules::NEWEST.and_older());
+    assert_eq!(refused.wanted, Rules::OF_TESTS.and_older());
     assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
     assert_eq!(network.ledger.tip().height, height, "nothing was executed");
     let again = network.open_again();
@@ -156,18 +116,18 @@ fn a_node_that_does_not_speak_the_rules_of_the_next_block_stops_and_says_which_r
 
 #[test]
 fn a_ledger_that_speaks_less_goes_on_under_the_rules_that_it_speaks_and_stops_before_others() {
-    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+    let mut network = Network::new(1, 1);
     let old = network.open_older(Rules::FIRST);
-    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    network.node(1, "speak", &[&speaks(NEXT)]).unwrap();
     let height = network.ledger.tip().height + 4;
-    let wish = format!(r#"{{"number":3,"height":{height}}}"#);
+    let wish = format!(r#"{{"number":{NEXT},"height":{height}}}"#);
     assert!(is_executed(network.admin(1, "activate_rules", &[&wish])));
     while network.ledger.tip().height < height {
         network.block(&[]);
     }
     for block in &network.blocks {
         let Err(refused) = old.apply(block) else { continue };
-        assert_eq!((refused.code, refused.wanted.as_str()), (Code::UnknownRules, "rules 2"));
+        assert_eq!((refused.code, refused.wanted.as_str()), (Code::UnknownRules, "rules 1"));
         assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
     }
     assert_eq!(old.tip().height, height - 1);
@@ -195,10 +155,10 @@ impl Chaincode for Seen {
 #[test]
 fn every_node_executes_every_block_by_the_rules_of_its_height_whenever_it_starts_again() {
     for ahead in 1..6 {
-        let mut network = Network::founded_with(Rules::FIRST, 1, 1);
-        network.node(1, "speak", &[&speaks(3)]).unwrap();
+        let mut network = Network::new(1, 1);
+        network.node(1, "speak", &[&speaks(NEXT)]).unwrap();
         let height = network.ledger.tip().height + ahead;
-        let wish = format!(r#"{{"number":3,"height":{height}}}"#);
+        let wish = format!(r#"{{"number":{NEXT},"height":{height}}}"#);
         assert!(is_executed(network.admin(1, "activate_rules", &[&wish])));
         let height = network.ledger.pending_rules().map_or(network.ledger.tip().height + 1, |pending| pending.height);
         while network.ledger.tip().height < height + 3 {
@@ -217,10 +177,11 @@ fn every_node_executes_every_block_by_the_rules_of_its_height_whenever_it_starts
                 network.blocks[reached..].iter().for_each(|block| drop(again.apply(block).unwrap()));
                 assert_eq!(again.tip(), network.ledger.tip());
                 let seen = seen.0.lock().unwrap();
-                let wanted = network.blocks.iter().map(|block| (block.index, if block.index < height { 2 } else { 3 }));
+                let wanted =
+                    network.blocks.iter().map(|block| (block.index, if block.index < height { 1 } else { NEXT }));
                 assert!(
                     seen.iter().map(|(height, number)| (*height, *number)).eq(wanted),
-                    "{seen:?}, wanted 3 from {height} on"
+                    "{seen:?}, wanted {NEXT} from {height} on"
                 );
             }
         }
@@ -230,31 +191,25 @@ fn every_node_executes_every_block_by_the_rules_of_its_height_whenever_it_starts
 #[test]
 fn only_nodes_say_what_they_speak_and_only_admins_activate() {
     let mut network = old();
-    assert_eq!(code(&network.admin(1, "speak", &[&speaks(3)])), Code::WrongRole);
-    assert_eq!(code(&network.node(1, "activate_rules", &[&activate(3)])), Code::NotAdmin);
+    assert_eq!(code(&network.admin(1, "speak", &[&speaks(NEXT)])), Code::WrongRole);
+    assert_eq!(code(&network.node(1, "activate_rules", &[&activate(NEXT)])), Code::NotAdmin);
     let stranger = network.cas[0].user("stranger", "node", KeyKind::Ed25519);
-    assert_eq!(code(&network.call(&stranger, "speak", &[&speaks(3)])), Code::NotAMember);
+    assert_eq!(code(&network.call(&stranger, "speak", &[&speaks(NEXT)])), Code::NotAMember);
     for release in ["", "1 0", &"9".repeat(65)] {
-        let wrong = format!(r#"{{"newest":3,"release":"{release}"}}"#);
+        let wrong = format!(r#"{{"newest":2,"release":"{release}"}}"#);
         assert_eq!(code(&network.node(1, "speak", &[&wrong])), Code::BadArgument, "{release}");
     }
-    let record: NodeRecord = json(network.node(1, "speak", &[&speaks(3)]));
-    assert_eq!(record.speaks, Some(Speaks { newest: 3, release: "9.0.0".into() }));
+    let record: NodeRecord = json(network.node(1, "speak", &[&speaks(NEXT)]));
+    assert_eq!(record.speaks, Some(Speaks { newest: NEXT, release: "9.0.0".into() }));
 }
 
 #[test]
-fn a_transaction_answers_with_little_under_the_newest_rules_and_a_query_with_more() {
+fn a_transaction_answers_with_little_and_a_query_with_more() {
     let much = Bytes::from(vec![b'x'; 600 * 1024]);
-    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
-    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    let mut network = Network::new(1, 1);
     let member = network.cas[0].user("Salma", "member", KeyKind::Ed25519);
-    let echo = |network: &mut Network| {
-        let call = network.sign_for("listener", &member, "echo", &[&"x".repeat(600 * 1024)]);
-        network.block(&[&call]).remove(0)
-    };
-    assert_eq!(echo(&mut network).unwrap(), much);
-    assert!(is_executed(network.admin(1, "activate_rules", &[&activate(3)])));
-    let refused = echo(&mut network).unwrap_err();
+    let call = network.sign_for("listener", &member, "echo", &[&"x".repeat(600 * 1024)]);
+    let refused = network.block(&[&call]).remove(0).unwrap_err();
     assert!(refused.code == Code::OverBudget && refused.wanted.contains("524288"), "{refused}");
     let caller = network.ledger.msps().verify(&member.certificate, &[], network.time).unwrap();
     let ask =
@@ -314,16 +269,10 @@ fn functions_of_msp_that_only_read_are_queries_and_no_transactions() {
 }
 
 #[test]
-fn a_chaincode_never_refuses_with_a_code_of_a_nodes_own_trouble_under_the_newest_rules() {
-    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
-    network.node(1, "speak", &[&speaks(3)]).unwrap();
+fn a_chaincode_never_refuses_with_a_code_of_a_nodes_own_trouble() {
+    let mut network = Network::new(1, 1);
     let member = network.cas[0].user("Salma", "member", KeyKind::Ed25519);
-    let refused = |network: &mut Network| {
-        let call = network.sign_for("listener", &member, "overload", &[]);
-        network.block(&[&call]).remove(0).unwrap_err()
-    };
-    assert_eq!(refused(&mut network).code, Code::Overloaded, "clients would try again until their deadline");
-    assert!(is_executed(network.admin(1, "activate_rules", &[&activate(3)])));
-    let refused = refused(&mut network);
+    let call = network.sign_for("listener", &member, "overload", &[]);
+    let refused = network.block(&[&call]).remove(0).unwrap_err();
     assert_eq!((refused.code, refused.message.as_str()), (Code::Refused, "as the test asked"));
 }

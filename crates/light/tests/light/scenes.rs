@@ -154,7 +154,7 @@ impl Scene {
         let organisations = || ["Org1", "Org2"].into_iter().zip(&world.cas);
         let nodes = || (1..=4).map(|id| (id, name(id), if voters.contains(&id) { "voter" } else { "learner" }));
         let genesis = Genesis {
-            rules: 3,
+            rules: 1,
             label: "vectors",
             created: NOW,
             salt: Hash::of(&[&voters.iter().map(|id| *id as u8).collect::<Vec<_>>()]),

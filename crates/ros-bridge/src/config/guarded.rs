@@ -74,7 +74,8 @@ mod tests {
             json!({
                 "service": format!("Rover{topic}"), "robot": "Rover", "organisation": "Org2", "topic": topic, "type": of,
                 "mode": "exclusive", "direction": direction, "max_age_ms": 300, "lease_ms": 10_000, "lease_ms_max": 60_000,
-                "stop_hex": null, "holder": "", "holders": [], "epoch": 0, "expires": 0
+                "stop_hex": null, "holder": "", "holders": [], "epoch": 0, "expires": 0,
+                "capabilities": { "fencing": "newest", "publishing": "grant", "sequence": "per_epoch" }
             })
         };
         let services = [

@@ -18,7 +18,7 @@ use ledger_api::{
 };
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Declaration, Grant, RobotAsset};
+use ledger_contract::{Capabilities, Declaration, Grant, Mode, RobotAsset, ToldCapabilities};
 use ledger_gate::fixture::{Network, grant, micros};
 use ledger_light::{Certificate, Change, Checkpoint, Governance, Proof, Statement, fact::Fact, merkle, proof::Shown};
 use serde_json::{Value, json};
@@ -89,10 +89,13 @@ impl Fake {
     }
 
     pub(crate) fn set_mode(&self, mode: &str) {
+        let known = Capabilities::of_mode(&Mode::from(mode)).map(|known| json!(ToldCapabilities::from(known)));
+        let capabilities = known.unwrap_or_else(|| json!({ "places": "2" }));
         *self.service.lock().unwrap() = json!({
             "service": "T/cmd_vel", "robot": "T", "organisation": "Org2", "topic": "/cmd_vel",
             "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 10_000, "lease_ms": 10000,
             "lease_ms_max": 600_000, "stop_hex": null, "holder": "", "holders": [], "epoch": 3, "expires": 0,
+            "capabilities": capabilities,
         });
     }
 
@@ -266,9 +269,12 @@ impl Gateway for Fake {
         std::future::ready(Ok(0)).boxed()
     }
 
-    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>> {
-        let founded = self.certifies.load(Ordering::Relaxed).then(|| self.founded.clone());
-        std::future::ready(Ok(founded)).boxed()
+    fn beginning(&self) -> BoxFuture<'static, Result<Governance, Rejection>> {
+        let founded = match self.certifies.load(Ordering::Relaxed) {
+            true => Ok(self.founded.clone()),
+            false => Err(Rejection::new(Code::NotFound, "the node shows no genesis")),
+        };
+        std::future::ready(founded).boxed()
     }
 
     /// The checks of proofs are those of the client: here the answer is as if they had been made.

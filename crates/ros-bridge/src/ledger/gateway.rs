@@ -45,7 +45,7 @@ pub(crate) trait Gateway: Send + Sync + 'static {
     fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>>;
 
     /// The governance at the genesis, as the network's name covers it; none if nobody certified that.
-    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>>;
+    fn beginning(&self) -> BoxFuture<'static, Result<Governance, Rejection>>;
 
     /// Asks in a transaction how a robot stands. The answer comes with its proof, checked from what is known.
     fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>>;
@@ -90,7 +90,7 @@ impl Gateway for Client {
         async move { Ok(client.status().await?.height) }.boxed()
     }
 
-    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>> {
+    fn beginning(&self) -> BoxFuture<'static, Result<Governance, Rejection>> {
         let client = self.clone();
         async move { Self::beginning(&client).await }.boxed()
     }

@@ -3,30 +3,20 @@
 //!
 //! The question is a transaction, `abac declare ROBOT`. Nobody knows its id before, so an answer to it is newer than the
 //! question. The bridge begins with what the network's name covers, or with a checkpoint, and follows who governs from there.
-//!
-//! Networks that were founded with rules older than 3 certify nothing at first. There the bridge believes its node, and says so,
-//! unless it has a checkpoint.
 
 use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
-use ledger_api::{Certified, pages};
+use ledger_api::Certified;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Grant, RobotAsset};
-use ledger_gate::{
-    ABAC, MSP,
-    service::Revoked,
-    standing::{Members, Standing},
-};
-use ledger_identity::msp::Msps;
+use ledger_gate::standing::{Members, Standing};
 use ledger_light::Governance;
 use tokio::{sync::Mutex, time::timeout};
 
-use super::gateway::{Gateway, ask, read};
+use super::gateway::Gateway;
 
 /// How long an answer may take.
 const ANSWER_MAX: Duration = Duration::from_secs(5);
@@ -79,8 +69,6 @@ impl Question {
 pub(crate) struct RobotStateQuery {
     gateway: Arc<dyn Gateway>,
     robot: String,
-    /// The authorities that this machine has stored: they count where nothing is certified.
-    stored: Arc<Msps>,
     last: Mutex<Last>,
 }
 
@@ -91,25 +79,19 @@ struct Last {
     outcome: Option<(Instant, Answer)>,
 }
 
-/// The source that the bridge believes.
-enum Trust {
-    /// The voters, as far as they are followed.
-    Voters(Governance, Members),
-    /// Its node, in a network that certifies nothing.
-    Node,
-}
+/// The voters, as far as they are followed, and the members that they vouch for.
+struct Trust(Governance, Members);
 
 impl RobotStateQuery {
     /// Without a checkpoint the way begins at the genesis.
     pub(crate) fn new(
         gateway: Arc<dyn Gateway>,
         robot: &str,
-        stored: Arc<Msps>,
         checkpoint: Option<&Governance>,
     ) -> Result<Self, Rejection> {
-        let trust = checkpoint.map(|known| Ok::<_, Rejection>(Trust::Voters(known.clone(), Members::of(known)?)));
+        let trust = checkpoint.map(|known| Ok::<_, Rejection>(Trust(known.clone(), Members::of(known)?)));
         let last = Mutex::new(Last { trust: trust.transpose()?, outcome: None });
-        Ok(Self { gateway, robot: robot.to_owned(), stored, last })
+        Ok(Self { gateway, robot: robot.to_owned(), last })
     }
 
     /// The answer to a question that was asked at that moment or later; asks if there is none yet.
@@ -134,57 +116,22 @@ impl RobotStateQuery {
     }
 
     async fn ask_now(&self, trust: &mut Option<Trust>) -> Result<Standing, Rejection> {
-        let trust = match trust {
+        let Trust(known, members) = match trust {
             Some(trust) => trust,
             None => trust.insert(self.begin().await?),
         };
-        match trust {
-            Trust::Node => self.ask_node().await,
-            Trust::Voters(known, members) => {
-                let Certified { response, checkpoint } = self.gateway.declare(&self.robot, known.clone()).await?;
-                if checkpoint.governance.chain() != known.chain() {
-                    *members = Members::of(&checkpoint.governance)?;
-                }
-                *known = checkpoint.governance;
-                Standing::declared(&response, members, known)
-            }
+        let Certified { response, checkpoint } = self.gateway.declare(&self.robot, known.clone()).await?;
+        if checkpoint.governance.chain() != known.chain() {
+            *members = Members::of(&checkpoint.governance)?;
         }
+        *known = checkpoint.governance;
+        Standing::declared(&response, members, known)
     }
 
     async fn begin(&self) -> Result<Trust, Rejection> {
-        if let Some(founded) = self.gateway.beginning().await? {
-            let members = Members::of(&founded)?;
-            return Ok(Trust::Voters(founded, members));
-        }
-        tracing::warn!(
-            robot = self.robot,
-            "this network was founded with rules that certify nothing: the bridge believes its node. Activate rules 3, make a \
-             checkpoint with ledgerctl light, and name it in the setting checkpoint"
-        );
-        Ok(Trust::Node)
-    }
-
-    async fn ask_node(&self) -> Result<Standing, Rejection> {
-        let (gateway, robot) = (&*self.gateway, self.robot.as_str());
-        let at_least = gateway.height().await?;
-        let answer = gateway.query(at_least, ABAC, "robot", vec![Bytes::copy_from_slice(robot.as_bytes())]).await?;
-        let (height, time) = (answer.height, answer.time);
-        let asset: RobotAsset = read(&format!("{ABAC} robot"), &answer.response)?;
-        let mut grants = Vec::new();
-        for service in &asset.services {
-            let (held, _): (Vec<Grant>, u64) = ask(gateway, height, ABAC, "grants", &[&service.service]).await?;
-            grants.extend(held);
-        }
-        let page = |args| {
-            let answer = gateway.query(height, MSP, "revocations", args);
-            async { Ok(answer.await?.response) }
-        };
-        let revoked: Vec<Revoked> = pages::follow("the answer to msp revocations", page).await?;
-        let revoked = revoked.iter().filter_map(Revoked::key).collect();
-        let members = Members { msps: Arc::clone(&self.stored), revoked: Arc::new(revoked) };
-        let stopped = asset.stopped.is_some();
-        let tasks = Vec::new();
-        Ok(Standing { services: asset.services, grants, tasks, stopped, members, height, time })
+        let founded = self.gateway.beginning().await?;
+        let members = Members::of(&founded)?;
+        Ok(Trust(founded, members))
     }
 }
 
@@ -197,7 +144,7 @@ mod tests {
     use std::sync::atomic::Ordering;
 
     fn asker(fake: &Arc<Fake>) -> RobotStateQuery {
-        RobotStateQuery::new(Arc::clone(fake) as Arc<dyn Gateway>, "T", Arc::clone(&shared().msps), None).unwrap()
+        RobotStateQuery::new(Arc::clone(fake) as Arc<dyn Gateway>, "T", None).unwrap()
     }
 
     #[tokio::test]
@@ -229,23 +176,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn in_a_network_that_certifies_nothing_the_bridge_believes_its_node() {
-        let fake = Fake::new("exclusive", shared());
-        fake.set_holder("Org1/Salma", 3, 1000);
-        fake.certifies.store(false, Ordering::Relaxed);
-        fake.answers.store(false, Ordering::Relaxed);
-        let answered = asker(&fake).ask(Instant::now()).await.unwrap();
-        assert_eq!((answered.standing.grants.len(), answered.standing.services.len()), (1, 1));
-        assert!(Arc::ptr_eq(&answered.standing.members.msps, &shared().msps), "those of the enrolment");
-    }
-
-    #[tokio::test]
     async fn with_a_checkpoint_the_genesis_is_not_asked_for() {
         let fake = Fake::new("exclusive", shared());
-        let known = fake.beginning().await.unwrap().unwrap();
+        let known = fake.beginning().await.unwrap();
         fake.certifies.store(false, Ordering::Relaxed);
         let gateway = Arc::clone(&fake) as Arc<dyn Gateway>;
-        let asker = RobotStateQuery::new(gateway, "T", Arc::clone(&shared().msps), Some(&known)).unwrap();
+        let asker = RobotStateQuery::new(gateway, "T", Some(&known)).unwrap();
         let answered = asker.ask(Instant::now()).await.unwrap();
         assert!(!Arc::ptr_eq(&answered.standing.members.msps, &shared().msps), "those of the checkpoint");
     }

@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// CRC-32C of these, zero `u32`.
 pub(super) const HEAD_BYTES: u64 = 64;
 const MAGIC: &[u8; 8] = b"LEDGRRES";
-const VERSION: u32 = 2;
+const VERSION: u32 = 1;
 
 /// Bytes before the result in a record: its length `u32` LE, then CRC-32C of (height `u64` LE, the result).
 pub(super) const RECORD_HEAD_BYTES: u64 = 8;

@@ -146,7 +146,7 @@ impl StoredResult {
         self.result.digest()
     }
 
-    /// Governing chain, control chain and results root; none before rules 3.
+    /// Governing chain, control chain and results root.
     pub fn roots(&self) -> Option<Roots> {
         self.result.roots()
     }

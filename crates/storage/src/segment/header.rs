@@ -6,10 +6,7 @@ use std::fmt;
 pub const HEADER_BYTES: u64 = 96;
 
 /// The format this code writes.
-pub const VERSION: u32 = 3;
-
-/// The oldest format it reads. Segments of format 2 have no seals: they are read as a whole when a store is opened.
-pub const VERSION_OLDEST: u32 = 2;
+pub const VERSION: u32 = 1;
 
 /// Largest segment: offsets are kept in 32 bits, with room for one record beyond the end.
 pub const SEGMENT_BYTES_MAX: u64 = 1 << 30;
@@ -61,7 +58,7 @@ pub struct Base {
 /// | offset | bytes | field | why |
 /// |---|---|---|---|
 /// | 0 | 8 | magic `LEDGRSEG` | a foreign file is named as such |
-/// | 8 | 4 | format version, 3 | an older program refuses a newer file; the header's size and the place of its CRC never change |
+/// | 8 | 4 | format version, 1 | an older program refuses a newer file; the header's size and the place of its CRC never change |
 /// | 12 | 4 | sequence | order of the segments; equals the name, so a renamed or missing file is noticed |
 /// | 16 | 32 | network | hash of the genesis block; a store of another network is refused |
 /// | 48 | 8 | first index | the index that follows the newest entry before this segment; equals the name |
@@ -133,10 +130,8 @@ impl SegmentHeader {
             return Err((0, format!("CRC of the segment header is {crc:08x}, stored is {stored:08x}")));
         }
         let version = take(&mut rest).map(u32::from_le_bytes).ok_or_else(short)?;
-        if !(VERSION_OLDEST..=VERSION).contains(&version) {
-            let what = format!(
-                "format version {version}, this program reads {VERSION_OLDEST} to {VERSION}: use a newer program"
-            );
+        if version != VERSION {
+            let what = format!("format version {version}, this program reads {VERSION}: use a newer program");
             return Err((8, what));
         }
         let header = Self {

@@ -71,7 +71,7 @@ impl World {
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,
-            meter: &Meter::of_block(Rules::NEWEST),
+            meter: &Meter::of_block(),
         };
         let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
         let mut overlay = Overlay::new(self.state.clone());

@@ -95,15 +95,9 @@ impl World {
         }
     }
 
-    /// Do the rules of the next block know confidential services, and is there one?
-    pub(crate) fn confides_now(&self) -> bool {
-        let next = self.blocks.len() as u64 + 1;
-        self.plan.confidential && self.invariants.rules_by_height.number_at(next) >= super::contest::SINCE
-    }
-
     /// The wish of somebody around the confidential service, if there is one now.
     pub(super) fn confide(&mut self, number: usize) -> Option<Call> {
-        if !self.confides_now() {
+        if !self.plan.confidential {
             return None;
         }
         let client = &self.clients[number];

@@ -5,8 +5,6 @@ use super::fleet::SERVICES;
 use crate::world::World;
 use testkit::Random;
 
-/// The rules that brought lines, limits, stops and whole sets of policies.
-pub(super) const SINCE: u32 = 3;
 /// Every setting of a service's rule.
 const KEYS: &str = r#"["publishers","subscribers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","delegable","confirm","confirm_within_ms"]"#;
 
@@ -69,12 +67,9 @@ impl Terms {
 }
 
 impl World {
-    /// Does a client want something of this kind now? The network must know it.
+    /// Does a client want something of this kind now?
     pub(super) fn contends(&mut self, percent: u64) -> bool {
-        let next = self.blocks.len() as u64 + 1;
-        self.plan.contests
-            && self.invariants.rules_by_height.number_at(next) >= SINCE
-            && self.random.contests.percent(percent)
+        self.plan.contests && self.random.contests.percent(percent)
     }
 
     /// The act of the owner of the robots about who wins, if there is one.

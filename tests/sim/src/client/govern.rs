@@ -1,14 +1,15 @@
 //! The wishes of admins about whole sets of policies: to apply one, to bring an older one back, and to have others agree to one.
 
-use super::contest::SINCE;
 use super::{Call, Client};
 use crate::clock::{EPOCH, SECOND};
 use crate::people::People;
 use crate::policy::Policy;
 use crate::world::{Event, World};
+use bytes::Bytes;
 use ledger::Outcome;
 use ledger::transaction::Transaction;
 use ledger_base::rejection::Code;
+use ledger_storage::state::StateRead;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -133,6 +134,26 @@ impl Book {
 }
 
 impl World {
+    /// The set in force with one policy changed, if somebody wants that: `ledgerctl policy put` and `policy remove` apply it.
+    pub(super) fn whole_set(&self, person: usize, call: &Call) -> Option<Call> {
+        let (Call::Put(changed) | Call::Remove(changed)) = call else { return None };
+        let organisation = &self.people.all[person].identity.organisation;
+        let running = self.nodes.values().filter_map(|node| node.up.as_ref());
+        let newest = running.max_by_key(|node| node.ledger.tip().height)?;
+        let prefix = format!("abac\0policy/{organisation}/");
+        let pairs = newest.ledger.state().range(prefix.as_bytes(), None, usize::MAX).unwrap();
+        let read = |(key, text): &(Bytes, Bytes)| {
+            let id = std::str::from_utf8(&key[prefix.len()..]).unwrap();
+            Policy::read(id, std::str::from_utf8(text).unwrap()).unwrap()
+        };
+        let mut policies: Vec<Policy> = pairs.iter().map(read).collect();
+        policies.retain(|policy| policy.id() != changed.id());
+        policies.extend(matches!(call, Call::Put(_)).then_some(*changed));
+        let version = newest.ledger.state().get(format!("abac\0version/{organisation}").as_bytes()).unwrap();
+        let base = version.and_then(|version| version.last_chunk::<8>().copied()).map_or(0, u64::from_be_bytes);
+        Some(Call::Apply(Draft { policies: Some(policies), base: Some(base), ..Draft::default() }))
+    }
+
     /// The second admin of the owner is hired, where admins do more than put single policies.
     pub(super) fn employ_a_chief(&mut self) {
         if self.plan.governs {
@@ -146,7 +167,7 @@ impl World {
     /// The wish of an admin of this kind, if there is one now.
     pub(super) fn govern(&mut self, number: usize) -> Option<Call> {
         let percent = if self.clients[number].person == CHIEF { 100 } else { 40 };
-        if !self.governs_now() || !self.random.governance.percent(percent) {
+        if !self.plan.governs || !self.random.governance.percent(percent) {
             return None;
         }
         let organisation = self.clients[number].person.split('/').next().unwrap_or_default().to_owned();
@@ -161,12 +182,6 @@ impl World {
             81..=84 => Call::ProposeRule { quorum: random.pick(&NETWORK_RULES).copied().unwrap_or("none") },
             _ => return Some(self.publish(&organisation)),
         })
-    }
-
-    /// Can admins govern so by the rules of the next block?
-    pub(crate) fn governs_now(&self) -> bool {
-        let next = self.blocks.len() as u64 + 1;
-        self.plan.governs && self.invariants.rules_by_height.number_at(next) >= SINCE
     }
 
     /// In the end an admin of the owner wants one policy that permits everybody who is trusted, and no rule of its own.

@@ -327,8 +327,8 @@ impl Call {
             }
             Self::Read { service, .. } => ("abac", "service", vec![text(service)]),
             Self::Setup { open } => ("abac", "replace", robots(*open).iter().map(|robot| text(robot)).collect()),
-            Self::Put(policy) => ("abac", "policy", vec![text("put"), text(policy.id()), text(&policy.text())]),
-            Self::Remove(policy) => ("abac", "policy", vec![text("remove"), text(policy.id())]),
+            Self::Put(policy) => Self::Apply(Draft { policies: Some(vec![*policy]), ..Draft::default() }).transaction(),
+            Self::Remove(_) => Self::Apply(Draft { policies: Some(Vec::new()), ..Draft::default() }).transaction(),
             Self::Apply(draft) => ("abac", "policy", vec![text("apply"), text(&draft.json())]),
             Self::Propose(draft) => ("abac", "policy", vec![text("propose"), text(&draft.json())]),
             Self::Approve { id } => ("abac", "policy", vec![text("approve"), text(id)]),

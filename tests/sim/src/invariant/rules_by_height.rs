@@ -1,31 +1,28 @@
 //! Rules by height (docs/format.md, "Rules"): every node executes a block by the rules that its height has.
 
 use super::{Check, Violation};
-use ledger::{Activation, Outcome};
+use ledger::{Activation, Outcome, Rules};
 
 const NAME: &str = "rules by height";
+/// The rules that every network is founded with.
+const FOUNDED: u32 = Rules::NEWEST.number();
 
 /// The activations that were decided so far.
+#[derive(Default)]
 pub struct RulesByHeight {
-    founded: u32,
     activations: Vec<Activation>,
 }
 
 impl RulesByHeight {
-    /// A network that was founded with the rules of this number.
-    pub fn new(founded: u32) -> Self {
-        Self { founded, activations: Vec::new() }
-    }
-
     /// The rules of a height, by what was decided below it.
     pub fn number_at(&self, height: u64) -> u32 {
         let reached = self.activations.iter().rfind(|activation| activation.height <= height);
-        reached.map_or(self.founded, |activation| activation.number)
+        reached.map_or(FOUNDED, |activation| activation.number)
     }
 
     /// The newest rules that were decided.
     pub fn newest(&self) -> u32 {
-        self.activations.last().map_or(self.founded, |activation| activation.number)
+        self.activations.last().map_or(FOUNDED, |activation| activation.number)
     }
 
     /// The first height of the newest rules.

@@ -69,8 +69,6 @@ pub(super) struct Model {
     newest_revocation: (usize, u64),
     /// Robots.
     stopped: BTreeSet<String>,
-    /// Organisations with policies from before their steps were counted.
-    uncounted: BTreeSet<String>,
     /// Epoch and number of the last message: of a service for one, or of each publisher of one for all.
     last: BTreeMap<(String, String), (u64, u64)>,
     /// Nodes, and what they attest.
@@ -147,9 +145,8 @@ impl Model {
             circles: BTreeMap::new(),
             newest_revocation: (0, 0),
             stopped: BTreeSet::new(),
-            uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
-            network_of_nodes: Nodes::founded(plan.rules(), plan.voters, plan.learners, plan.organisations),
+            network_of_nodes: Nodes::founded(plan.voters, plan.learners, plan.organisations),
         }
     }
 
@@ -163,10 +160,10 @@ impl Model {
         self.network_of_nodes.next(height, members);
     }
 
-    /// A block begins: what is due ends, and turns come. `first` is the service of the first turn.
-    pub(super) fn begin(&mut self, first: Option<&str>, time: u64) {
+    /// A block begins: what is due ends, and turns come.
+    pub(super) fn begin(&mut self, time: u64) {
         self.end_everywhere(Why::Failed, time, |grant| grant.expires <= time);
-        self.turns(first, time);
+        self.turns(time);
     }
 
     /// Executes a transaction at a block time.
@@ -290,9 +287,6 @@ impl Model {
         let mut replaced = Vec::new();
         for robot in robots {
             let robot = Robot::read(robot, &who.identity.organisation)?;
-            if !self.has_contests() && robot.services.iter().any(|service| !service.sharing.is_empty()) {
-                return Err(Code::BadArgument);
-            }
             replaced.push(robot.name.clone());
             self.robots.insert(robot.name.clone(), robot);
         }
@@ -309,8 +303,6 @@ impl Model {
         time: u64,
     ) -> Verdict {
         match verb {
-            "put" | "remove" => self.change_policy(who, argument, text, time),
-            _ if !self.has_contests() => only_admins(who).and(Err(Code::BadArgument)),
             "apply" => self.apply(who, argument, time),
             "propose" => self.propose((who, person), argument, time),
             "approve" => self.approve((who, person), argument, time),
@@ -318,36 +310,6 @@ impl Model {
             "enact" => self.enact(who, argument, text.is_some(), time),
             verb => panic!("the model does not know policy {verb}"),
         }
-    }
-
-    fn change_policy(&mut self, who: &Person, id: &str, text: Option<String>, time: u64) -> Verdict {
-        only_admins(who)?;
-        let organisation = &who.identity.organisation;
-        let key = (organisation.clone(), id.to_owned());
-        let policy =
-            text.map(|text| Policy::read(id, &text).unwrap_or_else(|| panic!("no policy of the collection: {text}")));
-        if policy.is_none() && !self.policies.contains_key(&key) {
-            return Err(Code::NotFound);
-        }
-        if self.has_contests() {
-            self.alone(who)?;
-            let change = |policies: &mut sets::Policies| match policy {
-                Some(policy) => drop(policies.insert(id.to_owned(), policy)),
-                None => drop(policies.remove(id)),
-            };
-            return self.with_one_changed(organisation, change, time);
-        }
-        match policy {
-            Some(policy) => drop(self.policies.insert(key, policy)),
-            None => drop(self.policies.remove(&key)),
-        }
-        if self.policies.keys().any(|(owner, _)| owner == organisation) {
-            self.uncounted.insert(organisation.clone());
-        } else {
-            self.uncounted.remove(organisation);
-        }
-        self.end_unfit(|robot| robot.owner == *organisation, time);
-        Ok(Code::Ok.into())
     }
 
     fn revoke(&mut self, who: &Person, issuer: &str, serial: &str, time: u64) -> Verdict {

@@ -90,7 +90,7 @@ pub(super) fn replay(world: &World) -> Result<(u64, Coverage), Violation> {
         if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {
             time = block.outcome.header.time.max(time);
             // Also a block that changes the members begins, and turns come in it.
-            model.begin(told::first_turn(&block.outcome), time);
+            model.begin(time);
             for (at, (encoded, result)) in block.outcome.transactions.iter().zip(&block.outcome.results).enumerate() {
                 let transaction = Transaction::decode(encoded.clone()).ok();
                 let judged = model.execute(transaction.as_ref(), time);
@@ -206,16 +206,13 @@ fn check(model: &Model, height: u64, time: u64, claim: &Claim<'_>) -> Result<(),
             }
         }
         Claim::Read { asks: Asks::Readers, service, code, response, person } => {
-            let known = || model.known().and_then(|()| model.find(service).map(drop));
-            let wanted = match known() {
+            let wanted = match model.find(service).map(drop) {
                 _ if model.is_revoked_now(*person) => Err(Code::Revoked),
                 Err(code) => Err(code),
                 Ok(()) => Ok((model.readers(service, time), model.key_places(service))),
             };
             let found = if *code == Code::Ok { Ok(read_readers(response)) } else { Err(*code) };
-            let unknown = found.as_ref().err() == Some(&Code::UnknownFunction);
-            let is_older = || unknown && model.by_older_rules().is_some_and(|model| model.known().is_err());
-            if found != wanted && !is_older() {
+            if found != wanted {
                 let what = format!("readers of {service} at height {height}: {found:?}, the model says {wanted:?}");
                 return Err(Violation::new(NAME, what));
             }

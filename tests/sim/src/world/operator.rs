@@ -172,21 +172,25 @@ impl World {
 
     /// Now and then, a newer release is installed on a node. Learners may have to wait until they stop.
     fn release(&mut self) -> Check {
-        let older = |id: &u64| self.nodes.get(id).is_some_and(|node| node.up.is_some() && node.speaks != Rules::NEWEST);
+        let older =
+            |id: &u64| self.nodes.get(id).is_some_and(|node| node.up.is_some() && node.speaks != Rules::OF_TESTS);
+        if !self.plan.activates {
+            return Ok(());
+        }
         let Some(id) = self.desired.voters.iter().copied().find(older) else { return Ok(()) };
         if self.random.nodes.percent(10) { self.upgrade(id) } else { Ok(()) }
     }
 
     /// The next transaction towards newer rules: the nodes say that they speak them, then the organisations activate them.
     fn next_rules(&mut self, turn: usize) -> Option<(String, Call)> {
-        let (number, height) = (Rules::NEWEST.number(), self.blocks.len() as u64);
+        let (number, height) = (Rules::OF_TESTS.number(), self.blocks.len() as u64);
         let newest = self.invariants.rules_by_height.newest();
-        if newest == number || !self.is_settled() {
+        if !self.plan.activates || newest == number || !self.is_settled() {
             return None;
         }
         let silent = self.records.iter().find(|record| {
             let speaks = record.speaks.as_ref().is_some_and(|speaks| speaks.newest == number);
-            let newer = self.nodes.get(&record.id).is_some_and(|node| node.speaks == Rules::NEWEST);
+            let newer = self.nodes.get(&record.id).is_some_and(|node| node.speaks == Rules::OF_TESTS);
             record.role != NodeRole::Removed && !speaks && newer
         });
         if let Some(record) = silent {

@@ -43,11 +43,11 @@ pub(crate) enum Happening {
 }
 
 impl World {
-    /// Some networks that certify from their genesis on have a robot that is looked at.
+    /// Some networks have a robot that is looked at.
     pub(super) fn build_robot(&mut self, seed: u64) {
         let mut random = Random::new(seed, "robot");
-        let has_robot = !self.plan.activates && random.percent(80);
-        if let Some(governance) = Genesis::governance(&self.genesis).unwrap().filter(|_| has_robot) {
+        if random.percent(80) {
+            let governance = Genesis::governance(&self.genesis).unwrap();
             let robot = random.pick(&ROBOTS).copied().unwrap_or(ROBOTS[0]);
             let robot = if self.plan.confidential { CONFIDENTIAL } else { robot };
             let client = self.clients.len();
@@ -142,9 +142,7 @@ impl World {
         self.note(format_args!("robot: its bridge starts anew"));
         let services: Vec<_> = robot.watched.iter().map(|watched| watched.id).collect();
         let founded = Genesis::governance(&self.genesis).unwrap();
-        if let Some(founded) = founded {
-            robot.open(&services, &founded, self.now);
-        }
+        robot.open(&services, &founded, self.now);
         let next = self.random.robot.between(5 * SECOND, 30 * SECOND);
         self.happens(next, Happening::Restart);
     }

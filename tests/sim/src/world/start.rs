@@ -237,11 +237,11 @@ impl World {
         self.upgrade(id)
     }
 
-    /// A node gets the newest release.
+    /// A node gets a release that speaks the newer rules.
     pub(super) fn upgrade(&mut self, id: u64) -> Check {
         self.stop(id, false);
         if let Some(node) = self.nodes.get_mut(&id) {
-            node.speaks = Rules::NEWEST;
+            node.speaks = Rules::OF_TESTS;
         }
         let delay = self.random.nodes.between(10, 3_000) * MILLISECOND;
         self.schedule(delay, Event::Start { node: id });

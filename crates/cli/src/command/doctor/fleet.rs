@@ -99,7 +99,8 @@ mod tests {
         let text = r#"{"Name":"T","SubTopic":"/c","PubTopic":"","owner":"","UnderOp":false,"organisation":"Org2",
             "attribute_required":"T=true","trusted":[],"services":[{"service":"T/c","robot":"T","organisation":"Org2",
             "topic":"/c","type":"a/msg/B","mode":"exclusive","direction":"command","max_age_ms":1,"lease_ms":1,
-            "lease_ms_max":1,"stop_hex":null,"holder":"","holders":[],"epoch":0,"expires":0,"side_door":
+            "lease_ms_max":1,"stop_hex":null,"holder":"","holders":[],"epoch":0,"expires":0,
+            "capabilities":{"fencing":"newest","publishing":"grant","sequence":"per_epoch"},"side_door":
             {"service":"T/c","topic":"/c","publishers":PUBLISHERS,"by":"Org2/T","since":1,"at":2}}]}"#;
         serde_json::from_str(&text.replace("PUBLISHERS", &publishers.to_string())).unwrap()
     }

@@ -5,11 +5,14 @@ use crate::output::{Facts, Output, Table, printable};
 use bytes::Bytes;
 use ledger::Call;
 use ledger::Quorum;
-use ledger::msp::{Action, AddOrganisation, Decision, NodeRole};
+use ledger::msp::{
+    self, ActivateRules, AddOrganisation, Decision, InviteOrganisation, NodeRole, RemoveOrganisation, SetNodeRole,
+};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::io::{self, Write};
 
 /// The outcome of a wish.
@@ -45,7 +48,7 @@ impl Facts for Decided {
 fn failed(decision: &Decision) -> Option<Rejection> {
     let proposal = decision.proposal.as_ref()?;
     let code = Code::from_number(proposal.failed?.code).unwrap_or(Code::Refused);
-    let message = format!("enough have approved, but it could not be done: {}", what(&proposal.action));
+    let message = format!("enough have approved, but it could not be done: {}", what(&proposal.call));
     let found = format!("{code} {} when it was executed; nothing of it was kept", code.name());
     let next = format!("ledgerctl explain {code}; then propose it again");
     Some(Rejection::new(code, message).found(found).wanted("a call that is still possible").next(next))
@@ -54,7 +57,7 @@ fn failed(decision: &Decision) -> Option<Rejection> {
 /// Tells which approvals a decision waits for.
 pub(super) fn waiting(decision: &Decision, out: &mut dyn Write) -> io::Result<()> {
     let Some(proposal) = &decision.proposal else { return Ok(()) };
-    writeln!(out, "proposed: {}", printable(&what(&proposal.action)))?;
+    writeln!(out, "proposed: {}", printable(&what(&proposal.call)))?;
     let mut table = Table::pairs();
     table.pair("proposal", short(&proposal.id.to_string()));
     table.pair("approved by", joined(&proposal.approvals));
@@ -69,38 +72,60 @@ pub(super) fn waiting(decision: &Decision, out: &mut dyn Write) -> io::Result<()
 }
 
 /// The addition of an organisation in words: the fingerprints say which authorities are to be trusted.
-fn added(call: &Call) -> String {
-    let read = call.args.first().and_then(|argument| serde_json::from_slice::<AddOrganisation>(argument).ok());
-    let Some(AddOrganisation { name, roots, intermediates, units, lists }) = read else {
-        return "add an organisation that cannot be read".to_owned();
-    };
+fn added(add: &AddOrganisation) -> String {
+    let AddOrganisation { name, roots, intermediates, units, lists } = add;
     let authority = |text: &String| {
         let der = hex::decode(text).unwrap_or_default();
         let subject = Certificate::parse(&der).map_or_else(|_| "an unreadable one".to_owned(), |found| found.subject);
         format!("{subject} (sha256 {})", Hash::of(&[&der]))
     };
-    let authorities: Vec<_> = roots.iter().chain(&intermediates).map(authority).collect();
+    let authorities: Vec<_> = roots.iter().chain(intermediates).map(authority).collect();
     let units: Vec<_> = units.iter().map(|unit| format!("{} = {}", unit.unit, unit.role)).collect();
     let lists = lists.len();
     let units = if units.is_empty() { "everybody a member".to_owned() } else { units.join(", ") };
     format!("add organisation {name} with {}; units: {units}; revocation lists: {lists}", authorities.join(", "))
 }
 
-/// An action in words.
-pub(super) fn what(action: &Action) -> String {
-    match action {
-        Action::SetNodeRole { id, node, role: NodeRole::Removed } => format!("remove node {node} (id {id})"),
-        Action::SetNodeRole { id, node, role } => format!("make node {node} (id {id}) a {role}"),
-        Action::InviteOrganisation { name, .. } => format!("invite organisation {name}"),
-        Action::RemoveOrganisation { name } => format!("remove organisation {name}"),
-        Action::ActivateRules { number, height: None } => format!("activate rules {number}"),
-        Action::ActivateRules { number, height: Some(height) } => format!("activate rules {number} at block {height}"),
-        Action::Call(call) if call.function == "add_organisation" => added(call),
-        Action::Call(call) => {
-            let words = [call.chaincode.clone(), call.function.clone()].into_iter().chain(call.args.iter().map(shown));
-            format!("call {}", words.collect::<Vec<_>>().join(" "))
-        }
+/// A proposed change of what a node shall be, if the call is one: its number, its name and the role.
+pub(super) fn node_role(call: &Call) -> Option<(u64, String, NodeRole)> {
+    let SetNodeRole { id, organisation, name, role } = argument(call, "set_node_role")?;
+    Some((id?, format!("{}/{}", organisation?, name?), role))
+}
+
+/// The argument of a call of this function of `msp`.
+fn argument<T: DeserializeOwned>(call: &Call, function: &str) -> Option<T> {
+    let [argument] = call.args.as_slice() else { return None };
+    let is_this = call.chaincode == msp::NAME && call.function == function;
+    is_this.then(|| serde_json::from_slice(argument).ok()).flatten()
+}
+
+/// A function of `msp` in words, if it has some.
+fn in_words(call: &Call) -> Option<String> {
+    if let Some((id, node, role)) = node_role(call) {
+        return Some(match role {
+            NodeRole::Removed => format!("remove node {node} (id {id})"),
+            role => format!("make node {node} (id {id}) a {role}"),
+        });
     }
+    if let Some(InviteOrganisation { name, .. }) = argument(call, "invite_organisation") {
+        return Some(format!("invite organisation {name}"));
+    }
+    if let Some(RemoveOrganisation { name }) = argument(call, "remove_organisation") {
+        return Some(format!("remove organisation {name}"));
+    }
+    if let Some(ActivateRules { number, height }) = argument(call, "activate_rules") {
+        let at = height.map_or_else(String::new, |height| format!(" at block {height}"));
+        return Some(format!("activate rules {number}{at}"));
+    }
+    argument::<AddOrganisation>(call, "add_organisation").as_ref().map(added)
+}
+
+/// A proposed call in words.
+pub(super) fn what(call: &Call) -> String {
+    in_words(call).unwrap_or_else(|| {
+        let words = [call.chaincode.clone(), call.function.clone()].into_iter().chain(call.args.iter().map(shown));
+        format!("call {}", words.collect::<Vec<_>>().join(" "))
+    })
 }
 
 /// The beginning of an argument, as it could be typed.
@@ -132,13 +157,17 @@ mod tests {
     use ledger::msp::{Failed, Proposal};
     use ledger_base::hash::Hash;
 
+    fn set_role(argument: &'static str) -> Call {
+        let args = vec![Bytes::from(argument)];
+        Call { chaincode: "msp".into(), function: "set_node_role".into(), args }
+    }
+
     fn decision(executed: bool) -> Decision {
-        let action = Action::SetNodeRole { id: 2, node: "Org2/node2".into(), role: NodeRole::Voter };
+        let call = set_role(r#"{"id":2,"organisation":"Org2","name":"node2","role":"voter"}"#);
         let approvals = ["Org1".to_owned()].into();
         let (by, organisation) = ("Org1/admin".into(), "Org1".into());
         let (id, approved_by, failed) = (Hash([0xab; 32]), vec![], None);
-        let proposal =
-            Proposal { id, action, by, organisation, approvals, created: 0, expires: 1, approved_by, failed };
+        let proposal = Proposal { id, call, by, organisation, approvals, created: 0, expires: 1, approved_by, failed };
         let pending = vec!["Org2".to_owned(), "Org3".to_owned()];
         let quorum = Some(Quorum::Majority);
         Decision { executed, proposal: Some(proposal), missing: usize::from(!executed), pending, quorum }
@@ -173,7 +202,7 @@ mod tests {
     fn a_call_is_shown_as_it_could_be_typed_and_long_arguments_are_cut() {
         let args = [Bytes::from("text"), Bytes::from_static(b"\xff\x00"), Bytes::from("é".repeat(70))];
         let call = Call { chaincode: "abac".into(), function: "put".into(), args: args.to_vec() };
-        assert_eq!(what(&Action::Call(call)), format!("call abac put text hex:ff00 {}…", "é".repeat(60)));
+        assert_eq!(what(&call), format!("call abac put text hex:ff00 {}…", "é".repeat(60)));
     }
 
     #[test]

@@ -236,10 +236,12 @@ mod tests {
     #[test]
     fn an_organisation_that_waits_for_approvals_is_told_so() {
         let token = door().token("Org3".into(), "node1".into(), JoinKind::Organisation, "00".repeat(32));
-        let action = ledger::msp::Action::InviteOrganisation { name: "Org3".into(), key: Hash::ZERO, expires: 9 };
+        let argument = format!(r#"{{"name":"Org3","key":"{}","expires":9}}"#, Hash::ZERO);
+        let function = "invite_organisation".into();
+        let call = ledger::Call { chaincode: "msp".into(), function, args: vec![argument.into()] };
         let proposal = ledger::msp::Proposal {
             id: Hash([0xab; 32]),
-            action,
+            call,
             by: "Org1/admin".into(),
             organisation: "Org1".into(),
             approvals: ["Org1".to_owned()].into(),

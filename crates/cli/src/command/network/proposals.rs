@@ -1,17 +1,18 @@
 //! `network propose|proposals|approve|withdraw`: what waits for approval.
 
 use super::change::decide;
-use super::decision::{Decided, joined, short, what};
+use super::decision::{Decided, joined, node_role, short, what};
 use super::json;
 use crate::answer;
-use crate::command::chaincode::Call;
+use crate::command::chaincode;
 use crate::failure::Failure;
 use crate::nodes::nodes;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
-use ledger::msp::{Action, Decision, NodeRecord, NodeRole, Proposal};
+use ledger::Call;
+use ledger::msp::{Decision, NodeRecord, NodeRole, Proposal};
 use ledger_base::rejection::Code;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -30,7 +31,7 @@ Example:
   ledgerctl network propose msp remove_organisation '{\"name\":\"Org3\"}'")]
 pub(crate) struct Propose {
     #[command(flatten)]
-    call: Call,
+    call: chaincode::Call,
 }
 
 /// Approve a proposal for your organisation; for admins.
@@ -62,7 +63,7 @@ impl Propose {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let (chaincode, function, args) = self.call.read()?;
         let done = format!("{chaincode} {function} was executed");
-        let call = json(&ledger::Call { chaincode, function, args })?;
+        let call = json(&Call { chaincode, function, args })?;
         decide(session, output, "propose", call, done).await
     }
 }
@@ -71,7 +72,7 @@ impl Approve {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let done = session.call(MSP, "approve", vec![Bytes::from(self.id)]).await?;
         let decision: Decision = answer::parse(&done.response, "the decision")?;
-        let action = decision.proposal.as_ref().map_or_else(String::new, |proposal| what(&proposal.action));
+        let action = decision.proposal.as_ref().map_or_else(String::new, |proposal| what(&proposal.call));
         Decided { done: format!("approved and done: {action}"), decision }.show(output)
     }
 }
@@ -108,7 +109,7 @@ impl Facts for Standing {
             let Some(proposal) = &decision.proposal else { continue };
             table.row([
                 short(&proposal.id.to_string()).to_owned(),
-                self.what(&proposal.action),
+                self.what(&proposal.call),
                 proposal.by.clone(),
                 joined(&proposal.approvals),
                 missing(decision),
@@ -121,15 +122,11 @@ impl Facts for Standing {
 }
 
 impl Standing {
-    /// An action in words. A node that shall order comes with its address, which everybody will dial.
-    fn what(&self, action: &Action) -> String {
-        let node = match action {
-            Action::SetNodeRole { id, role, .. } if *role != NodeRole::Removed => {
-                self.nodes.iter().find(|node| node.id == *id)
-            }
-            _ => None,
-        };
-        node.map_or_else(|| what(action), |node| format!("{}, at {}", what(action), node.address))
+    /// A call in words. A node that shall order comes with its address, which everybody will dial.
+    fn what(&self, call: &Call) -> String {
+        let orders = node_role(call).filter(|(_, _, role)| *role != NodeRole::Removed);
+        let node = orders.and_then(|(id, ..)| self.nodes.iter().find(|node| node.id == id));
+        node.map_or_else(|| what(call), |node| format!("{}, at {}", what(call), node.address))
     }
 }
 
@@ -146,8 +143,8 @@ struct Withdrawn(Proposal);
 
 impl Facts for Withdrawn {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Proposal { id, action, approvals, organisation, .. } = &self.0;
-        let action = what(action);
+        let Proposal { id, call, approvals, organisation, .. } = &self.0;
+        let action = what(call);
         // The proposer's approval goes only with the whole proposal.
         let line = format!("withdrawn: {action} ({}), proposed by {organisation}", short(&id.to_string()));
         writeln!(out, "{}; approved by {}", printable(&line), printable(&joined(approvals)))

@@ -19,8 +19,8 @@ use std::io::{self, Write};
 #[command(after_help = "\
 Example:
   ledgerctl network rules
-  ledgerctl network rules --activate 3
-  ledgerctl network rules --activate 3 --from 120000")]
+  ledgerctl network rules --activate 2
+  ledgerctl network rules --activate 2 --from 120000")]
 pub(crate) struct Rules {
     /// Propose newer rules, or approve them if they are proposed already
     #[arg(long, value_name = "NUMBER")]

@@ -140,9 +140,7 @@ impl Answer {
     fn clock(&self) -> (i64, u64) {
         let doubt = self.came.saturating_sub(self.asked) / 2;
         let here = self.asked.saturating_add(doubt);
-        // A node of an older release tells only a clock that is never behind block time.
-        let told = if self.status.wall_clock > 0 { self.status.wall_clock } else { self.status.clock };
-        (i64::try_from(i128::from(told) - i128::from(here)).unwrap_or_default(), doubt)
+        (i64::try_from(i128::from(self.status.wall_clock) - i128::from(here)).unwrap_or_default(), doubt)
     }
 }
 
@@ -425,6 +423,6 @@ mod tests {
             Answer { status, asked: 5_000, came: 5_300 }.clock()
         };
         assert_eq!(offset(5_150), (0, 150));
-        assert_eq!(offset(0), (239_994_850, 150), "an older release");
+        assert_eq!(offset(240_000_000), (239_994_850, 150));
     }
 }

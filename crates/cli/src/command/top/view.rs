@@ -183,7 +183,8 @@ mod tests {
             format!(
                 r#"{{"service":"T/c{n}","robot":"T","organisation":"Org2","topic":"/c{n}","type":"a/msg/B","mode":"exclusive",
                 "direction":"command","max_age_ms":1,"lease_ms":1,"lease_ms_max":1,"stop_hex":null,"holder":"",
-                "holders":["Org1/\u001b[2J"],"epoch":7,"expires":11000000}}"#
+                "holders":["Org1/\u001b[2J"],"epoch":7,"expires":11000000,
+                "capabilities":{{"fencing":"newest","publishing":"grant","sequence":"per_epoch"}}}}"#
             )
         };
         let services = (0..services).map(service).collect::<Vec<_>>().join(",");

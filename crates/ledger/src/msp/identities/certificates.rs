@@ -13,7 +13,6 @@ use super::{
     CERTIFICATES_MAX, ENROLMENT_REPEAT_MAX, IdentityRecord, IssuedCertificate, LocalSecret, RENEWAL_PAUSE, Secret, Use,
     find, is_revoked, write,
 };
-use crate::Rules;
 use crate::chaincode::{Context, Revocation};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -113,7 +112,7 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
             record.local = None;
         }
     }
-    if !matches!(ground, Ground::Local(_)) && ctx.rules().attributes_replace() {
+    if !matches!(ground, Ground::Local(_)) {
         end_others(ctx, &record, &holder, &caller.id())?;
     }
     add(ctx, &mut record, issued)?;
@@ -165,9 +164,6 @@ pub(in super::super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u
         .ok_or_else(|| Rejection::new(Code::NotFound, "the network has no such organisation"))?;
     let mut msps = Msps::new();
     msps.insert(authorities.msp()?)?;
-    if !ctx.rules().accepts_p384() {
-        msps = msps.without_p384();
-    }
     let parsed = Certificate::parse(der)?;
     Ok(msps.verify(der, &[], ctx.block_time().clamp(parsed.not_before, parsed.not_after.max(parsed.not_before)))?)
 }
@@ -239,13 +235,12 @@ fn check_renewal(ctx: &Context<'_>, record: &IdentityRecord, holder: &Identity) 
     let same = |der: &Bytes| {
         Certificate::parse(der).is_ok_and(|earlier| earlier.public_key_info == holder.public_key.to_spki())
     };
-    der.filter(same).map(Some).ok_or_else(|| too_soon(ctx.rules(), &record.name))
+    der.filter(same).map(Some).ok_or_else(|| too_soon(&record.name))
 }
 
 /// The refusal of a renewal that comes too soon after the last one.
-fn too_soon(rules: Rules, name: &str) -> Rejection {
-    let code = if rules.refuses_calls_only() { Code::LimitExceeded } else { Code::Overloaded };
-    Rejection::new(code, format!("{name} has received a certificate just now"))
+fn too_soon(name: &str) -> Rejection {
+    Rejection::new(Code::LimitExceeded, format!("{name} has received a certificate just now"))
         .wanted(format!("a renewal at most once in {} s", RENEWAL_PAUSE / 1_000_000))
         .next("use that certificate, or try again in a minute")
 }

@@ -105,7 +105,7 @@ pub(in super::super) fn registrars(ctx: &Context<'_>) -> Result<Bytes, Rejection
 /// The right is gone with the name.
 pub(super) fn forget(ctx: &mut Context<'_>, organisation: &str, name: &str) {
     let key = registrar_key(organisation, name);
-    if ctx.rules().has_registrars() && ctx.get(key.as_bytes()).is_some() {
+    if ctx.get(key.as_bytes()).is_some() {
         ctx.delete(key.as_bytes());
     }
 }
@@ -140,7 +140,7 @@ impl<'a> Registering<'a> {
     /// The submitter, if it is an admin or a registrar.
     pub(super) fn of(ctx: &Context<'a>, what: &str) -> Result<Self, Rejection> {
         let caller = submitter(ctx)?;
-        if caller.role == Role::Member && ctx.rules().has_registrars() {
+        if caller.role == Role::Member {
             let bounds: Option<SetRegistrar> = store::read(ctx, &registrar_key(&caller.organisation, &caller.name))?;
             if bounds.is_some() {
                 return Ok(Self { caller, bounds });
@@ -194,10 +194,10 @@ impl<'a> Registering<'a> {
     }
 
     /// The maker of a secret, to be kept with it.
-    pub(super) fn maker(&self, ctx: &Context<'_>) -> Option<Maker> {
+    pub(super) fn maker(&self) -> Maker {
         let Identity { issuer, serial, .. } = self.caller;
         let (issuer, serial, registrar) = (Hash(*issuer), hex::encode(serial), self.bounds.is_some());
-        ctx.rules().has_registrars().then_some(Maker { issuer, serial, registrar })
+        Maker { issuer, serial, registrar }
     }
 
     fn beyond(&self, found: String, wanted: &str) -> Rejection {

@@ -4,7 +4,7 @@ use super::super::caller::object;
 use super::super::quotas;
 use super::super::store::{self, identity_key, json, look_keys};
 use super::registrar::{self, Registering};
-use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
+use super::{IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -58,7 +58,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     }
     let organisation = &caller.organisation;
     let known = find(ctx, organisation, &name)?;
-    let secret = Some(Secret { sha256: secret, expires, used: None, maker: registering.maker(ctx) });
+    let secret = Some(Secret { sha256: secret, expires, used: None, maker: Some(registering.maker()) });
     let record = match (known, again) {
         (Some(known), true) => {
             if role.is_some_and(|role| role != known.role) {
@@ -128,9 +128,6 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
 
 /// A new name looks like no other one of its organisation.
 fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<(), Rejection> {
-    if !ctx.rules().names_are_readable() {
-        return Ok(());
-    }
     check_readable(name)?;
     let keys = look_keys(organisation, name);
     for key in &keys {
@@ -149,9 +146,6 @@ fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<()
 
 /// A name that is known already, by a certificate of its own, keeps others from looking like it. Two that look alike stay.
 pub(super) fn keep_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<(), Rejection> {
-    if !ctx.rules().names_are_readable() {
-        return Ok(());
-    }
     for key in look_keys(organisation, name) {
         if ctx.get(key.as_bytes()).is_none() {
             store::write(ctx, &key, &name)?;
@@ -166,7 +160,7 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord, revoked: bool)
     let (never, now) = (record.certificates.is_empty() && record.local.is_none(), ctx.block_time());
     let pending = record.pending(now).is_some();
     // A node at which a secret lies has to learn that it is void: then the name stays.
-    let marked = revoked || record.local.is_some() || !ctx.rules().has_registrars();
+    let marked = revoked || record.local.is_some();
     let voided = if marked { now } else { record.voided };
     let record = IdentityRecord { secret: None, local: None, voided, ..record };
     if never || revoked {
@@ -175,7 +169,7 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord, revoked: bool)
     if never {
         ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
         for look in look_keys(&record.organisation, &record.name) {
-            if ctx.rules().names_are_readable() && store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
+            if store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
                 ctx.delete(look.as_bytes());
             }
         }
@@ -191,18 +185,12 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord, revoked: bool)
 
 /// Room for one more name.
 pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
-    let bounded = ctx.rules().has_budgets();
-    let most = if bounded { quotas::of(ctx, organisation)?.identities } else { IDENTITIES_MAX };
+    let most = quotas::of(ctx, organisation)?.identities;
     if count(ctx, organisation, |number| number.saturating_add(1))? <= most {
         return Ok(());
     }
-    if bounded {
-        let free = "cancel registrations that nobody will use: ledgerctl identity list";
-        return Err(quotas::quota_reached(organisation, "identities", most, free));
-    }
-    Err(Rejection::new(Code::LimitExceeded, format!("no more names can be registered for {organisation}"))
-        .found(format!("{IDENTITIES_MAX} names"))
-        .next("cancel registrations that nobody will use: ledgerctl identity list"))
+    let free = "cancel registrations that nobody will use: ledgerctl identity list";
+    Err(quotas::quota_reached(organisation, "identities", most, free))
 }
 
 /// Attributes that a certificate can hold.

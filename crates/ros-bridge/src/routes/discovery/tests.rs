@@ -23,7 +23,7 @@ fn robot(organisation: &str, name: &str, topics: &[&str]) -> RobotAsset {
             "service": format!("{name}{topic}"), "robot": name, "organisation": organisation, "topic": topic,
             "type": "geometry_msgs/msg/Twist", "mode": "exclusive", "direction": direction, "max_age_ms": 1000,
             "lease_ms": 10000, "lease_ms_max": 600_000, "stop_hex": null, "holder": "", "holders": [], "epoch": 3,
-            "expires": 0,
+            "expires": 0, "capabilities": { "fencing": "newest", "publishing": "grant", "sequence": "per_epoch" },
         })
     };
     serde_json::from_value(json!({

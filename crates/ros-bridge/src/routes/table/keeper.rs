@@ -139,8 +139,7 @@ impl Keeper {
         Ok(match queries.entry(robot.to_owned()) {
             Entry::Occupied(known) => Arc::clone(known.get()),
             Entry::Vacant(place) => {
-                let (gateway, stored) = (Arc::clone(&self.gateway), Arc::clone(&self.context.msps));
-                let query = RobotStateQuery::new(gateway, robot, stored, self.known.as_ref())?;
+                let query = RobotStateQuery::new(Arc::clone(&self.gateway), robot, self.known.as_ref())?;
                 Arc::clone(place.insert(Arc::new(query)))
             }
         })

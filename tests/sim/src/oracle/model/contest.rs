@@ -10,8 +10,6 @@ use ledger_base::rejection::Code;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-/// The rules that brought all this.
-const SINCE: u32 = 3;
 /// The priority of a grant that was taken.
 const TAKEN: i64 = i64::MAX;
 /// How many wait at most, and how long (milliseconds), unless the owner says otherwise.
@@ -30,17 +28,6 @@ pub(in crate::oracle) struct Waiter {
     pub(super) lease_ms: Option<u64>,
     /// The task that waits there, if it is one.
     pub(in crate::oracle) task: Option<u64>,
-}
-
-/// The outcome of a turn.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Turn {
-    /// It is nobody's.
-    Nobodys,
-    /// The rule has no place for the first in line.
-    Refused,
-    /// It came, and policies decided.
-    Came,
 }
 
 /// Does a contender come by itself, or because the last one has confirmed it?
@@ -155,19 +142,13 @@ impl Service {
 }
 
 impl Model {
-    /// Do the rules of now know all this?
-    pub(super) fn has_contests(&self) -> bool {
-        self.network_of_nodes.active() >= SINCE
-    }
-
     /// The line of a service, in order of arrival.
     pub(in crate::oracle) fn line(&self, service: &str) -> &[Waiter] {
         self.lines.get(service).map_or(&[], Vec::as_slice)
     }
 
-    /// The start of a block: who waited too long leaves, and turns come. `first` is the service that a block begins with,
-    /// which matters where policies are so old that only one turn comes with each block.
-    pub(super) fn turns(&mut self, first: Option<&str>, time: u64) {
+    /// The start of a block: who waited too long leaves, and turns come.
+    pub(super) fn turns(&mut self, time: u64) {
         self.asks_until(time);
         let ids: Vec<String> = self.robots.values().flat_map(Robot::ids).collect();
         for id in &ids {
@@ -179,16 +160,8 @@ impl Model {
             self.tasks_join(id, &service, time);
             self.send_away(id, &service, time);
         }
-        let mut one_is_enough = false;
-        for id in first.into_iter().chain(ids.iter().map(String::as_str)) {
-            let Ok((robot, _)) = self.find(id) else { continue };
-            while !one_is_enough {
-                match self.turn(id, time) {
-                    Turn::Nobodys => break,
-                    Turn::Refused => {}
-                    Turn::Came => one_is_enough = self.uncounted.contains(&robot.owner),
-                }
-            }
+        for id in &ids {
+            while self.turn(id, time) {}
         }
         self.lines.retain(|_, line| !line.is_empty());
     }
@@ -212,25 +185,25 @@ impl Model {
     }
 
     /// One turn, if there is one.
-    fn turn(&mut self, id: &str, time: u64) -> Turn {
-        let Ok((robot, service)) = self.find(id) else { return Turn::Nobodys };
+    fn turn(&mut self, id: &str, time: u64) -> bool {
+        let Ok((robot, service)) = self.find(id) else { return false };
         let (line, live) = (self.line(id), self.live(id, time));
         let first = service.first(line, &live, time).filter(|_| self.goes(&robot, &service).is_ok());
-        let Some(first) = first else { return Turn::Nobodys };
+        let Some(first) = first else { return false };
         let place = service.place(&live, &line[first], time);
         if place.is_none() && service.line_max() > 0 {
-            return Turn::Nobodys;
+            return false;
         }
         let waiter = self.lines.entry(id.to_owned()).or_default().remove(first);
         let Some(loser) = place else {
             waiter.task.into_iter().for_each(|task| self.lost_to_the_rule(task, time));
-            return Turn::Refused;
+            return true;
         };
         let people = std::sync::Arc::clone(&self.people);
         let who = &people.all[waiter.person];
         if self.permits(who, &robot, &service, time).is_err() || who.identity.not_after <= time {
             waiter.task.into_iter().for_each(|task| self.lost_its_place(task, State::Failed, time));
-            return Turn::Came;
+            return true;
         }
         self.end_epoch(id, loser, Why::Interrupted, time);
         if let Some(task) = waiter.task {
@@ -239,15 +212,13 @@ impl Model {
             let lease_ms = waiter.lease_ms.unwrap_or(service.lease_ms).min(service.lease_ms_max);
             self.give(who, id, lease_ms, waiter.priority, time);
         }
-        Turn::Came
+        true
     }
 
     /// The wishes of a caller: a lease, or JSON where the rules know it.
     pub(super) fn wishes(&self, text: Option<String>) -> Result<Wishes, Code> {
         match text {
-            Some(text) if text.starts_with('{') && self.has_contests() => {
-                serde_json::from_str(&text).map_err(|_| Code::BadArgument)
-            }
+            Some(text) if text.starts_with('{') => serde_json::from_str(&text).map_err(|_| Code::BadArgument),
             text => Ok(Wishes { lease_ms: super::number(text)?, ..Wishes::default() }),
         }
     }
@@ -324,7 +295,6 @@ impl Model {
     }
 
     pub(super) fn take(&mut self, who: &Person, id: &str, time: u64) -> Verdict {
-        self.known()?;
         let (robot, service) = self.find(id)?;
         self.governs(who, &robot, time)?;
         self.goes(&robot, &service)?;
@@ -336,7 +306,6 @@ impl Model {
 
     /// Stops or resumes robots.
     pub(super) fn emergency(&mut self, who: &Person, name: &str, stops: bool, time: u64) -> Verdict {
-        self.known()?;
         let all: Vec<Robot> = self.robots.values().filter(|robot| name == "*" || robot.name == name).cloned().collect();
         if all.is_empty() && name != "*" {
             return Err(Code::UnknownRobot);
@@ -374,19 +343,12 @@ impl Model {
         service.sharing.retain(|key, _| !settings.clear.contains(key));
         service.sharing.extend(settings.sharing);
         service.mode = settings.mode;
-        if !self.has_contests() && (!service.sharing.is_empty() || service.mode == "limited") {
-            return Err(Code::BadArgument);
-        }
         let name = robot.name.clone();
         let place = robot.services.iter_mut().find(|known| known.topic == service.topic);
         place.into_iter().for_each(|place| *place = service.clone());
         self.robots.insert(robot.name.clone(), robot);
         self.end_unfit(|robot| robot.name == name, time);
         Ok(Code::Ok.into())
-    }
-
-    pub(in crate::oracle) fn known(&self) -> Result<(), Code> {
-        if self.has_contests() { Ok(()) } else { Err(Code::UnknownFunction) }
     }
 
     /// May the holder keep what it has?

@@ -67,7 +67,6 @@ impl Grant {
 
 impl Model {
     pub(super) fn pass_on(&mut self, who: &Person, args: &[Bytes], for_good: bool, time: u64) -> Verdict {
-        self.known()?;
         let [id, to] = [text(args, 0), text(args, 1)];
         let options = options(args, 2)?;
         if options.for_ms.is_some_and(|ms| !FOR_MS.contains(&ms)) {
@@ -100,7 +99,6 @@ impl Model {
     }
 
     pub(super) fn recall(&mut self, who: &Person, args: &[Bytes], time: u64) -> Verdict {
-        self.known()?;
         let id = text(args, 0);
         let (robot, service) = self.find(&id)?;
         let live = self.live(&id, time);
@@ -142,7 +140,6 @@ impl Model {
 
     /// Several services at once, or none of them.
     pub(super) fn acquire_all(&mut self, caller: (&Person, usize), args: &[Bytes], time: u64) -> Verdict {
-        self.known()?;
         let wishes = self.wishes(Some(text(args, 0)))?;
         let services: Vec<String> = (1..args.len()).map(|at| text(args, at)).collect();
         for (at, id) in services.iter().enumerate() {

@@ -35,10 +35,10 @@ impl Model {
         }
     }
 
-    /// Do the owner's policies look at the attribute that the robot requires? Older rules said so whatever the policies were.
+    /// Do the owner's policies look at the attribute that the robot requires?
     fn ask_for_the_attribute(&self, robot: &Robot) -> bool {
         let mut own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner).peekable();
-        !self.has_contests() || own.peek().is_none() || own.any(|(_, policy)| *policy == Policy::Attribute)
+        own.peek().is_none() || own.any(|(_, policy)| *policy == Policy::Attribute)
     }
 
     /// May they do to a robot what its owner's admins always may, and others only by a policy?

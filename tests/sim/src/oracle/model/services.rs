@@ -80,7 +80,7 @@ impl Model {
     pub(in crate::oracle) fn find(&self, id: &str) -> Result<(Robot, Service), Code> {
         let (name, topic) = id.split_at(id.find('/').unwrap_or(id.len()));
         let robot = self.robots.get(name).ok_or(Code::UnknownRobot)?;
-        let of_readers = topic.strip_suffix(READERS).filter(|_| self.has_contests());
+        let of_readers = topic.strip_suffix(READERS);
         let topic = of_readers.unwrap_or(topic);
         let service = robot.services.iter().find(|service| service.topic == topic).ok_or(Code::UnknownService)?;
         let service = if of_readers.is_some() { service.places_to_read() } else { Some(service.clone()) };

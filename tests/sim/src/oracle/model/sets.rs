@@ -118,18 +118,16 @@ impl Model {
         own.map(|((_, id), policy)| (id.clone(), *policy)).collect()
     }
 
-    /// The number of the set in force. Policies from before sets had numbers are the first one.
+    /// The number of the set in force; 0 before the first one.
     pub(super) fn version(&self, organisation: &str) -> u64 {
         let known = self.governance.sets.keys().filter(|(owner, _)| owner == organisation).map(|(_, number)| *number);
-        known.max().unwrap_or(u64::from(!self.policies_of(organisation).is_empty()))
+        known.max().unwrap_or(0)
     }
 
     /// A set that the ledger keeps.
     fn kept(&self, organisation: &str, number: u64) -> Option<Set> {
-        let version = self.version(organisation);
         let known = self.governance.sets.get(&(organisation.to_owned(), number)).cloned();
-        let first = || Set { policies: self.policies_of(organisation), rule: None };
-        known.or_else(|| (number == 1 && version == 1).then(first)).filter(|_| number + KEPT > version)
+        known.filter(|_| number + KEPT > self.version(organisation))
     }
 
     /// The rule that an organisation has given itself.
@@ -189,17 +187,14 @@ impl Model {
     pub(super) fn put_in_force(&mut self, organisation: &str, set: Set, means_it: bool, time: u64) -> Verdict {
         let (before, version) = (self.policies_of(organisation), self.version(organisation));
         let unreachable = self.unreachable(organisation, time);
-        let first = self.kept(organisation, version);
         self.replace_policies(organisation, &set.policies);
         if !means_it && !self.unreachable(organisation, time).is_subset(&unreachable) {
             self.replace_policies(organisation, &before);
             return Err(Code::NobodyMayPublish);
         }
         let sets = &mut self.governance.sets;
-        first.into_iter().for_each(|first| drop(sets.insert((organisation.to_owned(), version), first)));
         sets.insert((organisation.to_owned(), version + 1), set);
         sets.retain(|(owner, number), _| owner != organisation || number + KEPT > version + 1);
-        self.uncounted.remove(organisation);
         self.end_unfit(|robot| robot.owner == *organisation, time);
         Ok(Judged { version: Some(version + 1), ..Code::Ok.into() })
     }
@@ -217,21 +212,8 @@ impl Model {
         self.policies.extend(own);
     }
 
-    /// The set in force with one policy changed.
-    pub(super) fn with_one_changed(
-        &mut self,
-        organisation: &str,
-        change: impl FnOnce(&mut Policies),
-        time: u64,
-    ) -> Verdict {
-        let mut set = Set { policies: self.policies_of(organisation), rule: self.own_rule(organisation) };
-        change(&mut set.policies);
-        self.put_in_force(organisation, set, false, time)
-    }
-
     /// An admin wants a rule of the network. It comes into force once enough organisations want the same.
     pub(super) fn propose_rule(&mut self, (who, person): (&Person, usize), argument: &str) -> Verdict {
-        self.known()?;
         let ProposedCall { chaincode, function, args } =
             serde_json::from_str(argument).map_err(|_| Code::BadArgument)?;
         only_admins(who)?;

@@ -11,8 +11,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// How many of a line the event `line` names.
 const TOLD_MAX: usize = 16;
-/// The reasons of tasks that had their turn, and whom policies or the certificate's time did not let have it.
-const NOT_PERMITTED: [&str; 2] = ["policies no longer permit it", "its submitter's certificate has run out"];
 
 /// Holders with their epochs, those who wait, and tasks.
 #[derive(Default)]
@@ -32,8 +30,6 @@ struct Told {
     contender: Option<String>,
     epoch: Option<u64>,
     #[serde(default)]
-    reason: String,
-    #[serde(default)]
     waiting: u64,
     #[serde(default)]
     next: Vec<String>,
@@ -47,24 +43,6 @@ struct OfTask {
     state: State,
     reached: u64,
     total: u64,
-    #[serde(default)]
-    reason: String,
-}
-
-/// The service of the first turn at the start of a block: somebody was granted it, or was not permitted any more.
-pub(super) fn first_turn(outcome: &Outcome) -> Option<&str> {
-    let mut own = outcome.events.iter().take_while(|emitted| emitted.index.is_none()).map(|emitted| &emitted.event);
-    let turn = own.find(|event| {
-        let left = || serde_json::from_slice::<Told>(&event.payload).unwrap().reason;
-        let task = || serde_json::from_slice::<OfTask>(&event.payload).unwrap().reason;
-        let not_permitted = match &*event.name {
-            "left" => matches!(&*left(), "policy" | "expired"),
-            "task" => NOT_PERMITTED.contains(&&*task()),
-            name => name == "granted",
-        };
-        event.chaincode == "abac" && not_permitted
-    });
-    turn.map(|event| &*event.subject)
 }
 
 impl Standing {
@@ -75,14 +53,13 @@ impl Standing {
         for event in events {
             let subject = || event.subject.clone();
             if event.name == "task" {
-                let OfTask { id, submitter, state, reached, total, .. } =
-                    serde_json::from_slice(&event.payload).unwrap();
+                let OfTask { id, submitter, state, reached, total } = serde_json::from_slice(&event.payload).unwrap();
                 self.tasks.insert(id, (subject(), submitter, state, reached, total));
             }
             if !known(&event.name) {
                 continue;
             }
-            let Told { holder, contender, epoch, waiting, next, .. } = serde_json::from_slice(&event.payload).unwrap();
+            let Told { holder, contender, epoch, waiting, next } = serde_json::from_slice(&event.payload).unwrap();
             let who = holder.or(contender).unwrap_or_default();
             let holders = self.holders.entry(subject()).or_default();
             let line = self.lines.entry(subject()).or_default();

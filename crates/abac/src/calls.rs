@@ -1,0 +1,61 @@
+//! The functions of the contract, a file each: it parses the arguments, checks who calls, and answers. What changes the state is in
+//! [`lifecycle`](crate::lifecycle).
+
+pub(crate) mod acquire;
+pub(crate) mod acquire_all;
+pub(crate) mod attributes;
+pub(crate) mod authorize;
+pub(crate) mod caller;
+pub(crate) mod can;
+pub(crate) mod cancel;
+pub(crate) mod check;
+pub(crate) mod configure;
+pub(crate) mod confirm;
+pub(crate) mod could;
+pub(crate) mod declare;
+pub(crate) mod delegate;
+pub(crate) mod description;
+pub(crate) mod diff;
+pub(crate) mod emergency;
+pub(crate) mod fail;
+pub(crate) mod follow;
+pub(crate) mod grants;
+pub(crate) mod handover;
+pub(crate) mod latest;
+pub(crate) mod line;
+pub(crate) mod policies;
+pub(crate) mod policy;
+pub(crate) mod policy_approvals;
+pub(crate) mod policy_history;
+pub(crate) mod policy_proposal;
+pub(crate) mod policy_proposals;
+pub(crate) mod policy_set;
+pub(crate) mod progress;
+pub(crate) mod question;
+pub(crate) mod reader;
+pub(crate) mod readers;
+pub(crate) mod recall;
+pub(crate) mod release;
+pub(crate) mod remove;
+pub(crate) mod renew;
+pub(crate) mod replace;
+pub(crate) mod report_side_door;
+pub(crate) mod reported_task;
+pub(crate) mod resume;
+pub(crate) mod robot;
+pub(crate) mod robot_change;
+pub(crate) mod robots;
+pub(crate) mod service;
+pub(crate) mod set;
+pub(crate) mod set_policy_approvals;
+pub(crate) mod setup;
+pub(crate) mod share;
+pub(crate) mod stop;
+pub(crate) mod submit;
+pub(crate) mod take;
+pub(crate) mod task;
+pub(crate) mod tasks;
+pub(crate) mod views;
+
+/// Name of the chaincode.
+pub(crate) const NAME: &str = "abac";

@@ -1,0 +1,57 @@
+//! The robots that a caller may stop and resume.
+
+use crate::arguments::Arguments;
+use crate::policy::action::RobotAction;
+use crate::policy::decider::Decider;
+use crate::records::principal::Principal;
+use crate::records::robot::Robot;
+use crate::records::target::Target;
+use crate::records::{robot, store};
+use bytes::Bytes;
+use ledger::Context;
+use ledger_base::rejection::Rejection;
+use ledger_contract::{Direction, Emergency};
+
+/// Stands for all robots that the caller may stop or resume.
+const ALL: &str = "*";
+
+pub(crate) fn reason(args: Arguments<'_>) -> Result<String, Rejection> {
+    if args.has(1) { args.text(1, "REASON").map(str::to_owned) } else { Ok(String::new()) }
+}
+
+/// The robots that are meant, all of which the caller may stop or resume.
+pub(crate) fn chosen(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    args: Arguments<'_>,
+    action: RobotAction,
+) -> Result<Vec<Robot>, Rejection> {
+    let principal = Principal::of(ctx.submitter()?);
+    let name = args.text(0, "ROBOT|*")?;
+    if name != ALL {
+        let robot = robot::find(ctx, name)?;
+        decider.decide_on_robot(ctx, &principal, &robot, action)?;
+        return Ok(vec![robot]);
+    }
+    let (mut may, mut refused) = (Vec::new(), None);
+    for robot in robot::all(ctx)? {
+        match decider.decide_on_robot(ctx, &principal, &robot, action) {
+            Ok(()) => may.push(robot),
+            Err(no) => refused = refused.or(Some(no)),
+        }
+    }
+    match refused {
+        Some(refused) if may.is_empty() => Err(refused),
+        _ => Ok(may),
+    }
+}
+
+/// The command services of a robot.
+pub(crate) fn commands(robot: &Robot) -> impl Iterator<Item = Target> + '_ {
+    let commands = robot.services.iter().filter(|service| service.direction == Direction::Command);
+    commands.map(|service| Target::of(robot, service))
+}
+
+pub(crate) fn told(robot: &Robot, by: &str, reason: &str) -> Result<Bytes, Rejection> {
+    store::json(&Emergency { robot: robot.name.clone(), by: by.to_owned(), reason: reason.to_owned() })
+}

@@ -1,0 +1,43 @@
+//! `stop`: a robot is commanded by nobody until it is resumed.
+
+use crate::arguments::Arguments;
+use crate::calls::emergency;
+use crate::lifecycle::capacity;
+use crate::lifecycle::follow_up::Ending;
+use crate::lifecycle::settle::settle;
+use crate::policy::action::RobotAction;
+use crate::policy::decider::Decider;
+use crate::records::{grant, stopped, store};
+use bytes::Bytes;
+use ledger::Context;
+use ledger_base::rejection::Rejection;
+use ledger_contract::{EmergencyAnswer, Reason, Stopped};
+
+/// `stop ROBOT|* [REASON]`: ends every grant of its command services, and gives none until it is resumed.
+pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("stop ROBOT|* [REASON]", args, 1, 2)?;
+    let reason = emergency::reason(args)?;
+    let by = ctx.submitter()?.id();
+    let (mut robots, mut unchanged, mut ending) = (Vec::new(), Vec::new(), Vec::new());
+    for robot in emergency::chosen(ctx, decider, args, RobotAction::Stop)? {
+        if stopped::of(ctx, &robot.name)?.is_some() {
+            unchanged.push(robot.name);
+            continue;
+        }
+        let stop = Stopped { by: by.clone(), reason: reason.clone(), since: ctx.block_time() };
+        stopped::put(ctx, &robot.name, &stop)?;
+        for target in emergency::commands(&robot) {
+            ending.extend(
+                grant::live(ctx, &target.id)?.into_iter().map(|holding| Ending::of_many(holding, Reason::Stopped)),
+            );
+        }
+        // So many robots that there is no room to tell of them are stopped all the same.
+        if !capacity::is_full(ctx) {
+            let told = emergency::told(&robot, &by, &reason)?;
+            ctx.emit("stopped", &robot.name, told);
+        }
+        robots.push(robot.name);
+    }
+    let ended = settle(ctx, ending)?;
+    store::json(&EmergencyAnswer { robots, unchanged, ended })
+}
