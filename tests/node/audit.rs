@@ -217,7 +217,8 @@ async fn store(owner: &Client, transactions: [Hash; 2]) {
         }));
     }
     let vectors = serde_json::json!({"genesis": hex::encode(&genesis), "files": files});
-    std::fs::write("tests/fixtures/evidence.json", vectors.to_string() + "\n").unwrap();
+    let path = crate::support::programs::repository().join("tests/fixtures/evidence.json");
+    std::fs::write(path, vectors.to_string() + "\n").unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
