@@ -107,8 +107,7 @@ fn borne(mutation: Mutation) {
     let people = Arc::new(People::new());
     let seeds = if env::var_os(LONG).is_some() { 3 * SEEDS_BORNE } else { SEEDS_BORNE };
     turn_on(Some(mutation));
-    let broken: Vec<_> =
-        (0..seeds).filter_map(|seed| Some((seed, run(seed, &people, false).violation?))).collect();
+    let broken: Vec<_> = (0..seeds).filter_map(|seed| Some((seed, run(seed, &people, false).violation?))).collect();
     turn_on(None);
     let harm = broken.iter().find(|(_, violation)| violation.invariant != "the cluster serves again");
     if let Some((seed, violation)) = harm {
