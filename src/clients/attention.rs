@@ -122,9 +122,7 @@ fn ending(certificate: &CertificateStatus, now: u64) -> Option<Attention> {
             ENDING_US,
         ),
         // A list is replaced every few days: it is late once it has ended.
-        "list" => {
-            (format!("the revocation list {name}"), "ledgerctl identity crl FILE, with a new list of that CA", 0)
-        }
+        "list" => (format!("the revocation list {name}"), "ledgerctl identity crl FILE, with a new list of that CA", 0),
         _ => (
             format!("the CA {name}"),
             "make a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\"",
@@ -275,7 +273,12 @@ mod tests {
     fn what_keeps_a_node_from_its_work_is_critical() {
         only(&found(|s| s.divergence = "Org2/node2 has another block".into()), "log", CRITICAL, "another block");
         only(&found(|s| s.catching_up_to = 9), "state", CRITICAL, "height 0 of 9");
-        only(&found(|s| s.voters_connected = 1), "quorum", CRITICAL, "1 of 3 voters are connected; 2 are needed to order");
+        only(
+            &found(|s| s.voters_connected = 1),
+            "quorum",
+            CRITICAL,
+            "1 of 3 voters are connected; 2 are needed to order",
+        );
         only(&found(|s| s.leader_id = 0), "leader", CRITICAL, "no leader is known");
         let ended = found(|s| s.wall_clock = 501 * DAY);
         only(&ended, "certificate", CRITICAL, "the certificate of Org1/node1 has ended");
@@ -312,7 +315,12 @@ mod tests {
             })
         };
         let alone = without(&[0], &|_| ());
-        only(&alone, "quorum", CRITICAL, "only voters of Org1 are connected; without one of Org2 no block is certified");
+        only(
+            &alone,
+            "quorum",
+            CRITICAL,
+            "only voters of Org1 are connected; without one of Org2 no block is certified",
+        );
         only(&without(&[1], &|_| ()), "quorum", WARNING, "2 of 3");
         let learner = without(&[1], &|status| status.voters = 2);
         only(&learner, "quorum", CRITICAL, "1 of 2 voters");
@@ -364,7 +372,8 @@ mod tests {
                 (s.voters, s.voters_connected) = (voters, voters);
             })
         };
-        let well: [&[i64]; 5] = [&[0], &[9_000_000], &[0, 9_000_000], &[1_099_999, 1_099_999], &[-9_000_000, 9_000_000]];
+        let well: [&[i64]; 5] =
+            [&[0], &[9_000_000], &[0, 9_000_000], &[1_099_999, 1_099_999], &[-9_000_000, 9_000_000]];
         for offsets in well {
             assert_eq!(found(offsets), [], "{offsets:?}");
         }

@@ -42,9 +42,8 @@ fn until_three_vote(terminal: &Terminal, context: &str) {
         let well = status["voters"] == 3 && status["voters_reachable"] == 3 && status["failures_tolerated"] == 1;
         // The disk of whoever runs this test may be almost full, and monitoring is told so.
         let attention = status["attention"].as_array()?;
-        let well = well
-            && code == i32::from(!attention.is_empty())
-            && attention.iter().all(|item| item["check"] == "disk");
+        let well =
+            well && code == i32::from(!attention.is_empty()) && attention.iter().all(|item| item["check"] == "disk");
         (well && organisations.len() == 2).then_some(())
     });
 }
@@ -86,7 +85,8 @@ fn the_network_of_three_of_the_readme_survives_the_death_of_any_one() {
     assert_eq!((&told["quorum"], &told["voters_reachable"]), (&false.into(), &1.into()));
     let own = eventually("the node itself says so", || {
         let ran = Ctl::at(&terminal.home()).as_("admin").run(&["status"]);
-        (ran.code == 4 && ran.stdout.contains("attention: Org1/node1: 1 of 3 voters are connected; 2 are needed")).then_some(ran.stdout)
+        (ran.code == 4 && ran.stdout.contains("attention: Org1/node1: 1 of 3 voters are connected; 2 are needed"))
+            .then_some(ran.stdout)
     });
     for word in ["disk ", " free, in ", "Org1/node1 ends in", "(CA) ends in", "Org1/admin (yours) ends in"] {
         assert!(own.contains(word), "{word:?} is missing in {own}");

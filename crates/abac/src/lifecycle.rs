@@ -5,7 +5,7 @@
 //!
 //! | modules | content |
 //! |---|---|
-//! | `capacity`, `follow_up`, `people`, `stops`, `looks`, `leases`, `contest`, `holders` | what changes look at |
+//! | `capacity`, `follow_up`, `people`, `stops`, `looks`, `lease_bounds`, `contest`, `holders` | what changes look at |
 //! | `grants`, `tasks`, `queue`, `confirmation` | changes of a grant, a task, a place in the queue, a request to be confirmed |
 //! | `settle` | the loop |
 //! | `acquisition`, `delegation`, `departures`, `task_ends` | how a right is acquired, passed on and lost |
@@ -24,7 +24,7 @@ pub(crate) mod ends;
 pub(crate) mod follow_up;
 pub(crate) mod grants;
 pub(crate) mod holders;
-pub(crate) mod leases;
+pub(crate) mod lease_bounds;
 pub(crate) mod looks;
 pub(crate) mod people;
 pub(crate) mod policy_approvals;

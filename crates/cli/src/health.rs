@@ -303,7 +303,8 @@ mod tests {
         assert!(list.iter().all(|item| item.is_of("Org1/b") && !item.is_critical()));
         let mut out = Vec::new();
         assert!(print_attention(&list, &mut out).is_ok());
-        let printed = "\nattention: Org1/a, Org1/b: 2 of 3\n  try      wait\nattention: Org1/b: it is late\n  try      wait\n";
+        let printed =
+            "\nattention: Org1/a, Org1/b: 2 of 3\n  try      wait\nattention: Org1/b: it is late\n  try      wait\n";
         assert_eq!(String::from_utf8_lossy(&out), printed);
     }
 
@@ -311,7 +312,8 @@ mod tests {
     fn an_own_certificate_needs_attention_a_month_before_its_end_once_its_renewal_is_due() {
         let found = |days: u64, life: u64| {
             let not_after = 20_000 * DAY + days * DAY;
-            let own = Certificate { kind: "own".into(), name: "n".into(), not_before: not_after - life * DAY, not_after };
+            let own =
+                Certificate { kind: "own".into(), name: "n".into(), not_before: not_after - life * DAY, not_after };
             Attention::own_certificate(&own, 20_000 * DAY).map(|item| item.is_critical())
         };
         assert_eq!([found(31, 365), found(29, 365)], [None, Some(false)]);

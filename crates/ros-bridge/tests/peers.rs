@@ -64,12 +64,18 @@ async fn publish(writer: &Writer, (count, rate, size): Stream) {
     }
 }
 
-/// A subscriber that has found the writer.
-async fn subscriber(peer: Peer, writer: &Writer, wanted: (u32, usize), words: &[&str]) -> Python {
+/// A subscriber that has found the writer. It ends by itself when it has what it wants.
+fn late_subscriber(peer: Peer, wanted: (u32, usize), words: &[&str]) -> Python {
     let (topic, _) = names(wanted.1);
     let mut subscriber = peer.subscribes(DOMAIN, &topic.dds(), wanted, words);
     assert_eq!(subscriber.line().as_deref(), Some("ready"), "{peer:?}");
     assert_eq!(subscriber.line().as_deref(), Some("matched"), "{peer:?}");
+    subscriber
+}
+
+/// A subscriber and the writer that have found each other, before anything is published.
+async fn subscriber(peer: Peer, writer: &Writer, wanted: (u32, usize), words: &[&str]) -> Python {
+    let subscriber = late_subscriber(peer, wanted, words);
     assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
     subscriber
 }
@@ -248,7 +254,7 @@ async fn who_comes_late_gets_what_was_latched() {
     for peer in PEERS {
         let (bridge, writer) = writer(&LATCHED, 0).await;
         publish(&writer, (12, 1000, 0)).await;
-        let mut late = subscriber(peer, &writer, (10, 0), &["transient_local"]).await;
+        let mut late = late_subscriber(peer, (10, 0), &["transient_local"]);
         for wanted in 2..12 {
             assert_eq!(number(&mut late), Some(wanted), "{peer:?}: the last ten");
         }

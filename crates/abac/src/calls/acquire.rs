@@ -2,7 +2,7 @@
 
 use crate::arguments::Arguments;
 use crate::lifecycle::acquisition::Outcome;
-use crate::lifecycle::{acquisition, confirmation, leases};
+use crate::lifecycle::{acquisition, confirmation, lease_bounds};
 use crate::policy::decider::Decider;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
@@ -39,13 +39,16 @@ fn options(target: &Target, args: Arguments<'_>) -> Result<AcquireOptions, Rejec
     }
     let text = args.text(1, "LEASE_MS|OPTIONS_JSON")?;
     if !text.starts_with('{') {
-        return Ok(AcquireOptions { lease_ms: Some(leases::lease(target, args, 1)?), ..AcquireOptions::default() });
+        return Ok(AcquireOptions {
+            lease_ms: Some(lease_bounds::lease(target, args, 1)?),
+            ..AcquireOptions::default()
+        });
     }
     let options: AcquireOptions = serde_json::from_str(text).map_err(|fault| {
         args.bad(1, "OPTIONS_JSON", fault.to_string(), "JSON with some of lease_ms, wait_ms and priority")
     })?;
     if let Some(lease_ms) = options.lease_ms {
-        leases::check_lease(target, args, 1, lease_ms)?;
+        lease_bounds::check_lease(target, args, 1, lease_ms)?;
     }
     Ok(options)
 }

@@ -4,7 +4,7 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::lifecycle::acquisition::Outcome;
-use crate::lifecycle::{acquisition, confirmation, holders, leases};
+use crate::lifecycle::{acquisition, confirmation, holders, lease_bounds};
 use crate::policy::decider::Decider;
 use crate::records::principal::Principal;
 use crate::records::target::Target;
@@ -34,7 +34,7 @@ pub(crate) fn acquire_all(ctx: &mut Context<'_>, decider: &Decider, args: &[Byte
             return Err(args.bad(index, "SERVICE", shown(&target.id), "each service once"));
         }
         if let Some(lease_ms) = options.lease_ms {
-            leases::check_lease(&target, args, 0, lease_ms)?;
+            lease_bounds::check_lease(&target, args, 0, lease_ms)?;
         }
         targets.push(target);
     }

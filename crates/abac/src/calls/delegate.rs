@@ -2,7 +2,7 @@
 
 use crate::arguments::Arguments;
 use crate::lifecycle::delegation;
-use crate::lifecycle::leases::LEASE_MS_MIN;
+use crate::lifecycle::lease_bounds::LEASE_MS_MIN;
 use crate::policy::decider::Decider;
 use bytes::Bytes;
 use ledger::Context;

@@ -2,7 +2,7 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::calls::attributes;
-use crate::lifecycle::leases::LEASE_MS_MIN;
+use crate::lifecycle::lease_bounds::LEASE_MS_MIN;
 use crate::policy::decider::Decider;
 use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Service;

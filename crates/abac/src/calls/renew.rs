@@ -1,7 +1,7 @@
 //! `renew`: a longer lease.
 
 use crate::arguments::Arguments;
-use crate::lifecycle::leases::lease;
+use crate::lifecycle::lease_bounds::lease;
 use crate::lifecycle::{grants, holders};
 use crate::policy::decider;
 use crate::policy::decider::Decider;

@@ -7,7 +7,7 @@ use crate::lifecycle::contest::Contest;
 use crate::lifecycle::follow_up::Ending;
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
 use crate::lifecycle::settle::settle;
-use crate::lifecycle::{acquisition, contest, holders, leases, queue, stops, tasks};
+use crate::lifecycle::{acquisition, contest, holders, lease_bounds, queue, stops, tasks};
 use crate::policy::decider::Decider;
 use crate::policy::{Permit, decider};
 use crate::records::principal::Principal;
@@ -38,7 +38,8 @@ pub(crate) fn submit(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
     let principal = Principal::of(ctx.submitter()?);
     let target = commanded(ctx, args.text(0, "SERVICE")?)?;
     let spec = read(ctx, &principal, args)?;
-    let lease_ms = spec.lease_ms.map(|lease_ms| leases::check_lease(&target, args, 1, lease_ms).map(|()| lease_ms));
+    let lease_ms =
+        spec.lease_ms.map(|lease_ms| lease_bounds::check_lease(&target, args, 1, lease_ms).map(|()| lease_ms));
     let lease_ms = lease_ms.transpose()?;
     let permit = decider::may_hold(ctx, decider, &principal, &target)?;
     stops::check_goes(ctx, &target)?;

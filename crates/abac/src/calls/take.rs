@@ -6,7 +6,7 @@ use crate::lifecycle::contest::OVERRIDING;
 use crate::lifecycle::follow_up::Ending;
 use crate::lifecycle::grants::{GrantTerms, Inheritance};
 use crate::lifecycle::settle::settle;
-use crate::lifecycle::{leases, queue, stops};
+use crate::lifecycle::{lease_bounds, queue, stops};
 use crate::policy::decider;
 use crate::policy::decider::Decider;
 use crate::records::principal::Principal;
@@ -23,7 +23,7 @@ pub(crate) fn take(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
     let principal = Principal::of(ctx.submitter()?);
     let target = target::resolve(ctx, args.text(0, "SERVICE")?)?;
     let reason = args.text(1, "REASON")?.to_owned();
-    let lease_ms = if args.has(2) { leases::lease(&target, args, 2)? } else { target.service.lease_ms };
+    let lease_ms = if args.has(2) { lease_bounds::lease(&target, args, 2)? } else { target.service.lease_ms };
     let permit = decider::may_override(ctx, decider, &principal, &target)?;
     stops::check_goes(ctx, &target)?;
     let held = grant::live(ctx, &target.id)?;

@@ -47,17 +47,29 @@ impl Finding {
     }
 
     /// It works, and may not always.
-    pub(super) fn advice(check: impl Into<Cow<'static, str>>, message: impl Into<String>, repair: impl Into<String>) -> Self {
+    pub(super) fn advice(
+        check: impl Into<Cow<'static, str>>,
+        message: impl Into<String>,
+        repair: impl Into<String>,
+    ) -> Self {
         Self { check: check.into(), state: State::Advice, message: message.into(), r#try: repair.into() }
     }
 
     /// It keeps somebody from something.
-    pub(super) fn wrong(check: impl Into<Cow<'static, str>>, message: impl Into<String>, repair: impl Into<String>) -> Self {
+    pub(super) fn wrong(
+        check: impl Into<Cow<'static, str>>,
+        message: impl Into<String>,
+        repair: impl Into<String>,
+    ) -> Self {
         Self { check: check.into(), state: State::Wrong, message: message.into(), r#try: repair.into() }
     }
 
     /// It could not be looked at.
-    pub(super) fn unknown(check: impl Into<Cow<'static, str>>, message: impl Into<String>, repair: impl Into<String>) -> Self {
+    pub(super) fn unknown(
+        check: impl Into<Cow<'static, str>>,
+        message: impl Into<String>,
+        repair: impl Into<String>,
+    ) -> Self {
         Self { check: check.into(), state: State::Unknown, message: message.into(), r#try: repair.into() }
     }
 

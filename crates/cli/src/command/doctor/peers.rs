@@ -199,11 +199,14 @@ mod tests {
             next: "make room".into(),
         };
         let attention = ["critical", "warning"].map(item).to_vec();
-        let status = v1::StatusResponse { organisation: "Org1".into(), node_name: "a".into(), attention, ..Default::default() };
+        let status =
+            v1::StatusResponse { organisation: "Org1".into(), node_name: "a".into(), attention, ..Default::default() };
         let found: Vec<_> = Attention::of(&status).iter().map(finding).collect();
         let states: Vec<_> = found.iter().map(|found| found.state).collect();
         assert_eq!(states, [State::Wrong, State::Advice]);
-        let same = |found: &Finding| (&*found.check, &*found.message, &*found.r#try) == ("disk", "Org1/a: 1 GiB free", "make room");
+        let same = |found: &Finding| {
+            (&*found.check, &*found.message, &*found.r#try) == ("disk", "Org1/a: 1 GiB free", "make room")
+        };
         assert!(found.iter().all(same), "{found:?}");
     }
 

@@ -1,4 +1,4 @@
-//! The leases that a service allows.
+//! The bounds of a lease: what a service allows, and what a caller asks for.
 
 use crate::arguments::Arguments;
 use crate::records::target::Target;
