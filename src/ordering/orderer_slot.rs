@@ -125,5 +125,4 @@ impl OrdererSlot {
 
 fn overloaded() -> Rejection {
     Rejection::new(Code::Overloaded, "the node cannot take more transactions now")
-        .next("submit the same transaction again in a moment")
 }

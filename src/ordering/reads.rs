@@ -162,7 +162,7 @@ impl Questions {
         if self.slot.handle()?.input(Input::ReadIndex { context }) {
             return Ok(());
         }
-        Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now").next("ask again later"))
+        Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now"))
     }
 
     /// Wakes [`Reads`] when something is due, for as long as somebody waits.

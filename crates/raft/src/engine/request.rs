@@ -41,7 +41,6 @@ impl Engine {
             Rejection::new(Code::Overloaded, "too many reads wait for confirmation")
                 .found(raft.pending_read_count().to_string())
                 .wanted(format!("at most {READS_PENDING_MAX}"))
-                .next("ask again later")
         } else {
             let name = self.read_name(context);
             return self.raw.read_index(name);
