@@ -5,11 +5,12 @@
  * @typedef {{ kind: string, name: string, not_before: number, not_after: number }} Certificate
  * @typedef {{ node_id: number, name: string, organisation: string, address: string, role: string, voter: boolean, connected: boolean }} Peer
  * @typedef {{ path: string, free_bytes: number, total_bytes: number, accepts: string }} Disk
+ * @typedef {{ check: string, severity: "critical" | "warning", message: string, next: string }} Attention
  * @typedef {{
  *   version: string, network_label: string, node_id: number, node_name: string, organisation: string, role: string, leader_id: number,
  *   term: number, height: number, committed: number, catching_up_to: number | null, certified: number, clock: number,
  *   uptime_ms: number, peers: Peer[], subscribers: number, resident_bytes: number, in_flight: number, in_flight_max: number,
- *   voters: number, voters_reachable: number, disk: Disk, certificates: Certificate[], divergence?: string, lies?: string
+ *   voters: number, voters_reachable: number, disk: Disk, certificates: Certificate[], attention: Attention[], divergence?: string, lies?: string
  * }} Status
  * @typedef {{ id: number, name: string, organisation: string, reachable: boolean, reason?: string, status: Status | null }} NodeOfNetwork
  */

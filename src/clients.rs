@@ -6,9 +6,11 @@
 //! | `http` | its calls as JSON over HTTP |
 //! | `audit` | an index of who did what |
 //! | `rejections`, `rejection_reports` | rejected calls; reporting them to the ledger |
+//! | `attention` | what needs attention at this node: the one list that all of them show |
 //! | `monitoring`, `health` | readiness and metrics over HTTP; health over gRPC |
 //! | `console` | the console for browsers |
 
+pub(crate) mod attention;
 pub(crate) mod audit;
 pub(crate) mod console;
 pub(crate) mod gateway;

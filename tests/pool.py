@@ -53,12 +53,12 @@ RUNNING = set()
 class Test:
     """A test, or all examples in the documentation as one."""
 
-    def __init__(self, binary, name, command, directory):
+    def __init__(self, binary, name, command, directory, variables):
         self.name = f"{binary}::{name}"
         named = (of for of, (_, binaries) in CLASSES.items() if binary in binaries)
         self.of = next(named, "computing")
         self.command = ["nice", "-n", "10", *command] if self.of == "computing" else command
-        self.directory = directory
+        self.directory, self.variables = directory, variables
         self.output, self.seconds = "", 0.0
         self.passed, self.failed, self.skipped = 0, 0, []
 
@@ -68,7 +68,7 @@ class Test:
         with tempfile.TemporaryFile() as output:
             code = self.wait(subprocess.Popen(
                 self.command, cwd=self.directory, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                env={**os.environ, "CARGO_MANIFEST_DIR": str(self.directory)}, start_new_session=True))
+                env={**os.environ, **self.variables}, start_new_session=True))
             output.seek(0)
             self.output = output.read().decode(errors="replace")
         self.seconds = time.monotonic() - begun
@@ -137,13 +137,15 @@ def listed(message):
     program = message["executable"]
     told = subprocess.run([program, "--list", "--format", "terse"], cwd=directory, stdout=subprocess.PIPE, check=True)
     names = re.findall(r"^(.*): test$", told.stdout.decode(), re.M)
-    return [Test(binary, name, [program, "--exact", name, "--nocapture"], directory) for name in names]
+    variables = {"CARGO_MANIFEST_DIR": str(directory)}
+    return [Test(binary, name, [program, "--exact", name, "--nocapture"], directory, variables) for name in names]
 
 
 def examples():
     """The examples in the documentation of libraries, which no binary has."""
     command = ["cargo", "test", "--doc", "--workspace", "--profile", PROFILE, "--locked"]
-    return Test("documentation", "examples", command, TOP)
+    # With other variables than those of the build, ring and everything that uses it would be built again.
+    return Test("documentation", "examples", command, TOP, {})
 
 
 def interrupted(number, _frame):

@@ -13,8 +13,6 @@ import { Asked, empty, facts, page, table } from "../view/parts.js";
  */
 
 const NODES_MS = 5000;
-const SOON = 30 * 86400e6;
-const LOW_PART = 10;
 
 export function open() {
   /** @type {Asked<{ nodes: NodeOfNetwork[] }>} */
@@ -45,16 +43,15 @@ export function open() {
   };
 }
 
-/** @param {Status} status */
-function alarms({ divergence, lies, voters, voters_reachable: reachable }) {
-  const majority = Math.floor(voters / 2) + 1;
-  const alarm = (/** @type {string} */ title, /** @type {string} */ text) => h("div.rejected", { role: "alert" }, h("strong", `${title}:`), ` ${text}`);
-  return [
-    divergence && alarm("The chains differ", divergence),
-    lies && alarm("A node has lied", lies),
-    reachable < majority && alarm("No quorum", `${reachable} of ${voters} voters are connected, ${majority} are needed.`),
-    reachable === majority && voters > 2 && h("p.warning", "One voter less, and nothing is ordered."),
-  ];
+/**
+ * What needs attention, by the node's own list.
+ * @param {Status} status
+ */
+function alarms({ attention }) {
+  return attention.map(({ check, severity, message, next }) => {
+    const style = severity === "critical" ? "div.rejected" : "p.warning";
+    return h(style, { key: `${check}/${message}`, role: "alert" }, h("strong", `${check}:`), ` ${message}. `, h("span.dim", next));
+  });
 }
 
 /** @param {Status} own */
@@ -66,7 +63,7 @@ function describe(own) {
     ["Height", `${own.height}, certified to ${own.certified}`],
     ["Voters", `${own.voters_reachable} of ${own.voters} connected`],
     ["Divergence", own.divergence || "none: all agree"],
-    ["Disk", h("span", { class: warning(isShort(own)) }, `${size(disk.free_bytes)} free of ${size(disk.total_bytes)}, accepts ${disk.accepts}`)],
+    ["Disk", h("span", { class: warning(own, "disk") }, `${size(disk.free_bytes)} free of ${size(disk.total_bytes)}, accepts ${disk.accepts}`)],
     ["Memory", size(own.resident_bytes)],
     ["Running for", span(own.uptime_ms * 1000)],
     ["Calls", `${own.in_flight} of ${own.in_flight_max} in flight, ${own.subscribers} subscriptions`],
@@ -79,16 +76,19 @@ function certificates(own) {
   const shown = own.certificates.filter(({ kind }) => kind !== "list").sort((one, other) => one.not_after - other.not_after);
   const rows = shown.map(({ kind, name, not_after: notAfter }) => {
     const left = notAfter - now();
-    return h("tr", { key: `${kind}/${name}` }, h("td", kind), h("td.wide", name), h("td", moment(notAfter).slice(0, 10)), h("td", { class: warning(left < SOON) }, span(left)));
+    return h("tr", { key: `${kind}/${name}` }, h("td", kind), h("td.wide", name), h("td", moment(notAfter).slice(0, 10)), h("td", { class: warning(own, "certificate", name) }, span(left)));
   });
   return table("Certificates", ["Kind", "Name", "Ends", "In"], rows);
 }
 
-/** @param {boolean} is */
-const warning = (is) => (is ? "soon" : undefined);
-
-/** @param {Status} status */
-const isShort = ({ disk }) => disk.free_bytes * LOW_PART < disk.total_bytes || disk.accepts !== "all";
+/**
+ * Marks what needs attention: of this check, and of this name where there are several.
+ * @param {Status} status
+ * @param {string} check
+ */
+function warning({ attention }, check, name = "") {
+  return attention.some((item) => item.check === check && item.message.includes(name)) ? "soon" : undefined;
+}
 
 /**
  * A node: `own` is the node of this console, `newest` the newest block of any node.
@@ -125,8 +125,8 @@ function report(status, newest) {
   return [
     h("td", height),
     h("td", upTo ? `${behind} blocks, fetching` : behind),
-    h("td", { class: warning(isShort(status)) }, size(disk.free_bytes)),
-    h("td", { class: warning(left !== undefined && left < SOON) }, left !== undefined && `${span(left)} left`),
+    h("td", { class: warning(status, "disk") }, size(disk.free_bytes)),
+    h("td", { class: warning(status, "certificate", certificate?.name) }, left !== undefined && `${span(left)} left`),
     h("td", version),
   ];
 }

@@ -265,7 +265,7 @@ fn rights_and_codes_are_those_of_grpc() {
     assert_eq!(keys(&audit["rows"][0]), keys(&printed), "{audit}");
     let (_, status) = by_http(&format!("{url}/status"));
     let printed = ctl("dev-org1-admin").json(&["status"]);
-    let judged = BTreeSet::from(["attention", "failures_tolerated", "quorum"]);
+    let judged = BTreeSet::from(["failures_tolerated", "quorum"]);
     let more = BTreeSet::from(["console", "first_height", "snapshot_height"]);
     assert_eq!(keys(&printed).difference(&keys(&status)).copied().collect::<BTreeSet<_>>(), judged);
     assert_eq!(keys(&status).difference(&keys(&printed)).copied().collect::<BTreeSet<_>>(), more);

@@ -1,4 +1,4 @@
-//! The functions of the contract, a file each: it parses the arguments, checks who calls, and answers. What changes the state is in
+//! The functions of the contract, a file each: it parses the arguments, checks who calls, and answers. Changes of the state are in
 //! [`lifecycle`](crate::lifecycle).
 
 pub(crate) mod acquire;

@@ -11,6 +11,7 @@
 //! | [`settings`] | TOML files, read setting by setting |
 //! | [`nearest`] | "did you mean" |
 //! | [`progress`] | progress of long commands on a terminal |
+//! | [`units`] | spans of time and sizes as text |
 
 #![forbid(unsafe_code)]
 
@@ -23,3 +24,4 @@ pub mod nearest;
 pub mod progress;
 pub mod rejection;
 pub mod settings;
+pub mod units;

@@ -1,5 +1,6 @@
 //! How far something is that lasts, for the one who waits in front of it: how much, how fast, and how long it will still take.
 
+use crate::units::span;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
@@ -9,10 +10,6 @@ const CHANGE_EVERY: Duration = Duration::from_millis(250);
 const LINE_EVERY: Duration = Duration::from_secs(10);
 /// Before that nothing is told: most things are done by then.
 const QUIET: Duration = Duration::from_secs(1);
-
-/// Units of a span, from the largest on, with their microseconds.
-const UNITS: [(u64, &str); 5] =
-    [(86_400_000_000, "days"), (3_600_000_000, "h"), (60_000_000, "min"), (1_000_000, "s"), (1_000, "ms")];
 
 /// Tells it: on a terminal a line that changes, elsewhere a line now and then, to programs nothing.
 #[derive(Debug)]
@@ -91,38 +88,9 @@ fn left(step: Step, first: u64, elapsed: Duration) -> Option<String> {
     (done > 0 && seconds.is_finite()).then(|| span((seconds.min(1e9) as u64).saturating_mul(1_000_000)))
 }
 
-/// A span in the largest unit that keeps at least two of it, rounded down.
-pub fn span(micros: u64) -> String {
-    for (size, name) in UNITS {
-        if micros >= 2 * size || (micros >= size && micros.is_multiple_of(size)) {
-            let count = micros / size;
-            return if count == 1 && name == "days" { "1 day".to_owned() } else { format!("{count} {name}") };
-        }
-    }
-    format!("{micros} µs")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn spans_use_the_largest_unit_that_says_enough() {
-        for (micros, wanted) in [
-            (0, "0 µs"),
-            (999, "999 µs"),
-            (1_000, "1 ms"),
-            (1_500, "1500 µs"),
-            (10_000_000, "10 s"),
-            (90_000_000, "90 s"),
-            (60_000_000, "1 min"),
-            (150_000_000, "2 min"),
-            (86_400_000_000, "1 day"),
-            (365 * 86_400_000_000, "365 days"),
-        ] {
-            assert_eq!(span(micros), wanted, "{micros}");
-        }
-    }
 
     #[test]
     fn what_is_left_takes_as_long_as_what_was() {

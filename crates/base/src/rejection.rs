@@ -90,17 +90,17 @@ impl Rejection {
         self
     }
 
-    /// Adds what to do next, where the general advice of the code does not say it; see [`Code::advice`].
+    /// Adds advice for this case, where [`Code::advice`] is not enough.
     #[must_use]
     pub fn next(mut self, next: impl Into<String>) -> Self {
         self.next = next.into();
         self
     }
 
-    /// What to do next: the advice for this case, otherwise the general one of the code; empty if there is neither.
+    /// Advice for the next step: the one for this case, otherwise the general one of the code; empty if there is neither.
     ///
-    /// The general advice is applied here, when a rejection is read, and nowhere else: a rejection that was stored in a
-    /// block's result, or that changes its code on its way, has the right advice, and results do not repeat it.
+    /// The general advice is applied here, when a rejection is read, and nowhere else. So a stored verdict need not repeat
+    /// it, and a rejection that gets another code gets its advice as well.
     pub fn advice(&self) -> &str {
         if self.next.is_empty() { self.code.advice() } else { &self.next }
     }

@@ -3,40 +3,35 @@
 use crate::failure::Failure;
 use crate::output::printable;
 use crate::time;
+use ledger_api::context::warning_due;
 use ledger_api::v1;
+use ledger_base::units::size;
 use serde::Serialize;
-use std::collections::BTreeSet;
 use std::io::{self, Write};
 
 /// Exit code where something needs attention.
 const EXIT_ATTENTION: u8 = 1;
 /// Exit code without a quorum.
 const EXIT_NO_QUORUM: u8 = 4;
-/// A disk needs attention below one part in so many.
-const DISK_LOW_PART: u64 = 10;
-/// A certificate that renews itself needs attention in the last part of its life, one in so many: it should be renewed.
-const LIFE_PART: u64 = 6;
-/// The same, at most so long before its end, microseconds: 30 days.
-const ENDING_US: u64 = 30 * 86_400_000_000;
-/// A CA needs attention so long before its end, microseconds: a new one needs time to reach everybody. 180 days.
-const CA_ENDING_US: u64 = 180 * 86_400_000_000;
-/// The clock of a node's machine is wrong so far behind block time, microseconds: robots refuse messages then.
-const CLOCK_LATE_US: u64 = 5_000_000;
+/// It keeps somebody from something.
+pub(crate) const CRITICAL: &str = "critical";
+/// It may soon do so.
+const WARNING: &str = "warning";
 
 /// For monitoring.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Check {
     /// For monitoring: end with 0 if all is well, with 1 if something needs attention
     ///
-    /// A node needs attention that is silent, lacks blocks or differs. So do a clock behind block time, a disk of which less
-    /// than a tenth is free, and a certificate near its end. Without a quorum the exit code is 4 with and without this.
+    /// Each node lists what needs attention: docs/metrics.md has the table. So do a node that does not answer, and your own
+    /// certificate near its end. Without a quorum the exit code is 4 with and without this.
     #[arg(long)]
     check: bool,
 }
 
 impl Check {
     /// The exit code after everything was told.
-    pub(crate) fn judge(&self, quorum: bool, attention: &[String]) -> Result<(), Failure> {
+    pub(crate) fn judge(&self, quorum: bool, attention: &[Attention]) -> Result<(), Failure> {
         match (quorum, attention.is_empty()) {
             (false, _) => Err(Failure::Told(EXIT_NO_QUORUM)),
             (true, false) if self.check => Err(Failure::Told(EXIT_ATTENTION)),
@@ -85,45 +80,6 @@ impl Voters {
         }
         text
     }
-
-    /// The point that needs attention, if there is one.
-    pub(crate) fn attention(&self) -> Option<String> {
-        (self.voters_reachable < self.voters || !self.quorum).then(|| format!("voters: {}", self.text()))
-    }
-}
-
-/// The point that needs attention where voters of one organisation alone answer, while voters are of several: nothing is certified
-/// then. `voters`: the organisation of each, and whether it answers.
-pub(crate) fn uncertified<'a>(voters: impl IntoIterator<Item = (&'a str, bool)>) -> Option<String> {
-    let (mut answer, mut silent) = (BTreeSet::new(), BTreeSet::new());
-    for (organisation, answers) in voters {
-        if answers {
-            answer.insert(organisation)
-        } else {
-            silent.insert(organisation)
-        };
-    }
-    let missing: Vec<&str> = silent.difference(&answer).copied().collect();
-    let alone = answer.first().filter(|_| answer.len() == 1 && !missing.is_empty())?;
-    let missing = missing.join(" or ");
-    Some(format!(
-        "voters: only those of {alone} answer; without one of {missing} nothing is certified, and robots that move stop"
-    ))
-}
-
-/// The point that needs attention where a node lacks blocks and fetches them, up to this height; 0 if it follows as usual.
-pub(crate) fn lag(node: &str, height: u64, catching_up_to: u64) -> Option<String> {
-    (catching_up_to > 0).then(|| format!("{node} lags: it has block {height} and fetches up to {catching_up_to}"))
-}
-
-/// Why the clock of a node is wrong, by its own words; empty if it is not.
-pub(crate) fn clock_wrong(status: &v1::StatusResponse) -> String {
-    let late = status.block_time.saturating_sub(status.wall_clock);
-    match status.clock_doubt.is_empty() {
-        false => status.clock_doubt.clone(),
-        true if late >= CLOCK_LATE_US => format!("block time is {} ahead of its clock", time::span(late)),
-        true => String::new(),
-    }
 }
 
 /// The disk of a node's data directory.
@@ -157,12 +113,6 @@ impl Disk {
             "nothing" => text + "; nothing is accepted",
             _ => text,
         }
-    }
-
-    /// The point that needs attention, if there is one.
-    pub(crate) fn attention(&self, node: &str) -> Option<String> {
-        let low = self.free_bytes < self.total_bytes / DISK_LOW_PART || self.accepts != "all";
-        low.then(|| format!("disk of {node}: {}", self.text()))
     }
 }
 
@@ -213,40 +163,92 @@ impl Certificate {
         format!("{}{what} {}, {}", self.name, self.ends(now), time::moment(self.not_after))
     }
 
-    /// The point that needs attention, if there is one.
-    pub(crate) fn attention(&self, now: u64) -> Option<String> {
-        let life = self.not_after.saturating_sub(self.not_before);
-        let most = if self.kind == "ca" { CA_ENDING_US } else { ENDING_US };
-        let left = self.not_after.saturating_sub(now);
-        // A list is made anew every few days: it is late only once it has ended.
-        if self.kind == "list" {
-            return (now > self.not_after).then(|| format!("revocation list: {}", self.text(now)));
-        }
-        (left < most.min(life / LIFE_PART)).then(|| format!("certificate: {}", self.text(now)))
+    /// Is it time to look after it? For the certificate of whoever asks: nodes judge theirs themselves.
+    pub(crate) fn is_ending(&self, now: u64) -> bool {
+        now >= warning_due(self.not_before, self.not_after)
     }
 }
 
-/// Tells what needs attention, at the end.
-pub(crate) fn attention(attention: &[String], out: &mut dyn Write) -> io::Result<()> {
+/// Something that needs attention: what a node reports of itself, or what is seen from here.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct Attention {
+    /// Full names of the nodes that report it; none for what is seen from here.
+    nodes: Vec<String>,
+    /// What was checked, such as `disk`.
+    pub(crate) check: String,
+    severity: String,
+    /// What is found, in one line.
+    pub(crate) message: String,
+    /// What to do next.
+    pub(crate) next: String,
+}
+
+impl Attention {
+    /// Something that is seen from here.
+    pub(crate) fn here(check: &str, severity: &str, message: String, next: impl Into<String>) -> Self {
+        Self { nodes: Vec::new(), check: check.to_owned(), severity: severity.to_owned(), message, next: next.into() }
+    }
+
+    /// What a node reports of itself.
+    pub(crate) fn of(status: &v1::StatusResponse) -> Vec<Self> {
+        let name = format!("{}/{}", status.organisation, status.node_name);
+        let of = |item: &v1::Attention| Self {
+            nodes: vec![name.clone()],
+            check: item.check.clone(),
+            severity: item.severity.clone(),
+            message: item.message.clone(),
+            next: item.next.clone(),
+        };
+        status.attention.iter().map(of).collect()
+    }
+
+    /// Adds items to a list: what several nodes report alike stands there once, with their names.
+    pub(crate) fn add(list: &mut Vec<Self>, more: impl IntoIterator<Item = Self>) {
+        for item in more {
+            match list.iter_mut().find(|known| known.check == item.check && known.message == item.message) {
+                Some(known) => known.nodes.extend(item.nodes),
+                None => list.push(item),
+            }
+        }
+    }
+
+    /// The own certificate near its end, or after it.
+    pub(crate) fn own_certificate(own: &Certificate, now: u64) -> Option<Self> {
+        let severity = if now > own.not_after { CRITICAL } else { WARNING };
+        own.is_ending(now).then(|| Self::here("certificate", severity, own.text(now), "ledgerctl identity renew"))
+    }
+
+    /// Does it keep somebody from something now?
+    pub(crate) fn is_critical(&self) -> bool {
+        self.severity != WARNING
+    }
+
+    /// Does this node report it?
+    pub(crate) fn is_of(&self, node: &str) -> bool {
+        self.nodes.iter().any(|name| name == node)
+    }
+
+    /// Is it about whoever asks?
+    pub(crate) fn is_own(&self) -> bool {
+        self.nodes.is_empty() && self.check == "certificate"
+    }
+
+    /// In one line.
+    pub(crate) fn text(&self) -> String {
+        let nodes = self.nodes.join(", ");
+        if nodes.is_empty() { self.message.clone() } else { format!("{nodes}: {}", self.message) }
+    }
+}
+
+/// Prints what needs attention, at the end.
+pub(crate) fn print_attention(attention: &[Attention], out: &mut dyn Write) -> io::Result<()> {
     if !attention.is_empty() {
         writeln!(out)?;
     }
-    attention.iter().try_for_each(|what| writeln!(out, "attention: {}", printable(what)))
-}
-
-/// A size as people read it.
-pub(crate) fn size(bytes: u64) -> String {
-    const UNITS: [(u64, &str); 3] = [(30, "GiB"), (20, "MiB"), (10, "KiB")];
-    for (shift, unit) in UNITS {
-        if bytes >> shift >= 10 {
-            return format!("{} {unit}", bytes >> shift);
-        }
-        if bytes >> shift > 0 {
-            let tenths = (bytes >> (shift - 10)) * 10 / 1024;
-            return format!("{}.{} {unit}", tenths / 10, tenths % 10);
-        }
-    }
-    format!("{bytes} bytes")
+    attention.iter().try_for_each(|item| {
+        writeln!(out, "attention: {}", printable(&item.text()))?;
+        writeln!(out, "  try      {}", printable(&item.next))
+    })
 }
 
 #[cfg(test)]
@@ -269,74 +271,66 @@ mod tests {
 
     #[test]
     fn exit_codes_are_for_monitoring() {
-        let judged = |check, quorum, attention: &[String]| match (Check { check }).judge(quorum, attention) {
+        let judged = |check, quorum, attention: &[Attention]| match (Check { check }).judge(quorum, attention) {
             Ok(()) => 0,
             Err(Failure::Told(exit)) => exit,
             Err(_) => u8::MAX,
         };
-        let some = ["voters: 2 of 3 answer".to_owned()];
+        let some = [Attention::here("disk", WARNING, "it is almost full".to_owned(), "make room")];
         assert_eq!([judged(false, true, &[]), judged(true, true, &[])], [0, 0]);
         assert_eq!([judged(false, true, &some), judged(true, true, &some)], [0, 1]);
         assert_eq!([judged(false, false, &[]), judged(true, false, &some)], [4, 4]);
     }
 
     #[test]
-    fn voters_of_one_organisation_alone_need_attention_where_another_one_has_voters() {
-        let told = |voters: &[(&'static str, bool)]| uncertified(voters.iter().copied());
-        let alone = told(&[("Org1", true), ("Org2", false), ("Org1", true), ("Org3", false)]).unwrap_or_default();
-        assert!(alone.contains("only those of Org1 answer; without one of Org2 or Org3"), "{alone}");
-        assert_eq!(told(&[("Org1", true), ("Org2", true), ("Org3", false)]), None);
-        assert_eq!(told(&[("Org1", true), ("Org1", false)]), None, "there are no others");
-        assert_eq!(told(&[("Org1", false), ("Org2", false)]), None, "that is another matter");
-    }
-
-    #[test]
-    fn a_clock_is_wrong_that_is_behind_block_time_or_that_its_node_doubts() {
-        let told = |wall_clock, block_time, doubt: &str| {
-            let clock_doubt = doubt.to_owned();
-            clock_wrong(&v1::StatusResponse { wall_clock, block_time, clock_doubt, ..Default::default() })
+    fn what_several_nodes_report_alike_stands_there_once() {
+        let reports = |name: &str, messages: &[&str]| {
+            let item = |message: &&str| v1::Attention {
+                check: "quorum".into(),
+                severity: "warning".into(),
+                message: (*message).into(),
+                next: "wait".into(),
+            };
+            let attention = messages.iter().map(item).collect();
+            v1::StatusResponse { organisation: "Org1".into(), node_name: name.into(), attention, ..Default::default() }
         };
-        assert_eq!(told(DAY, DAY + CLOCK_LATE_US - 1, ""), "");
-        assert_eq!(told(DAY, DAY + 9_000_000, ""), "block time is 9 s ahead of its clock");
-        assert_eq!(told(DAY, DAY, "it has jumped ahead"), "it has jumped ahead");
-        assert_eq!(told(DAY, 0, ""), "", "no block yet");
+        let mut list = Vec::new();
+        for status in [reports("a", &["2 of 3"]), reports("b", &["2 of 3", "it is late"])] {
+            Attention::add(&mut list, Attention::of(&status));
+        }
+        let texts: Vec<String> = list.iter().map(Attention::text).collect();
+        assert_eq!(texts, ["Org1/a, Org1/b: 2 of 3", "Org1/b: it is late"]);
+        assert!(list.iter().all(|item| item.is_of("Org1/b") && !item.is_critical()));
+        let mut out = Vec::new();
+        assert!(print_attention(&list, &mut out).is_ok());
+        let printed =
+            "\nattention: Org1/a, Org1/b: 2 of 3\n  try      wait\nattention: Org1/b: it is late\n  try      wait\n";
+        assert_eq!(String::from_utf8_lossy(&out), printed);
     }
 
     #[test]
-    fn a_single_voter_that_answers_needs_no_attention() {
-        assert_eq!(Voters::new(1, 1, true).attention(), None);
-        assert_eq!(Voters::new(2, 2, true).attention(), None);
-        assert!(Voters::new(3, 2, true).attention().is_some());
-        assert!(Voters::new(3, 3, false).attention().is_some());
-    }
-
-    #[test]
-    fn certificates_need_attention_when_they_should_have_been_renewed() {
-        let ends_in = |kind: &str, days: u64, life: u64| {
-            let now = 20_000 * DAY;
-            let (not_after, kind) = (now + days * DAY, kind.to_owned());
-            Certificate { kind, name: "n".into(), not_before: not_after - life * DAY, not_after }.attention(now)
+    fn an_own_certificate_needs_attention_a_month_before_its_end_once_its_renewal_is_due() {
+        let found = |days: u64, life: u64| {
+            let not_after = 20_000 * DAY + days * DAY;
+            let own =
+                Certificate { kind: "own".into(), name: "n".into(), not_before: not_after - life * DAY, not_after };
+            Attention::own_certificate(&own, 20_000 * DAY).map(|item| item.is_critical())
         };
-        assert!(ends_in("node", 31, 365).is_none() && ends_in("node", 29, 365).is_some());
-        assert!(ends_in("own", 2, 10).is_none() && ends_in("own", 1, 10).is_some(), "a short life is renewed late");
-        assert!(ends_in("ca", 181, 7300).is_none() && ends_in("ca", 179, 7300).is_some());
-        assert!(ends_in("list", 0, 7).is_none(), "a list is late once it has ended");
-        let late = Certificate { kind: "list".into(), name: "ca".into(), not_before: 0, not_after: 5 }.attention(6);
-        assert!(late.is_some_and(|late| late.contains("(revocation list) ended")));
+        assert_eq!([found(31, 365), found(29, 365)], [None, Some(false)]);
+        assert_eq!([found(4, 10), found(3, 10)], [None, Some(false)], "a short life is renewed late");
+        let ended = Certificate { kind: "own".into(), name: "n".into(), not_before: 0, not_after: 5 };
+        assert!(Attention::own_certificate(&ended, 6).is_some_and(|item| item.is_critical()));
     }
 
     #[test]
-    fn a_disk_needs_attention_below_a_tenth_with_path_and_numbers() {
-        let disk = |free_bytes, accepts: &str| Disk {
+    fn a_disk_is_printed_with_path_and_numbers() {
+        let disk = |accepts: &str| Disk {
             path: "/var/lib/ledgerd".into(),
-            free_bytes,
+            free_bytes: (1 << 30) + (1 << 29),
             total_bytes: 20 << 30,
             accepts: accepts.into(),
         };
-        assert_eq!(disk(2 << 30, "all").attention("Org1/a"), None);
-        let told = disk((1 << 30) + (1 << 29), "all").attention("Org1/a");
-        let wanted = "disk of Org1/a: 1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd";
-        assert_eq!(told.as_deref(), Some(wanted));
-        assert!(disk(3 << 30, "ends").attention("Org1/a").is_some_and(|told| told.contains("only calls that end")));
+        assert_eq!(disk("all").text(), "1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd");
+        assert!(disk("ends").text().ends_with("; only calls that end control are accepted"));
     }
 }

@@ -2,7 +2,7 @@
 
 use chrono::{DateTime, Local};
 pub(crate) use ledger_base::moment::rfc3339;
-pub(crate) use ledger_base::progress::span;
+pub(crate) use ledger_base::units::span;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// This machine's clock, microseconds since the UNIX epoch.

@@ -54,7 +54,7 @@ impl Paging {
         let Some(argument) = args.last() else { return Ok(Self { whole: true, ..Self::default() }) };
         let usable = |paging: &Self| paging.after.as_ref().is_none_or(|after| after.len() <= PLACE_BYTES_MAX);
         serde_json::from_slice(argument).ok().filter(usable).ok_or_else(|| {
-            Rejection::new(Code::BadArgument, format!("{function} is asked for no page"))
+            Rejection::new(Code::BadArgument, format!("the argument of {function} is not a page"))
                 .found(format!("{} bytes", argument.len()))
                 .wanted(format!(r#"{{"after": "PLACE", "most": NUMBER}}, each of which may be left out; a place has at most {PLACE_BYTES_MAX} bytes"#))
                 .next("begin with {}; the answer says where the next page begins")

@@ -5,7 +5,7 @@
 //! number never changes its meaning once it is in a release. A network is founded with a number; its organisations may
 //! activate the next one at a height (`msp activate_rules`). Older blocks keep their number permanently.
 //!
-//! There is one number so far, 1. Whatever changes execution gets the next one, and asks [`Context::rules`] for it.
+//! There is one number so far, 1. A change of execution gets the next one, and asks [`Context::rules`] for it.
 //!
 //! ```
 //! use ledger::Rules;

@@ -1,6 +1,7 @@
 //! The description of a node: its name, its chain, its links to others, and its use.
 
 use super::Audience;
+use crate::clients::attention;
 use crate::clients::rejections::Rejections;
 use crate::ordering::Ordering;
 use crate::ordering::directory::Member;
@@ -82,7 +83,7 @@ impl Description {
         let now = self.ordering.clock.both();
         // Where several vote, the others judge the clock.
         let doubt = now.doubt.filter(|_| voters().eq([self.me.id])).map(ClockDoubt::refusal);
-        Ok(StatusResponse {
+        let mut status = StatusResponse {
             version: env!("CARGO_PKG_VERSION").into(),
             network: self.ordering.storage.ledger.network().0.to_vec().into(),
             network_label: self.ordering.storage.genesis.label.clone(),
@@ -101,7 +102,7 @@ impl Description {
             last_index: ordering.as_ref().map_or(0, |ordering| ordering.last).max(tip.height),
             clock: now.clock.max(tip.time),
             wall_clock: self.ordering.clock.wall(),
-            clock_doubt: doubt.map(|doubt| format!("{}: {}", doubt.message, doubt.found)).unwrap_or_default(),
+            attention: Vec::new(),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.ordering.storage.ledger.registry().names().into_iter().map(str::to_owned).collect(),
             refused: self.rejections.counts(),
@@ -129,7 +130,10 @@ impl Description {
             voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
             voters_connected: u32::try_from(voters().filter(|id| self.peers.reachability.is_connected(*id)).count())
                 .unwrap_or(u32::MAX),
-        })
+        };
+        let doubt = doubt.map(|doubt| format!("{}: {}", doubt.message, doubt.found)).unwrap_or_default();
+        status.attention = attention::of(&status, &doubt);
+        Ok(status)
     }
 
     /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out: then the node does not run.

@@ -35,12 +35,6 @@ impl Check {
         Self { warning, ..self }
     }
 
-    /// Its name.
-    #[cfg(test)]
-    pub(super) fn name(&self) -> &str {
-        &self.name
-    }
-
     /// Is it well?
     pub(super) fn is_ok(&self) -> bool {
         self.failed.is_none()

@@ -1,12 +1,13 @@
 //! A node as its page shows it, with the bridge that may run inside.
 
-mod checks;
 mod metrics;
 
 use super::bridge;
 use super::check::Check;
 use super::{Watched, is_well};
+use crate::clients::attention::{CHECKS, CRITICAL};
 use crate::clients::gateway::Description;
+use ledger_api::v1::Attention;
 use ledger_base::rejection::Rejection;
 use prometheus_client::registry::Registry;
 use ros_bridge::BridgeMonitor;
@@ -41,12 +42,48 @@ impl Watched for WatchedNode {
 
 fn checks(node: &Description) -> Vec<Check> {
     match node.status() {
-        Ok(status) => checks::all(&status),
+        Ok(status) => CHECKS.into_iter().map(|name| check(name, &status.attention)).collect(),
         Err(fault) => vec![Check::failed("state", fault.to_string())],
     }
+}
+
+/// A line of `/readyz`, of what needs attention.
+fn check(name: &'static str, attention: &[Attention]) -> Check {
+    let reasons = |is_critical: bool| {
+        let of = attention.iter().filter(|item| item.check == name && (item.severity == CRITICAL) == is_critical);
+        of.map(|item| &*item.message).collect::<Vec<_>>().join("; ")
+    };
+    let (failed, warnings) = (reasons(true), reasons(false));
+    Check::of(name, failed.is_empty(), || failed).warn(!warnings.is_empty(), || warnings)
 }
 
 /// Can the node do its work?
 pub(crate) fn is_ready(node: &Description) -> bool {
     is_well(&checks(node))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clients::attention::WARNING;
+
+    #[test]
+    fn a_check_fails_by_what_is_critical_and_warns_of_the_rest() {
+        let item = |check: &str, severity: &str, message: &str| Attention {
+            check: check.into(),
+            severity: severity.into(),
+            message: message.into(),
+            next: String::new(),
+        };
+        let all = [
+            item("certificate", WARNING, "one ends soon"),
+            item("certificate", WARNING, "another one, too"),
+            item("disk", CRITICAL, "it is full"),
+            item("disk", WARNING, "it was almost full"),
+        ];
+        let line = |name| check(name, &all).to_string();
+        assert_eq!(line("certificate"), "[+] certificate ok, but one ends soon; another one, too\n");
+        assert_eq!(line("disk"), "[-] disk failed: it is full\n");
+        assert_eq!(line("log"), "[+] log ok\n");
+    }
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
-const SEEDS: u64 = 300;
+const SEEDS: u64 = 150;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.
@@ -72,11 +72,10 @@ fn what_once_failed_does_not_fail_again() {
 #[test]
 fn the_same_seed_gives_the_same_trace_byte_for_byte() {
     let people = Arc::new(People::new());
-    for seed in [3, 11, 14] {
-        let (one, other) = (run(seed, &people, true), run(seed, &Arc::new(People::new()), true));
-        assert!(one.trace.is_some_and(|text| text.len() > 10_000));
-        let (one, other) = (run(seed, &people, true).trace, other.trace);
+    for seed in [3, 11] {
+        let (one, other) = (run(seed, &people, true).trace, run(seed, &Arc::new(People::new()), true).trace);
         assert!(one == other, "seed {seed} gave two traces");
+        assert!(one.is_some_and(|text| text.len() > 10_000));
     }
     assert_ne!(run(3, &people, false).trace_hash, run(4, &people, false).trace_hash);
 }

@@ -1,4 +1,4 @@
-//! What follows from a change of state. Changes return it; [settling](super::settle::settle) does it.
+//! Follow-ups of a change of state. Changes return them; [settling](super::settle::settle) carries them out.
 
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
@@ -32,7 +32,7 @@ pub(crate) struct Ending {
     pub(crate) holding: Holding,
     /// Why it ends.
     pub(crate) reason: Reason,
-    /// Whoever takes its place.
+    /// The id of the next holder, if there is one.
     pub(crate) by: Option<String>,
     /// Does the robot keep moving, because another grant follows in this block?
     pub(crate) goes_on: bool,

@@ -1,7 +1,7 @@
-//! The loop that does what follows from changes, until nothing is left.
+//! The loop that carries out the follow-ups of changes, until none is left.
 //!
-//! Every end passes through it: of a grant that was released, preempted, overridden, passed on, revoked or expired, and of a task
-//! with its grant or its place in the queue. What follows from a change comes before what was due after it.
+//! Every end passes through it. A grant ends when it is released, preempted, overridden, passed on, revoked or expired; a task ends with
+//! its grant or its position in the queue. Follow-ups of a change come before changes that were due after it.
 
 use super::capacity::{self, ENDINGS_MAX};
 use super::follow_up::FollowUp;

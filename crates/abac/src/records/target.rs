@@ -1,4 +1,4 @@
-//! What can be acquired: a service of a robot, or the places of its subscribers.
+//! The target of `acquire`: a service of a robot, or the places of its subscribers.
 //!
 //! A service that limits its subscribers has places for them under an id of their own, such as `Turtlebot4/camera:subscribe`.
 //! They are acquired, waited for and ended like the service itself.

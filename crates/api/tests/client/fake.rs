@@ -18,7 +18,7 @@ use ledger_identity::msp::Msps;
 use std::collections::BTreeMap;
 use std::io;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::net::TcpListener;
@@ -100,8 +100,6 @@ pub(crate) struct Node {
     pub(crate) cut_off: AtomicBool,
     /// The organisations whose CA it carries.
     pub(crate) carries: Mutex<Vec<String>>,
-    /// The number of the rules that it tells.
-    pub(crate) rules: AtomicU32,
     /// The way that it shows to who asks for the governance.
     pub(crate) steps: Mutex<Vec<v1::GovernanceStep>>,
     /// Makes proofs of a block, with the id of the newest transaction.
@@ -149,7 +147,6 @@ impl Fake {
             no_renewal: Mutex::default(),
             cut_off: AtomicBool::new(false),
             carries: Mutex::new(vec!["Org1".into()]),
-            rules: AtomicU32::new(Rules::NEWEST.number()),
             steps: Mutex::default(),
             prover: Mutex::new(Arc::new(|_, _| Bytes::new())),
         });
@@ -320,7 +317,7 @@ impl Node {
             clock: self.clock(),
             cut_off: self.cut_off.load(Ordering::SeqCst),
             carries: self.carries.lock().unwrap().clone(),
-            rules: self.rules.load(Ordering::SeqCst),
+            rules: Rules::NEWEST.number(),
         }
     }
 }

@@ -58,8 +58,8 @@ macro_rules! codes {
             /// How a client should react.
             pub const fn class(self) -> Class { match self { $(Self::$variant => Class::$class,)* } }
 
-            /// What to do next wherever this code is given; empty if that depends on the case. It stands in the
-            /// paragraph of the code, too, and is safe to follow: nothing is lost by it, and no node removed.
+            /// General advice for the next step, for every rejection with this code; empty if that depends on the case.
+            /// The paragraph of the code contains it. It is safe to follow: it loses no data and removes no node.
             pub const fn advice(self) -> &'static str { match self { $(Self::$variant => concat!($($advice)?),)* } }
 
             /// Does a refusal before ordering with this code promise that the transaction is never executed? The others

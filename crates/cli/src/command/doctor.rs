@@ -94,7 +94,7 @@ async fn network(context: &Context, findings: &mut Vec<Finding>) {
 
 fn unknown(checks: &[&'static str], why: &str, findings: &mut Vec<Finding>) {
     let repair = "repair the lines above that are wrong, then look again";
-    findings.extend(checks.iter().map(|check| Finding::unknown(check, why, repair)));
+    findings.extend(checks.iter().map(|check| Finding::unknown(*check, why, repair)));
 }
 
 impl Report {
@@ -113,7 +113,7 @@ impl Facts for Report {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table = Table::pairs();
         for finding in &self.findings {
-            table.row([finding.state.word().to_owned(), finding.check.to_owned(), finding.message.clone()]);
+            table.row([finding.state.word().to_owned(), finding.check.to_string(), finding.message.clone()]);
             if !finding.r#try.is_empty() {
                 table.row([String::new(), String::new(), format!("try: {}", finding.r#try)]);
             }

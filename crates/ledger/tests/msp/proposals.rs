@@ -1,6 +1,6 @@
 //! Proposals of any call that needs approval, and the quorums that they need.
 
-use crate::world::{Ca, DAY, Network, User, code, is_executed, json, waiting};
+use crate::world::{Ca, DAY, Network, User, code, failed, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::msp::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
 use ledger_base::rejection::{Code, Rejection};
@@ -19,13 +19,6 @@ fn agree(text: &str) -> String {
 
 fn quorum(chaincode: &str, function: &str, quorum: &str) -> String {
     value!({ "chaincode": chaincode, "function": function, "quorum": quorum }).to_string()
-}
-
-/// The code that an approved call failed with.
-fn failed(answer: Result<Bytes, Rejection>) -> Code {
-    let decision: Decision = json(answer);
-    assert!(!decision.executed);
-    Code::from_number(decision.proposal.unwrap().failed.unwrap().code).unwrap()
 }
 
 /// Another admin of an organisation, counted from 1.

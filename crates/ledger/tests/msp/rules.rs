@@ -1,4 +1,4 @@
-use crate::world::{Network, code, is_executed, json, waiting};
+use crate::world::{Network, code, failed, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::block::Payload;
 use ledger::msp::{MspChaincode, NodeRecord, RulesOverview, Speaks};
@@ -67,8 +67,10 @@ fn a_voter_that_takes_its_word_back_before_the_last_approval_keeps_the_rules_as_
     }
     let id = waiting(network.admin(1, "activate_rules", &[&activate(NEXT)]));
     network.node(3, "speak", &[&speaks(NEXT - 1)]).unwrap();
-    assert_eq!(code(&network.admin(2, "approve", &[&id])), Code::RulesNotSpoken);
+    assert_eq!(failed(network.admin(2, "approve", &[&id])), Code::RulesNotSpoken);
+    assert_eq!((overview(&network).active, overview(&network).pending), (1, None));
     network.node(3, "speak", &[&speaks(NEXT)]).unwrap();
+    let id = waiting(network.admin(1, "activate_rules", &[&activate(NEXT)]));
     assert!(is_executed(network.admin(2, "approve", &[&id])));
 }
 

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::msp::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
+use ledger::msp::{CarryCa, Decision, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Ledger, Quorum, Registry, Rules};
@@ -315,6 +315,13 @@ pub(crate) fn waiting(answer: Result<Bytes, Rejection>) -> String {
     let decision: Value = json(answer);
     assert_eq!(decision["executed"], false, "{decision}");
     decision["proposal"]["id"].as_str().unwrap().to_owned()
+}
+
+/// The code that an approved call failed with.
+pub(crate) fn failed(answer: Result<Bytes, Rejection>) -> Code {
+    let decision: Decision = json(answer);
+    assert!(!decision.executed);
+    Code::from_number(decision.proposal.unwrap().failed.unwrap().code).unwrap()
 }
 
 pub(crate) fn is_executed(answer: Result<Bytes, Rejection>) -> bool {

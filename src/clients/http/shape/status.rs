@@ -48,8 +48,7 @@ pub(in crate::clients::http) struct StatusFacts {
     voters_reachable: u32,
     disk: DiskFacts,
     certificates: Vec<CertificateFacts>,
-    #[serde(skip_serializing_if = "String::is_empty")]
-    clock_wrong: String,
+    attention: Vec<AttentionFacts>,
     #[serde(skip_serializing_if = "String::is_empty")]
     divergence: String,
     #[serde(skip_serializing_if = "String::is_empty")]
@@ -91,6 +90,15 @@ struct CertificateFacts {
     not_before_utc: Option<String>,
     not_after: u64,
     not_after_utc: Option<String>,
+}
+
+/// What needs attention at the node.
+#[derive(Serialize)]
+struct AttentionFacts {
+    check: String,
+    severity: String,
+    message: String,
+    next: String,
 }
 
 fn counts(counts: impl IntoIterator<Item = (u32, u64)>) -> BTreeMap<String, u64> {
@@ -145,7 +153,7 @@ impl From<v1::StatusResponse> for StatusFacts {
             voters: status.voters,
             voters_reachable: status.voters_connected,
             certificates: status.certificates.into_iter().map(CertificateFacts::from).collect(),
-            clock_wrong: status.clock_doubt,
+            attention: status.attention.into_iter().map(AttentionFacts::from).collect(),
             divergence: status.divergence,
             lies: status.lies,
             console: status.console,
@@ -180,6 +188,12 @@ impl From<v1::CertificateStatus> for CertificateFacts {
             not_after: certificate.not_after,
             not_after_utc: utc(certificate.not_after),
         }
+    }
+}
+
+impl From<v1::Attention> for AttentionFacts {
+    fn from(item: v1::Attention) -> Self {
+        Self { check: item.check, severity: item.severity, message: item.message, next: item.next }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use ledger_base::rejection::Rejection;
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// How something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -32,7 +33,7 @@ impl State {
 /// One finding. Only what is ok has no repair.
 #[derive(Debug, Serialize)]
 pub(super) struct Finding {
-    pub(super) check: &'static str,
+    pub(super) check: Cow<'static, str>,
     pub(super) state: State,
     pub(super) message: String,
     /// The repair.
@@ -41,27 +42,39 @@ pub(super) struct Finding {
 
 impl Finding {
     /// All is well.
-    pub(super) fn ok(check: &'static str, message: impl Into<String>) -> Self {
-        Self { check, state: State::Ok, message: message.into(), r#try: String::new() }
+    pub(super) fn ok(check: impl Into<Cow<'static, str>>, message: impl Into<String>) -> Self {
+        Self { check: check.into(), state: State::Ok, message: message.into(), r#try: String::new() }
     }
 
     /// It works, and may not always.
-    pub(super) fn advice(check: &'static str, message: impl Into<String>, repair: impl Into<String>) -> Self {
-        Self { check, state: State::Advice, message: message.into(), r#try: repair.into() }
+    pub(super) fn advice(
+        check: impl Into<Cow<'static, str>>,
+        message: impl Into<String>,
+        repair: impl Into<String>,
+    ) -> Self {
+        Self { check: check.into(), state: State::Advice, message: message.into(), r#try: repair.into() }
     }
 
     /// It keeps somebody from something.
-    pub(super) fn wrong(check: &'static str, message: impl Into<String>, repair: impl Into<String>) -> Self {
-        Self { check, state: State::Wrong, message: message.into(), r#try: repair.into() }
+    pub(super) fn wrong(
+        check: impl Into<Cow<'static, str>>,
+        message: impl Into<String>,
+        repair: impl Into<String>,
+    ) -> Self {
+        Self { check: check.into(), state: State::Wrong, message: message.into(), r#try: repair.into() }
     }
 
     /// It could not be looked at.
-    pub(super) fn unknown(check: &'static str, message: impl Into<String>, repair: impl Into<String>) -> Self {
-        Self { check, state: State::Unknown, message: message.into(), r#try: repair.into() }
+    pub(super) fn unknown(
+        check: impl Into<Cow<'static, str>>,
+        message: impl Into<String>,
+        repair: impl Into<String>,
+    ) -> Self {
+        Self { check: check.into(), state: State::Unknown, message: message.into(), r#try: repair.into() }
     }
 
     /// Wrong, as a refusal explains it.
-    pub(super) fn refused(check: &'static str, refused: &Rejection) -> Self {
+    pub(super) fn refused(check: impl Into<Cow<'static, str>>, refused: &Rejection) -> Self {
         let Rejection { code, message, found, wanted, .. } = refused;
         let mut text = format!("{message} [{code}]");
         for (word, value) in [("found", found), ("wanted", wanted)] {

@@ -4,8 +4,9 @@ use super::acting;
 use super::finding::Finding;
 use crate::context;
 use crate::global::Global;
-use crate::health::{Certificate, size};
+use crate::health::Certificate;
 use ledger_api::Context;
+use ledger_base::units::size;
 use std::path::Path;
 
 /// The disk of the contexts needs so many bytes for a renewed certificate: one MiB.
@@ -67,15 +68,16 @@ fn judged(home: &Path, free: u64, no_names: bool) -> Finding {
 pub(super) fn certificate(context: &Context, now: u64, findings: &mut Vec<Finding>) {
     let Ok(identity) = context::identity(context) else { return };
     let own = Certificate::own(&identity);
-    findings.push(match own.attention(now) {
-        None if now < identity.not_before => Finding::wrong(
+    let renew = || format!("ledgerctl identity renew{}", acting(context));
+    findings.push(match own.text(now) {
+        text if now < identity.not_before => Finding::wrong(
             "certificate",
-            format!("{} is not valid yet", own.text(now)),
+            format!("{text} is not valid yet"),
             "set the clock of this machine: timedatectl set-ntp true",
         ),
-        None => Finding::ok("certificate", own.text(now)),
-        Some(_) if now > identity.not_after => Finding::wrong("certificate", own.text(now), context.way_back()),
-        Some(_) => Finding::wrong("certificate", own.text(now), format!("ledgerctl identity renew{}", acting(context))),
+        text if now > identity.not_after => Finding::wrong("certificate", text, context.way_back()),
+        text if own.is_ending(now) => Finding::advice("certificate", text, renew()),
+        text => Finding::ok("certificate", text),
     });
 }
 

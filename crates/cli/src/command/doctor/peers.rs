@@ -2,7 +2,7 @@
 
 use super::finding::Finding;
 use crate::command::network::status::{self, Node, Overview};
-use crate::health::{Certificate, uncertified};
+use crate::health::{Attention, Certificate, Disk};
 use crate::session::{ABAC, Session};
 use crate::time;
 use std::io;
@@ -74,106 +74,50 @@ async fn standing(session: &Session) -> Finding {
     }
 }
 
+/// What needs attention, and a line for everything that was looked at and does not.
 fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
     findings.extend(clocks(&overview.nodes));
-    findings.push(voters(overview));
-    for node in &overview.nodes {
-        findings.extend(peer(node));
+    // The own certificate was looked at before.
+    let attention: Vec<_> = overview.attention.iter().filter(|item| !item.is_own()).collect();
+    let needs = |checks: &[&str], node: &str| {
+        attention.iter().any(|item| checks.contains(&&*item.check) && (node.is_empty() || item.is_of(node)))
+    };
+    findings.extend(attention.iter().map(|item| finding(item)));
+    if !needs(&["quorum", "leader"], "") {
+        findings.push(Finding::ok("quorum", format!("voters: {}", overview.quorum.text())));
     }
-    let disks = overview.nodes.iter().filter_map(|node| Some((node.full_name(), node.disk.as_ref()?)));
-    for (name, disk) in disks {
-        findings.push(match disk.attention(&name) {
-            None => Finding::ok("disk", format!("{name}: {}", disk.text())),
-            Some(text) => Finding::wrong(
-                "disk",
-                text,
-                "make room there, or keep fewer blocks: `retention` and `archive` in ledgerd.toml",
-            ),
-        });
+    for node in overview.nodes.iter().filter(|node| node.reachable) {
+        let name = node.full_name();
+        if !needs(&["log", "state"], &name) {
+            let height = node.height.unwrap_or_default();
+            findings.push(Finding::ok("peers", format!("{name} at {}: height {height}", node.address)));
+        }
+        if let Some(disk) = node.disk.as_ref().map(Disk::text).filter(|_| !needs(&["disk"], &name)) {
+            findings.push(Finding::ok("disk", format!("{name}: {disk}")));
+        }
+        findings.extend(version(node));
     }
     let of_nodes = overview.nodes.iter().filter_map(|node| node.certificate.as_ref());
     let cas = overview.certificates.iter().filter(|found| found.kind != "own");
-    findings.extend(of_nodes.chain(cas).map(|found| certificate(found, now)));
-}
-
-/// The quorum.
-fn voters(overview: &Overview) -> Finding {
-    let text = overview.quorum.text();
-    let answer = overview.nodes.iter().filter(|node| node.role == "voter");
-    let alone = uncertified(answer.map(|node| (&*node.organisation, node.reachable)));
-    match (overview.quorum.attention(), alone) {
-        (Some(_), _) if !overview.quorum.quorum => Finding::wrong(
-            "quorum",
-            format!("voters: {text}"),
-            "start the nodes that are silent: systemctl start ledgerd",
-        ),
-        (_, Some(alone)) => Finding::wrong("quorum", alone, "start a voter of the other organisation"),
-        (Some(_), None) => Finding::wrong(
-            "quorum",
-            format!("voters: {text}"),
-            "start the nodes that are silent before another one fails: systemctl start ledgerd",
-        ),
-        (None, None) => Finding::ok("quorum", format!("voters: {text}")),
-    }
-}
-
-/// The faults of a node; one that answers and agrees is ok.
-fn peer(node: &Node) -> Vec<Finding> {
-    let name = node.full_name();
-    let mut found = Vec::new();
-    match (node.reachable, node.catching_up_to) {
-        (false, _) => found.push(Finding::wrong(
-            "peers",
-            format!("{name} at {}: {}", node.address, node.reason),
-            "on its machine: systemctl status ledgerd, journalctl -u ledgerd; then its port, from here",
-        )),
-        (true, Some(height)) => found.push(Finding::advice(
-            "peers",
-            format!("{name} fetches what it lacks, up to block {height}"),
-            "wait: ledgerctl network status shows how far it is",
-        )),
-        (true, None) if node.divergence.is_empty() && node.lies.is_empty() => {
-            let height = node.height.unwrap_or_default();
-            found.push(Finding::ok("peers", format!("{name} at {}: height {height}", node.address)));
-        }
-        (true, None) => {}
-    }
-    if !node.divergence.is_empty() {
-        let repair = "on its machine: ledgerd verify DATA, then ledgerd rejoin --config ledgerd.toml";
-        found.push(Finding::wrong("peers", format!("{name}: {}", node.divergence), repair));
-    }
-    if !node.lies.is_empty() {
-        let repair = "decide who of its organisation answers for it, then: ledgerctl network remove NODE";
-        found.push(Finding::wrong("peers", format!("{name} has proofs: {}", node.lies), repair));
-    }
-    if !node.clock_wrong.is_empty() {
-        let repair = "on its machine: timedatectl set-ntp true; if its clock is right: docs/operations.md, \"Clocks\"";
-        found.push(Finding::wrong("clock", format!("{name}: {}", node.clock_wrong), repair));
-    }
-    let own = env!("CARGO_PKG_VERSION");
-    if let Some(version) = node.version.as_deref().filter(|version| *version != own) {
-        let message = format!("{name} is version {version}, ledgerctl {own}");
-        found.push(Finding::advice(
-            "version",
-            message,
-            "upgrade node by node: docs/operations.md, \"Upgrading a network\"",
-        ));
-    }
-    found
-}
-
-fn certificate(found: &Certificate, now: u64) -> Finding {
-    let repair = match found.kind.as_str() {
-        "node" => "a node renews by itself: see its log for the reason that it could not (journalctl -u ledgerd)",
-        "list" => "ledgerctl identity crl FILE, with a new list of that CA",
-        _ => {
-            "let the organisation make a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\""
-        }
+    let needs_none = |found: &&Certificate| {
+        !attention.iter().any(|item| item.check == "certificate" && item.message.contains(&found.name))
     };
-    match found.attention(now) {
-        None => Finding::ok("certificate", found.text(now)),
-        Some(text) => Finding::wrong("certificate", text, repair),
-    }
+    let well = of_nodes.chain(cas).filter(needs_none);
+    findings.extend(well.map(|found| Finding::ok("certificate", found.text(now))));
+}
+
+/// Something that needs attention, as a finding.
+fn finding(item: &Attention) -> Finding {
+    let (check, message, repair) = (item.check.clone(), item.text(), item.next.clone());
+    if item.is_critical() { Finding::wrong(check, message, repair) } else { Finding::advice(check, message, repair) }
+}
+
+/// A node of another version than this program.
+fn version(node: &Node) -> Option<Finding> {
+    let own = env!("CARGO_PKG_VERSION");
+    let version = node.version.as_deref().filter(|version| *version != own)?;
+    let message = format!("{} is version {version}, ledgerctl {own}", node.full_name());
+    Some(Finding::advice("version", message, "upgrade node by node: docs/operations.md, \"Upgrading a network\""))
 }
 
 /// The clock of this machine against those of the nodes, and of each node against the others.
@@ -216,7 +160,7 @@ fn off(whose: &str, offset: i64, doubt: u64, repair: &str) -> Finding {
 mod tests {
     use super::super::finding::State;
     use super::*;
-    use ledger_api::v1::{CertificateStatus, StatusResponse};
+    use ledger_api::v1;
 
     fn node(name: &str, offset: i64) -> Node {
         let mut node = Node::silent(name);
@@ -247,21 +191,23 @@ mod tests {
     }
 
     #[test]
-    fn a_node_whose_clock_is_behind_block_time_is_named() {
-        let mut late = node("a", 0);
-        late.clock_wrong = "block time is 9 s ahead of its clock".into();
-        let found: Vec<_> = peer(&late).into_iter().filter(|found| found.check == "clock").collect();
-        let told: Vec<_> = found.iter().map(|found| (found.state, found.message.as_str())).collect();
-        assert_eq!(told, [(State::Wrong, "Org1/a: block time is 9 s ahead of its clock")]);
-        assert!(peer(&node("a", 0)).iter().all(|found| found.check != "clock"));
-    }
-
-    #[test]
-    fn a_list_that_has_ended_is_repaired_by_the_command_that_records_the_next_one() {
-        let ended = CertificateStatus { kind: "list".into(), name: "ca of Org1".into(), not_before: 0, not_after: 5 };
-        let status = StatusResponse { certificates: vec![ended], ..StatusResponse::default() };
-        let told: Vec<_> = Certificate::of(&status).iter().map(|found| certificate(found, 6).r#try).collect();
-        assert_eq!(told, ["ledgerctl identity crl FILE, with a new list of that CA"]);
+    fn what_keeps_somebody_from_something_is_wrong_and_the_rest_is_advice() {
+        let item = |severity: &str| v1::Attention {
+            check: "disk".into(),
+            severity: severity.into(),
+            message: "1 GiB free".into(),
+            next: "make room".into(),
+        };
+        let attention = ["critical", "warning"].map(item).to_vec();
+        let status =
+            v1::StatusResponse { organisation: "Org1".into(), node_name: "a".into(), attention, ..Default::default() };
+        let found: Vec<_> = Attention::of(&status).iter().map(finding).collect();
+        let states: Vec<_> = found.iter().map(|found| found.state).collect();
+        assert_eq!(states, [State::Wrong, State::Advice]);
+        let same = |found: &Finding| {
+            (&*found.check, &*found.message, &*found.r#try) == ("disk", "Org1/a: 1 GiB free", "make room")
+        };
+        assert!(found.iter().all(same), "{found:?}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The ROS graph of this machine: domain, range, interfaces, multicast, receive buffers.
 
 use super::finding::Finding;
-use crate::health::size;
+use ledger_base::units::size;
 use netdev::Interface;
 use ros_bridge::Config;
 use ros_bridge::config::PROGRAM_SECTIONS;

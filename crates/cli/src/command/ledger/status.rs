@@ -3,7 +3,7 @@
 use super::code_text;
 use crate::failure::Failure;
 use crate::global::Global;
-use crate::health::{Certificate, Check, Disk, Voters, attention, clock_wrong, lag, uncertified};
+use crate::health::{Attention, Certificate, Check, Disk, Voters, print_attention};
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
@@ -26,8 +26,10 @@ impl Status {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
         let mut node = Node::from(session.client.status().await?);
-        node.certificates.push(Certificate::own(&session.identity()?));
-        node.look(time::now());
+        let (own, now) = (Certificate::own(&session.identity()?), time::now());
+        node.attention.extend(Attention::own_certificate(&own, now));
+        node.certificates.push(own);
+        node.now = now;
         output.show(&node)?;
         self.check.judge(node.quorum.quorum, &node.attention)
     }
@@ -73,16 +75,13 @@ struct Node {
     quorum: Voters,
     disk: Option<Disk>,
     certificates: Vec<Certificate>,
-    /// Why its clock is wrong.
-    #[serde(skip_serializing_if = "String::is_empty")]
-    clock_wrong: String,
     #[serde(skip_serializing_if = "String::is_empty")]
     divergence: String,
     /// Nodes that were caught at a lie.
     #[serde(skip_serializing_if = "String::is_empty")]
     lies: String,
-    /// Points that need attention.
-    attention: Vec<String>,
+    /// What needs attention.
+    attention: Vec<Attention>,
     /// When it was asked.
     #[serde(skip)]
     now: u64,
@@ -110,10 +109,9 @@ impl From<v1::StatusResponse> for Node {
             quorum: Voters::new(status.voters.into(), status.voters_connected.into(), led),
             disk: Disk::of(&status),
             certificates: Certificate::of(&status),
-            clock_wrong: clock_wrong(&status),
+            attention: Attention::of(&status),
             divergence: status.divergence,
             lies: status.lies,
-            attention: Vec::new(),
             now: 0,
             version: status.version,
             network: hex::encode(status.network),
@@ -147,29 +145,6 @@ impl From<v1::StatusResponse> for Node {
             waiting_control: status.waiting_control,
             waiting_data: status.waiting_data,
         }
-    }
-}
-
-impl Node {
-    /// Collects what needs attention.
-    fn look(&mut self, now: u64) {
-        let name = format!("{}/{}", self.organisation, self.node_name);
-        let differs = (!self.divergence.is_empty()).then(|| format!("{name}: {}", self.divergence));
-        let lies = (!self.lies.is_empty()).then(|| self.lies.clone());
-        let lag = lag(&name, self.height, self.catching_up_to.unwrap_or_default());
-        let clock = (!self.clock_wrong.is_empty()).then(|| format!("{name}: {}", self.clock_wrong));
-        let disk = self.disk.as_ref().and_then(|disk| disk.attention(&name));
-        let ending = self.certificates.iter().filter_map(|certificate| certificate.attention(now));
-        let voters = self.quorum.attention().into_iter().chain(uncertified(self.voters()));
-        self.attention = voters.chain(lag).chain(clock).chain(disk).chain(differs).chain(lies).chain(ending).collect();
-        self.now = now;
-    }
-
-    /// The organisation of each voter, and whether it answers. The asked node is one if its peers are not all of them.
-    fn voters(&self) -> impl Iterator<Item = (&str, bool)> {
-        let others = self.peers.iter().filter(|peer| peer.voter);
-        let own = others.clone().count() as u64 != self.quorum.voters;
-        others.map(|peer| (&*peer.organisation, peer.connected)).chain(own.then_some((&*self.organisation, true)))
     }
 }
 
@@ -223,7 +198,7 @@ impl Facts for Node {
         table.pair("running for", time::span(self.uptime_ms.saturating_mul(1000)));
         table.write(out, 0)?;
         self.peers(out)?;
-        attention(&self.attention, out)
+        print_attention(&self.attention, out)
     }
 }
 
@@ -257,71 +232,31 @@ fn yes_no(value: bool) -> String {
 mod tests {
     use super::*;
 
-    /// Org1/node1 of three voters, with the connections to the two others.
-    fn status(org2_answers: bool, org1_answers: bool) -> v1::StatusResponse {
-        let peer = |name: &str, organisation: &str, connected| v1::PeerStatus {
-            name: name.to_owned(),
-            organisation: organisation.to_owned(),
-            voter: true,
-            connected,
-            ..Default::default()
+    #[test]
+    fn what_the_node_reports_is_shown_in_text_and_json() {
+        let item = v1::Attention {
+            check: "state".into(),
+            severity: "critical".into(),
+            message: "height 5 of 9".into(),
+            next: "wait".into(),
         };
-        v1::StatusResponse {
+        let node = Node::from(v1::StatusResponse {
             node_name: "node1".to_owned(),
             organisation: "Org1".to_owned(),
-            role: "leader".to_owned(),
-            leader_id: 1,
-            height: 5,
-            peers: vec![peer("node2", "Org2", org2_answers), peer("node3", "Org1", org1_answers)],
-            voters: 3,
-            voters_connected: 1 + u32::from(org2_answers) + u32::from(org1_answers),
+            catching_up_to: 9,
+            attention: vec![item],
             ..Default::default()
-        }
-    }
-
-    fn looked(status: v1::StatusResponse) -> Node {
-        let mut node = Node::from(status);
-        node.look(0);
-        node
-    }
-
-    #[test]
-    fn the_asked_node_counts_as_a_voter_of_its_organisation_whatever_it_does_in_the_ordering() {
-        for role in ["leader", "follower", "candidate"] {
-            let told = |org2, org1| {
-                looked(v1::StatusResponse { role: role.to_owned(), ..status(org2, org1) }).attention.join("; ")
-            };
-            assert_eq!(told(true, true), "");
-            let one_less = told(true, false);
-            assert!(one_less.contains("2 of 3 answer") && !one_less.contains("only those of"), "{one_less}");
-            let alone = told(false, true);
-            assert!(alone.contains("only those of Org1 answer; without one of Org2"), "{alone}");
-        }
-    }
-
-    #[test]
-    fn an_asked_node_that_only_follows_is_no_voter_that_answers() {
-        let learner =
-            v1::StatusResponse { role: "learner".to_owned(), voters: 2, voters_connected: 1, ..status(true, false) };
-        let told = looked(learner).attention.join("; ");
-        assert!(told.contains("only those of Org2 answer; without one of Org1"), "{told}");
-    }
-
-    #[test]
-    fn a_node_that_lags_says_so_in_text_and_json_and_needs_attention() {
-        let node = looked(v1::StatusResponse { catching_up_to: 9, ..status(true, true) });
-        assert_eq!(node.attention, ["Org1/node1 lags: it has block 5 and fetches up to 9"]);
+        });
         let mut text = Vec::new();
         node.text(&mut text).unwrap();
-        assert!(String::from_utf8_lossy(&text).contains("5 of 0 committed, fetches up to 9"));
-        let told = serde_json::to_value(&node).unwrap();
-        assert_eq!(told.get("catching_up_to").and_then(serde_json::Value::as_u64), Some(9));
-        assert!(looked(status(true, true)).attention.is_empty());
-    }
-
-    #[test]
-    fn a_node_whose_clock_is_behind_block_time_needs_attention() {
-        let late = v1::StatusResponse { wall_clock: 1, block_time: 240_000_001, ..status(true, true) };
-        assert_eq!(looked(late).attention, ["Org1/node1: block time is 4 min ahead of its clock"]);
+        let text = String::from_utf8_lossy(&text);
+        assert!(text.contains("0 of 0 committed, fetches up to 9"), "{text}");
+        assert!(text.ends_with("\nattention: Org1/node1: height 5 of 9\n  try      wait\n"), "{text}");
+        let json = serde_json::to_value(&node).unwrap();
+        let wanted = serde_json::json!([{
+            "nodes": ["Org1/node1"], "check": "state", "severity": "critical", "message": "height 5 of 9", "next": "wait"
+        }]);
+        assert_eq!(json["attention"], wanted);
+        assert_eq!(json["catching_up_to"], 9);
     }
 }

@@ -3,7 +3,7 @@
 use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
-use crate::health::{Certificate, Check, Disk, Voters, attention, clock_wrong, lag, uncertified};
+use crate::health::{Attention, CRITICAL, Certificate, Check, Disk, Voters, print_attention};
 use crate::nodes::current;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
@@ -52,8 +52,8 @@ pub(crate) struct Overview {
     pub(crate) nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
     pub(crate) certificates: Vec<Certificate>,
-    /// Points that need attention.
-    pub(crate) attention: Vec<String>,
+    /// What needs attention.
+    pub(crate) attention: Vec<Attention>,
     /// When it was asked.
     #[serde(skip)]
     now: u64,
@@ -95,9 +95,9 @@ pub(crate) struct Node {
     attested: Option<u64>,
     pub(crate) disk: Option<Disk>,
     pub(crate) certificate: Option<Certificate>,
-    /// Why its clock is wrong, by its own words.
-    #[serde(skip_serializing_if = "String::is_empty")]
-    pub(crate) clock_wrong: String,
+    /// What needs attention by its own report.
+    #[serde(skip)]
+    attention: Vec<Attention>,
     /// The clock of its machine as seen from this one's, microseconds, and how far off that may be.
     pub(crate) clock_offset_us: Option<i64>,
     pub(crate) clock_error_us: Option<u64>,
@@ -118,8 +118,9 @@ pub(crate) async fn asked(session: &Session) -> Result<Overview, Rejection> {
     let credentials = current(session).await?.credentials()?;
     let answers = everybody(&known, &credentials).await;
     let mut overview = overview(session.context(), &known, &attestations, answers);
-    overview.certificates.push(Certificate::own(&session.identity()?));
-    overview.look(time::now());
+    let own = Certificate::own(&session.identity()?);
+    overview.look(&own, time::now());
+    overview.certificates.push(own);
     Ok(overview)
 }
 
@@ -196,7 +197,7 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
         let clock = said.as_ref().map(Answer::clock);
         let said = said.as_ref().map(|answer| &answer.status);
         Node {
-            clock_wrong: said.map_or_else(String::new, clock_wrong),
+            attention: said.map(Attention::of).unwrap_or_default(),
             clock_offset_us: clock.map(|(offset, _)| offset),
             clock_error_us: clock.map(|(_, doubt)| doubt),
             id: node.id,
@@ -271,7 +272,7 @@ impl Node {
             attested: None,
             disk: None,
             certificate: None,
-            clock_wrong: String::new(),
+            attention: Vec::new(),
             clock_offset_us: None,
             clock_error_us: None,
         }
@@ -297,29 +298,23 @@ impl Node {
 }
 
 impl Overview {
-    /// Collects what needs attention.
-    fn look(&mut self, now: u64) {
-        let voters = self.nodes.iter().filter(|node| node.role == "voter");
-        let voters = voters.map(|node| (&*node.organisation, node.reachable));
-        let mut attention: Vec<String> = self.quorum.attention().into_iter().chain(uncertified(voters)).collect();
+    /// Collects what needs attention: what each node reports of itself, and what is seen from here.
+    fn look(&mut self, own: &Certificate, now: u64) {
+        let mut attention = Vec::new();
         for node in &self.nodes {
-            let name = node.full_name();
-            match (node.reachable, node.divergence.is_empty()) {
-                (false, _) => attention.push(format!("{name}: {}", node.reason)),
-                (true, false) => attention.push(format!("{name}: {}", node.divergence)),
-                (true, true) => {}
+            if !node.reachable {
+                let message = format!("{} at {} does not answer: {}", node.full_name(), node.address, node.reason);
+                let next = "on its machine: systemctl status ledgerd, journalctl -u ledgerd; then its port, from here";
+                attention.push(Attention::here("peers", CRITICAL, message, next));
             }
-            attention.extend(lag(&name, node.height.unwrap_or_default(), node.catching_up_to.unwrap_or_default()));
-            if !node.clock_wrong.is_empty() {
-                attention.push(format!("{name}: {}", node.clock_wrong));
-            }
-            if !node.lies.is_empty() {
-                attention.push(format!("{name} has proofs: {}", node.lies));
-            }
-            attention.extend(node.disk.as_ref().and_then(|disk| disk.attention(&name)));
-            attention.extend(node.certificate.as_ref().and_then(|certificate| certificate.attention(now)));
+            Attention::add(&mut attention, node.attention.iter().cloned());
         }
-        attention.extend(self.certificates.iter().filter_map(|certificate| certificate.attention(now)));
+        let is_told = |item: &Attention| item.is_critical() && ["quorum", "leader"].contains(&&*item.check);
+        if !self.quorum.quorum && !attention.iter().any(is_told) {
+            let next = "start the nodes that are silent: systemctl start ledgerd";
+            attention.push(Attention::here("quorum", CRITICAL, format!("voters: {}", self.quorum.text()), next));
+        }
+        attention.extend(Attention::own_certificate(own, now));
         self.attention = attention;
         self.now = now;
     }
@@ -374,7 +369,7 @@ impl Facts for Overview {
             ]);
         }
         table.write(out, 0)?;
-        attention(&self.attention, out)
+        print_attention(&self.attention, out)
     }
 }
 
@@ -401,19 +396,31 @@ mod tests {
         Node { reachable: true, height: Some(5), ..Node::silent(name) }
     }
 
-    fn looked(node: Node) -> Vec<String> {
-        let mut overview = overview_of(vec![node]);
-        overview.look(0);
-        overview.attention
+    fn looked(node: Node, quorum: Voters) -> Vec<String> {
+        let own = Certificate::of(&v1::StatusResponse {
+            certificates: vec![v1::CertificateStatus { not_after: u64::MAX, ..Default::default() }],
+            ..Default::default()
+        });
+        let mut overview = Overview { quorum, ..overview_of(vec![node]) };
+        own.iter().for_each(|own| overview.look(own, 1));
+        overview.attention.iter().map(Attention::text).collect()
     }
 
     #[test]
-    fn a_node_that_lags_or_whose_clock_is_wrong_needs_attention_and_one_that_follows_does_not() {
-        assert!(looked(answering("a")).is_empty());
-        let lags = Node { catching_up_to: Some(9), ..answering("a") };
-        assert_eq!(looked(lags), ["Org1/a lags: it has block 5 and fetches up to 9"]);
-        let wrong = Node { clock_wrong: "block time is 9 s ahead of its clock".to_owned(), ..answering("a") };
-        assert_eq!(looked(wrong), ["Org1/a: block time is 9 s ahead of its clock"]);
+    fn what_a_node_reports_needs_attention_and_so_does_one_that_does_not_answer() {
+        let one = Voters::new(1, 1, true);
+        assert!(looked(answering("a"), one).is_empty());
+        let reports = |check: &str| {
+            let item = Attention::here(check, CRITICAL, "it is wrong".to_owned(), "repair it");
+            Node { attention: vec![item], ..answering("a") }
+        };
+        assert_eq!(looked(reports("state"), one), ["it is wrong"]);
+        let silent = Node { reason: "connection refused".to_owned(), address: "h:1".to_owned(), ..Node::silent("a") };
+        assert_eq!(looked(silent, one), ["Org1/a at h:1 does not answer: connection refused"]);
+        // A lost quorum is there once: by the nodes, or else as it is seen from here.
+        let lost = Voters::new(3, 1, true);
+        assert_eq!(looked(answering("a"), lost), ["voters: 1 of 3 answers; 2 are needed to order"]);
+        assert_eq!(looked(reports("quorum"), lost), ["it is wrong"]);
     }
 
     #[test]

@@ -150,7 +150,7 @@ impl View {
                 clock.unwrap_or_default(),
             ]
         }));
-        let attention = overview.attention.iter().map(|text| cut(&format!("attention: {text}"), columns));
+        let attention = overview.attention.iter().map(|item| cut(&format!("attention: {}", item.text()), columns));
         std::iter::once(String::new()).chain(laid_out(&table, columns)).chain(attention).collect()
     }
 }

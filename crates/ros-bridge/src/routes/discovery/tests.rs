@@ -104,10 +104,15 @@ fn nothing_is_submitted_without_the_grant_that_a_service_asks_for() {
         format!("{:?}", found[0].route.plan)
     };
     assert!(plan(&rover).contains("held_only: true"));
-    rover.services[0].mode = serde_json::from_value(json!("open")).unwrap();
-    assert!(plan(&rover).contains("held_only: false"), "the route of an open service is another one");
-    rover.services[0].mode = serde_json::from_value(json!("by_magic")).unwrap();
-    assert!(plan(&rover).contains("held_only: true"), "a rule that this version does not know");
+    let mut set = |mode: &str, capabilities| {
+        rover.services[0].mode = serde_json::from_value(json!(mode)).unwrap();
+        rover.services[0].capabilities = serde_json::from_value(capabilities).unwrap();
+        plan(&rover)
+    };
+    let open = set("open", json!({ "fencing": "per_holder", "publishing": "policy", "sequence": "per_epoch" }));
+    assert!(open.contains("held_only: false"), "the route of an open service is another one");
+    let unknown = set("by_magic", json!({ "places": "2" }));
+    assert!(unknown.contains("held_only: true"), "a rule that this version does not know");
 }
 
 #[test]
