@@ -98,10 +98,7 @@ impl GatewayService {
     fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Status> {
         let identity =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
-                status(
-                    &Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
-                        .next("enrol first: ledgerctl enroll"),
-                )
+                status(&Rejection::new(Code::CertificateRequired, "this call needs a client certificate"))
             })?;
         check(&identity, &self.description.ordering)?;
         Ok(identity)

@@ -90,8 +90,7 @@ impl OrdererSlot {
         match &*self.phase.read().unwrap_or_else(PoisonError::into_inner) {
             Phase::Running(handle) => Ok(handle.clone()),
             Phase::CatchingUp(to) => Err(Rejection::new(Code::Behind, "this node fetches blocks that it missed")
-                .wanted(if *to == 0 { String::new() } else { format!("height {to}") })
-                .next("ask again later, or ask another node")),
+                .wanted(if *to == 0 { String::new() } else { format!("height {to}") })),
             Phase::Stopping => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
         }
     }
@@ -126,5 +125,4 @@ impl OrdererSlot {
 
 fn overloaded() -> Rejection {
     Rejection::new(Code::Overloaded, "the node cannot take more transactions now")
-        .next("submit the same transaction again in a moment")
 }

@@ -116,8 +116,7 @@ impl ReadIndex {
             Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
             Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
                 .found(format!("height {}", self.blocks.height()))
-                .wanted(format!("height {height}"))
-                .next("ask again, or ask another node")),
+                .wanted(format!("height {height}"))),
         }
     }
 }
@@ -163,7 +162,7 @@ impl Questions {
         if self.slot.handle()?.input(Input::ReadIndex { context }) {
             return Ok(());
         }
-        Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now").next("ask again later"))
+        Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now"))
     }
 
     /// Wakes [`Reads`] when something is due, for as long as somebody waits.

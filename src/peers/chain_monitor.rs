@@ -195,7 +195,7 @@ impl Asking {
             None => String::new(),
         };
         let wanted = if began.is_empty() { reason.wanted.clone() } else { format!("{}; {began}", reason.wanted) };
-        self.ordering.failure.fail(Rejection { wanted, ..reason });
+        self.ordering.failure.fail(reason.wanted(wanted));
     }
 }
 

@@ -53,8 +53,8 @@ impl FailureHandle {
 
 /// The refusal with the commands that it names as they must be typed here.
 pub(crate) fn advised(reason: Rejection, config: &Config) -> Rejection {
-    let next = reason.next.replace(FILE_WORD, &format!("--config {}", config.file.display()));
-    Rejection { next, ..reason }
+    let next = reason.advice().replace(FILE_WORD, &format!("--config {}", config.file.display()));
+    reason.next(next)
 }
 
 /// The refusal of the operating system to give a thread.

@@ -78,8 +78,8 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
         let damaged = matches!(error, StoreError::Corrupt { .. });
         let refused = Rejection::from(error);
         // Which begins with the name of the file.
-        let message = format!("{}/{}", config.data.join(BLOCKS_DIRECTORY).display(), refused.message);
-        if damaged { Rejection { message, ..refused } } else { refused }
+        let directory = config.data.join(BLOCKS_DIRECTORY);
+        if damaged { refused.prefix(format_args!("{}/", directory.display())) } else { refused }
     })?;
     if let Some(torn) = &recovery.torn {
         tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a torn write that was never acknowledged");

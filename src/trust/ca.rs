@@ -154,8 +154,7 @@ impl CertificateAuthority {
                 format!("{name} is already registered at {}", self.organisation()),
             )
             .found(format!("role {}, certificates: {}", known.role, known.certificates.len()))
-            .wanted("a new name")
-            .next("choose another name"));
+            .wanted("a new name"));
         }
         if self.registry.identities.len() >= IDENTITIES_MAX {
             return Err(Rejection::new(Code::LimitExceeded, "no more names can be registered at this CA")
@@ -324,7 +323,6 @@ impl CertificateAuthority {
         Rejection::new(Code::EnrolmentRefused, "enrolment is refused")
             .found("a name and secret that do not belong together, or a secret that was used, has expired or is void")
             .wanted("a registered name (or ORGANISATION/NAME) and its unused one-time secret")
-            .next("ask an admin of the organisation for a new secret")
     }
 
     /// Registers and enrols at once, with a key made here: for a node's own identity and a founder's first admins. A
@@ -393,8 +391,7 @@ impl CertificateAuthority {
             return Ok(());
         }
         Err(Rejection::new(Code::DiskFailed, format!("the CA of {} has stopped", self.organisation()))
-            .found("an earlier change that the disk did not confirm")
-            .next("look at the disk, then restart the node"))
+            .found("an earlier change that the disk did not confirm"))
     }
 }
 

@@ -258,7 +258,6 @@ impl Shared {
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
                 Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
                     .found("a connection without one, which can only enrol")
-                    .next("connect with a certificate, for example with --context")
             })?;
         caller.check_validity((self.clock)())?;
         self.ledger.check_revoked(&caller)?;
@@ -271,8 +270,7 @@ impl Shared {
         if caller.role != Role::Admin {
             return Err(Rejection::new(Code::NotAdmin, format!("{} may not manage identities", caller.id()))
                 .found(format!("role {}", caller.role))
-                .wanted(format!("an admin of {}", caller.organisation))
-                .next(format!("ask an admin of {}", caller.organisation)));
+                .wanted(format!("an admin of {}", caller.organisation)));
         }
         Ok(caller)
     }

@@ -114,7 +114,7 @@ async fn long_lists_come_in_pages_and_no_answer_is_large() {
         owner.invoke("abac", "setup", vec![robot(number).into()]).await.unwrap();
     }
     let refused = owner.query("abac", "robots", Vec::new()).await.unwrap_err();
-    assert!(refused.code == Code::OverBudget && refused.next.contains("pages"), "{refused}");
+    assert!(refused.code == Code::OverBudget && refused.advice().contains("pages"), "{refused}");
     let robots: Vec<RobotAsset> = owner.list("abac", "robots").await.unwrap();
     assert_eq!(robots.len(), 102, "those of the beginning, too");
     let policies: Vec<PolicyEntry> = owner.list("abac", "policies").await.unwrap();

@@ -46,7 +46,9 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     let _second = newcomer.run("second", &fleet);
     becomes(&boss, "second", "learner").await;
 
-    salma.run(&["network", "promote", "second"]).refused(2, &["LGR-3010", "ask an admin of Org1"]);
+    salma
+        .run(&["network", "promote", "second"])
+        .refused(2, &["LGR-3010", "wanted  an admin of Org1", "--context NAME"]);
     let waits = boss.json(&["network", "promote", "second"]);
     assert_eq!((&waits["executed"], &waits["pending"][0]), (&false.into(), &"Org2".into()), "{waits}");
     let listed = salma.run(&["network", "proposals"]).ok().stdout;

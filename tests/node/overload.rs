@@ -84,7 +84,7 @@ async fn flood(client: &Client, commands: &[Transaction]) -> (BTreeMap<Code, u64
             Ok(committed) => accepted.push((committed.height, committed.index, seq)),
             Err(refused) => {
                 assert!(
-                    !refused.found.is_empty() && !refused.wanted.is_empty() && !refused.next.is_empty(),
+                    !refused.found.is_empty() && !refused.wanted.is_empty() && !refused.advice().is_empty(),
                     "{refused}"
                 );
                 *codes.entry(refused.code).or_default() += 1;

@@ -219,9 +219,7 @@ fn alerted(address: &str, certificate: &[u8], alert: AlertDescription) -> Reject
             "check that the context is of this node's network",
         ),
         AlertDescription::CertificateRevoked => (Code::Revoked, "was revoked", "ask an admin of your organisation"),
-        AlertDescription::CertificateRequired => {
-            (Code::CertificateRequired, "is missing", "enrol first: ledgerctl enroll")
-        }
+        AlertDescription::CertificateRequired => (Code::CertificateRequired, "is missing", ""),
         AlertDescription::BadCertificate
         | AlertDescription::CertificateUnknown
         | AlertDescription::UnsupportedCertificate

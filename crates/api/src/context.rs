@@ -223,7 +223,7 @@ impl Context {
     pub fn way_back(&self) -> String {
         match self.certificate() {
             Ok(own) => connect::way_back(&own, Some(&self.organisation)),
-            Err(refused) => refused.next,
+            Err(refused) => refused.advice().to_owned(),
         }
     }
 

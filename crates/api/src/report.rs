@@ -28,7 +28,9 @@ const CODE_COLUMN: usize = 88;
 pub fn report(rejection: &Rejection) -> String {
     let first = format!("error: {}", rejection.message);
     let mut text = format!("{first:<CODE_COLUMN$}  [{}]", rejection.code);
-    for (label, line) in [("found", &rejection.found), ("wanted", &rejection.wanted), ("try", &rejection.next)] {
+    for (label, line) in
+        [("found", rejection.found.as_str()), ("wanted", &rejection.wanted), ("try", rejection.advice())]
+    {
         if !line.is_empty() {
             text.push_str(&format!("\n  {label:<6}  {line}"));
         }
@@ -43,7 +45,7 @@ impl From<&Rejection> for v1::Verdict {
             message: rejection.message.clone(),
             found: rejection.found.clone(),
             wanted: rejection.wanted.clone(),
-            next: rejection.next.clone(),
+            next: rejection.advice().to_owned(),
         }
     }
 }
@@ -89,11 +91,13 @@ pub fn to_status(rejection: &Rejection) -> Status {
     let rejection = Rejection::new(rejection.code, cut(&rejection.message))
         .found(cut(&rejection.found))
         .wanted(cut(&rejection.wanted))
-        .next(cut(&rejection.next));
+        .next(cut(rejection.advice()));
     let mut metadata = HashMap::from([("code".to_owned(), rejection.code.to_string())]);
-    for (name, text) in [("found", &rejection.found), ("wanted", &rejection.wanted), ("try", &rejection.next)] {
+    for (name, text) in
+        [("found", rejection.found.as_str()), ("wanted", &rejection.wanted), ("try", rejection.advice())]
+    {
         if !text.is_empty() {
-            metadata.insert(name.to_owned(), text.clone());
+            metadata.insert(name.to_owned(), text.to_owned());
         }
     }
     let details = ErrorDetails::with_error_info(rejection.code.name(), ERROR_DOMAIN, metadata);
@@ -119,15 +123,15 @@ pub fn from_status(address: &str, status: &Status) -> Rejection {
     }
     let said = format!("{:?}: {}", status.code(), status.message());
     let (code, next) = match status.code() {
-        _ if status.source().is_some() => (Code::Unreachable, "try again, or another node"),
+        _ if status.source().is_some() => (Code::Unreachable, ""),
         tonic::Code::Unavailable | tonic::Code::Unknown | tonic::Code::Cancelled | tonic::Code::Aborted => {
-            (Code::Unreachable, "try again, or another node")
+            (Code::Unreachable, "")
         }
         tonic::Code::DeadlineExceeded => (Code::Timeout, "try again, or another node"),
-        tonic::Code::Unauthenticated => (Code::CertificateRequired, "enrol first: ledgerctl enroll"),
+        tonic::Code::Unauthenticated => (Code::CertificateRequired, ""),
         tonic::Code::PermissionDenied => (Code::Untrusted, "ask an admin of your organisation"),
         tonic::Code::NotFound => (Code::NotFound, "check what was asked for"),
-        tonic::Code::ResourceExhausted => (Code::Overloaded, "send less, or wait"),
+        tonic::Code::ResourceExhausted => (Code::Overloaded, ""),
         tonic::Code::OutOfRange => (Code::TooLarge, "send it in several parts"),
         tonic::Code::InvalidArgument => (Code::Malformed, "check what was sent"),
         tonic::Code::Unimplemented => (Code::Internal, "upgrade the node: it does not know this call"),
@@ -161,7 +165,7 @@ fn parse(text: &str) -> Option<Rejection> {
         match line.trim_start().split_once(' ') {
             Some(("found", rest)) => rejection.found = rest.trim_start().to_owned(),
             Some(("wanted", rest)) => rejection.wanted = rest.trim_start().to_owned(),
-            Some(("try", rest)) => rejection.next = rest.trim_start().to_owned(),
+            Some(("try", rest)) => rejection = rejection.next(rest.trim_start()),
             _ => {}
         }
     }
@@ -178,6 +182,23 @@ mod tests {
             .found("issuer \"CN=acme-ca\"")
             .wanted("one of the roots")
             .next("ledgerctl network add-org acme")
+    }
+
+    #[test]
+    fn the_general_advice_of_a_code_is_shown_to_people_and_to_programs() {
+        let behind = Rejection::new(Code::Behind, "it is behind");
+        let advice = Code::Behind.advice();
+        assert!(
+            !advice.is_empty() && report(&behind).ends_with(&format!("\n  try     {advice}")),
+            "{}",
+            report(&behind)
+        );
+        assert_eq!(v1::Verdict::from(&behind).next, advice);
+        let status = to_status(&behind);
+        assert_eq!(status.get_details_error_info().unwrap().metadata["try"], advice);
+        assert_eq!(from_status("node", &status).advice(), advice);
+        let older = v1::Verdict { next: String::new(), ..v1::Verdict::from(&behind) };
+        assert_eq!(accepted(Some(&older)).unwrap_err().advice(), advice, "of a node that sends none");
     }
 
     #[test]
@@ -221,7 +242,7 @@ mod tests {
         let bytes = status.message().len() * 3 + status.details().len() * 4 / 3;
         assert!(bytes < 10 * 1024, "{bytes} bytes");
         let read = from_status("node:1", &status);
-        assert!(read.code == Code::Held && read.found.ends_with('…') && read.next.starts_with("ÄÄ"), "{read}");
+        assert!(read.code == Code::Held && read.found.ends_with('…') && read.advice().starts_with("ÄÄ"), "{read}");
     }
 
     #[test]

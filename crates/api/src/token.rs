@@ -131,7 +131,7 @@ mod tests {
         for wrong in wrong {
             let refused = wrong.parse::<JoinToken>().unwrap_err();
             assert_eq!(refused.code, Code::BadArgument);
-            assert!(refused.next.contains("ask an admin"), "{refused}");
+            assert!(refused.advice().contains("ask an admin"), "{refused}");
         }
     }
 

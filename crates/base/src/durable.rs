@@ -35,7 +35,7 @@ pub fn failed(what: &str, path: &Path, error: &io::Error) -> Rejection {
         }
         io::ErrorKind::PermissionDenied => (Code::BadFile, "check who owns it and its mode"),
         io::ErrorKind::AlreadyExists => (Code::BadFile, "choose another path, or move it away"),
-        _ => (Code::DiskFailed, "look at the disk and at the system's log"),
+        _ => (Code::DiskFailed, ""),
     };
     Rejection::new(code, format!("cannot {what} {}", path.display())).found(error.to_string()).next(next)
 }

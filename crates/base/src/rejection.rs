@@ -35,8 +35,9 @@ pub struct Rejection {
     pub found: String,
     /// The value that would have been accepted; empty if the message says it all.
     pub wanted: String,
-    /// Advice for the next step; empty if there is none.
-    pub next: String,
+    /// Advice for this case; empty if the general advice of the code is enough. Private, so that every reader goes
+    /// through [`Rejection::advice`] and shows the general advice as well.
+    next: String,
 }
 
 impl Rejection {
@@ -61,6 +62,20 @@ impl Rejection {
         parts.unwrap_or_else(|| Self::new(code, said))
     }
 
+    /// The same with another code.
+    #[must_use]
+    pub fn code(mut self, code: Code) -> Self {
+        self.code = code;
+        self
+    }
+
+    /// The same with this in front of its first line.
+    #[must_use]
+    pub fn prefix(mut self, prefix: impl fmt::Display) -> Self {
+        self.message = format!("{prefix}{}", self.message);
+        self
+    }
+
     /// Adds what was found.
     #[must_use]
     pub fn found(mut self, found: impl Into<String>) -> Self {
@@ -75,18 +90,31 @@ impl Rejection {
         self
     }
 
-    /// Adds what to do next.
+    /// Adds advice for this case, where [`Code::advice`] is not enough.
     #[must_use]
     pub fn next(mut self, next: impl Into<String>) -> Self {
         self.next = next.into();
         self
+    }
+
+    /// Advice for the next step: the one for this case, otherwise the general one of the code; empty if there is neither.
+    ///
+    /// The general advice is applied here, when a rejection is read, and nowhere else. So a stored verdict need not repeat
+    /// it, and a rejection that gets another code gets its advice as well.
+    pub fn advice(&self) -> &str {
+        if self.next.is_empty() { self.code.advice() } else { &self.next }
+    }
+
+    /// The advice for this case alone: what a stored verdict keeps.
+    pub fn own_advice(&self) -> &str {
+        &self.next
     }
 }
 
 impl fmt::Display for Rejection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} [{}]", self.message, self.code)?;
-        for (label, text) in [("found ", &self.found), ("wanted", &self.wanted), ("try   ", &self.next)] {
+        for (label, text) in [("found ", self.found.as_str()), ("wanted", &self.wanted), ("try   ", self.advice())] {
             if !text.is_empty() {
                 write!(f, "\n  {label}  {text}")?;
             }
@@ -107,5 +135,15 @@ mod tests {
         assert_eq!((&*told.message, &*told.found, &*told.wanted), ("it is another node", "Org1/node1", "Org2/node1"));
         let whole = Rejection::told(Code::Untrusted, "it found nothing");
         assert_eq!((&*whole.message, &*whole.found, &*whole.wanted), ("it found nothing", "", ""));
+    }
+
+    #[test]
+    fn a_rejection_without_advice_of_its_own_shows_that_of_its_code() {
+        let expired = Rejection::new(Code::Expired, "it has expired");
+        assert_eq!((expired.advice(), expired.own_advice()), (Code::Expired.advice(), ""));
+        assert!(expired.to_string().ends_with(&format!("\n  try     {}", Code::Expired.advice())), "{expired}");
+        let own = expired.next("wait");
+        assert_eq!((own.advice(), own.own_advice()), ("wait", "wait"));
+        assert_eq!(Rejection::new(Code::Expired, "").code(Code::Internal).advice(), "");
     }
 }

@@ -13,7 +13,7 @@
 //! reader.root(|root| root.integer("depth", 1..=100, &mut depth));
 //! let faults = reader.finish().unwrap_err();
 //! assert!(faults[0].to_string().starts_with("queue.toml:1: the top level has no setting \"depht\""));
-//! assert_eq!(faults[0].rejection.next, "did you mean depth?");
+//! assert_eq!(faults[0].rejection.advice(), "did you mean depth?");
 //! ```
 
 mod fault;

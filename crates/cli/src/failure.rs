@@ -84,7 +84,7 @@ fn render(rejection: &Rejection, format: Format) -> String {
         message: &rejection.message,
         found: &rejection.found,
         wanted: &rejection.wanted,
-        r#try: &rejection.next,
+        r#try: rejection.advice(),
     };
     match format {
         Format::Table | Format::Csv => printable_lines(&ledger_api::report(rejection)),

@@ -24,9 +24,9 @@ impl Words {
         let typed = self.arguments.iter().chain(&ALWAYS).find(|(known, _)| *known == name).map(|(_, typed)| *typed);
         if let Some(typed) = typed {
             refused.message = format!("{typed} is not usable");
-            refused.next = format!("{} --help", self.help);
             refused.found = spans(&refused.found);
             refused.wanted = spans(&refused.wanted);
+            refused = refused.next(format!("{} --help", self.help));
         }
         refused
     }
@@ -62,7 +62,7 @@ mod tests {
             Rejection::new(Code::BadArgument, "argument 2 (LEASE_MS) is not usable").found("5 ms").next("acquire …");
         let told = WORDS.told(refused);
         assert_eq!((told.message.as_str(), told.found.as_str()), ("--for is not usable", "5 ms"));
-        assert_eq!(told.next, "ledgerctl acquire --help");
+        assert_eq!(told.advice(), "ledgerctl acquire --help");
         let service = WORDS.told(Rejection::new(Code::BadArgument, "argument 1 (SERVICE) is not usable"));
         assert_eq!(service.message, "the service is not usable");
     }

@@ -183,8 +183,10 @@ fn units(directory: &Path, known: &[(&str, &Found)]) -> Result<Units, Rejection>
         };
         known.iter().find_map(named)
     };
-    node_units::read(&text, &authority)
-        .map_err(|refused| Rejection { message: format!("cannot use {}", path.display()), ..refused })
+    node_units::read(&text, &authority).map_err(|mut refused| {
+        refused.message = format!("cannot use {}", path.display());
+        refused
+    })
 }
 
 /// The files of one of the directories, in the order of their names; none if there is no such directory.

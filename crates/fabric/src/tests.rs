@@ -195,7 +195,7 @@ fn links_and_what_is_no_file_are_not_followed() {
         let place = Place::new();
         symlink(target, place.directory.path().join(name)).unwrap();
         let refused = place.read().unwrap_err();
-        assert!(refused.found == "a link" && refused.next.contains("cp -rL"), "{refused}");
+        assert!(refused.found == "a link" && refused.advice().contains("cp -rL"), "{refused}");
     }
     let place = Place::new();
     fs::create_dir(place.directory.path().join("cacerts/directory")).unwrap();

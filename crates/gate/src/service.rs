@@ -135,7 +135,6 @@ fn not_known(state: &ServiceState, found: String) -> Rejection {
     Rejection::new(Code::UnknownMode, format!("{service} is in mode {mode}, and this bridge does not know its rule"))
         .found(found)
         .wanted("a mode whose capabilities this version knows")
-        .next("install the version of the nodes on this machine, or let the owner set another mode")
 }
 
 /// Reads the payload of an event; none if it is not what this version knows.

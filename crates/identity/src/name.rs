@@ -27,8 +27,7 @@ pub fn check_readable(name: &str) -> Result<(), Rejection> {
     };
     Err(Rejection::new(Code::BadName, format!("the name {name:?} could deceive those who read it"))
         .found(found)
-        .wanted("letters of one script in composed form (NFC), digits and signs, nothing invisible (UTS 39)")
-        .next("choose another name"))
+        .wanted("letters of one script in composed form (NFC), digits and signs, nothing invisible (UTS 39)"))
 }
 
 /// The looks of a name: names that may be taken for each other have one in common. They are the skeletons of UTS 39 of the

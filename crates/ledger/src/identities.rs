@@ -198,7 +198,6 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
             .wanted(format!("certificate {fingerprint}"))),
         None => Err(Rejection::new(Code::UnknownCreator, "the ledger does not know the creator's certificate yet")
             .found(format!("creator {fingerprint} without a certificate"))
-            .wanted("the certificate in the field \"certificate\" of the transaction".to_owned())
-            .next("send the same transaction with the certificate")),
+            .wanted("the certificate in the field \"certificate\" of the transaction".to_owned())),
     }
 }

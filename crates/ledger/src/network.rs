@@ -115,8 +115,7 @@ impl Genesis {
                 "genesis is not usable: this release does not speak the rules that the network was founded with";
             return Err(Rejection::new(Code::UnknownRules, message)
                 .found(format!("rules {}", genesis.rules))
-                .wanted(Rules::NEWEST.and_older())
-                .next("install the release of ledgerd that the other nodes of the network run"));
+                .wanted(Rules::NEWEST.and_older()));
         }
         let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();
         if names.is_empty() || names.len() != genesis.organisations.len() {

@@ -216,14 +216,12 @@ impl Transaction {
         if not_after < block_time {
             return Err(Rejection::new(Code::Expired, "transaction came too late")
                 .found(format!("not_after {not_after} µs"))
-                .wanted(format!("at least block time, {block_time} µs"))
-                .next("sign it again with a later not_after"));
+                .wanted(format!("at least block time, {block_time} µs")));
         }
         if not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
             return Err(Rejection::new(Code::NotAfterTooFar, "not_after lies too far ahead")
                 .found(format!("not_after {not_after} µs"))
-                .wanted(format!("at most {} s after block time, {block_time} µs", NOT_AFTER_AHEAD_MAX / 1_000_000))
-                .next("sign it again with an earlier not_after, and check this machine's clock"));
+                .wanted(format!("at most {} s after block time, {block_time} µs", NOT_AFTER_AHEAD_MAX / 1_000_000)));
         }
         Ok(())
     }

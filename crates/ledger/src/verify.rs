@@ -192,7 +192,8 @@ fn stored_state(directory: &Path) -> Result<Option<State>, Rejection> {
         return Ok(None);
     }
     SledStore::open(directory).and_then(|store| State::open(Box::new(store))).map(Some).map_err(|rejection| {
-        Rejection { message: format!("{STATE_DIRECTORY}/: {}", rejection.message), ..rejection }
+        rejection
+            .prefix(format_args!("{STATE_DIRECTORY}/: "))
             .next("stop the node if it runs; a damaged state directory can be deleted, the node rebuilds it")
     })
 }
@@ -212,5 +213,4 @@ fn stored_results(directory: &Path, network: Hash) -> Result<Option<ResultStore>
 
 fn wrong(place: &str, what: String) -> Rejection {
     Rejection::new(Code::ChainInvalid, format!("{place}: {what}"))
-        .next("compare with the directory of another node; this one can be emptied, it fetches the chain again")
 }

@@ -42,7 +42,8 @@ impl Voters {
         if !self.is_voter(node) {
             return Err(Rejection::new(Code::NotAMember, "a statement is signed by a node that does not vote")
                 .found(format!("node {node}, {}", identity.id()))
-                .wanted(format!("a voter of block {}", statement.height)));
+                .wanted(format!("a voter of block {}", statement.height))
+                .next("ask another node for it"));
         }
         self.check_signer("a statement", &statement.to_bytes(), signature, identity)
     }
@@ -73,6 +74,7 @@ impl Voters {
             Rejection::new(Code::NotAMember, format!("{what} is signed by a node that nobody knows"))
                 .found(format!("node {node}, {signer}"))
                 .wanted("a node of this network")
+                .next("ask another node for it")
         })?;
         if identity.role != Role::Node || identity.organisation != known.organisation || identity.name != known.name {
             return Err(Rejection::new(

@@ -261,8 +261,7 @@ impl Engine {
             self.campaign();
         }
         if let Err(error) = self.pump(out) {
-            let reason = Rejection::new(Code::DiskFailed, format!("block store failed: {error}"))
-                .next("see the log; restart the node when the disk is in order");
+            let reason = Rejection::new(Code::DiskFailed, format!("block store failed: {error}"));
             self.fail(reason, out);
         }
         self.draw_timeout();

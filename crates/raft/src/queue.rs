@@ -102,8 +102,7 @@ impl Queues {
         let refuse = |waiting: Waiting| {
             let reason = Rejection::new(Code::Overloaded, "more arrives than can be ordered in time")
                 .found(format!("it waited {} ms to be ordered", waited(&waiting)))
-                .wanted(format!("at most {} ms", wait_us_max / 1000))
-                .next("send less often; send newer data instead, or the same call again after 100 ms");
+                .wanted(format!("at most {} ms", wait_us_max / 1000));
             (waiting, reason)
         };
         self.data.take_late(now, wait_us_max, data_cost_max).into_iter().map(refuse).collect()

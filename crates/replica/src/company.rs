@@ -280,11 +280,7 @@ fn proof(own: Point, others: &[(&str, &str, Point)], place: &Place) -> Option<Re
             return Some(
                 Rejection::new(Code::Diverged, "the world state of this node differs from that of most voters")
                     .found(format!("digest {} at height {}", own.digest, own.height))
-                    .wanted(format!("digest {}, which {} have", at.digest, same_state.join(", ")))
-                    .next(
-                        "start the node again: it makes its world state anew from its blocks; if it stops again, it runs \
-                         another program than the others",
-                    ),
+                    .wanted(format!("digest {}, which {} have", at.digest, same_state.join(", "))),
             );
         }
     }

@@ -146,8 +146,7 @@ impl<A: Asker> Reads<A> {
             Stage::Reaching { height, .. } => {
                 let late = Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
                     .found(format!("height {}", self.executed))
-                    .wanted(format!("height {height}"))
-                    .next("ask again, or ask another node");
+                    .wanted(format!("height {height}"));
                 self.tell(now, &Err(late), out);
             }
         }

@@ -172,8 +172,7 @@ impl<W: Waiter> Waiters<W> {
                 Ok(None) if *bytes != submitted => {}
                 Ok(None) if is_early(result.code()) => {
                     let reason = format!("transaction {id} was ordered too early: {}", result.message);
-                    let early = Rejection::new(Code::Timeout, reason);
-                    refused(&early.next("submit the same transaction again: it is executed once"));
+                    refused(&Rejection::new(Code::Timeout, reason));
                 }
                 Ok(None) if result.code() == Code::Expired && !remembers(ledger, &submitted) => {
                     let reason = format!(
@@ -210,8 +209,7 @@ impl<W: Waiter> Waiters<W> {
         late.sort_unstable_by_key(|(number, ..)| *number);
         for (_, id, waiting) in late {
             let reason = format!("no verdict on transaction {id} within {} s", WAIT_MAX / 1_000_000);
-            let reason = Rejection::new(Code::Timeout, reason)
-                .next("submit the same transaction again, through this or another node: it is executed once");
+            let reason = Rejection::new(Code::Timeout, reason);
             answer(waiting, &Answer::Refused { id, reason: &reason });
         }
     }

@@ -98,7 +98,7 @@ fn a_snapshot_needs_nodes_of_two_organisations_that_this_node_knew() {
     let both = world.only(&["Org1", "Org2"]);
     assert_eq!(accept(&[&one], &both, &first).unwrap_err().code, Code::Untrusted, "alone");
     let refused = accept(&[&one, &three], &both, &world.only(&["Org1", "Org3"])).unwrap_err();
-    assert!(refused.code == Code::Untrusted && refused.next.contains("ledgerd rejoin"), "{refused}");
+    assert!(refused.code == Code::Untrusted && refused.advice().contains("ledgerd rejoin"), "{refused}");
 }
 
 #[test]

@@ -42,8 +42,9 @@ pub enum Error {
 impl Error {
     /// No sample, for this reason.
     pub(crate) fn sample(refused: Rejection) -> Self {
-        let Rejection { message, found, wanted, next, .. } = refused;
-        Self::Sample(Explained::new(message, found, wanted, next))
+        let hint = refused.advice().to_owned();
+        let Rejection { message, found, wanted, .. } = refused;
+        Self::Sample(Explained::new(message, found, wanted, hint))
     }
 
     /// The stable code of the kind.

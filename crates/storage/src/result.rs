@@ -24,7 +24,7 @@ pub struct TransactionResult {
     /// See [`Rejection::wanted`].
     #[prost(string, tag = "5")]
     pub wanted: String,
-    /// See [`Rejection::next`].
+    /// See [`Rejection::own_advice`]: the general advice of the code is not stored.
     #[prost(string, tag = "6")]
     pub next: String,
     /// Id of the transaction, 32 bytes; empty where the bytes are no transaction.
@@ -54,13 +54,10 @@ impl TransactionResult {
     pub fn outcome(&self) -> Result<Bytes, Rejection> {
         match self.code() {
             Code::Ok => Ok(self.response.clone()),
-            code => Err(Rejection {
-                code,
-                message: self.message.clone(),
-                found: self.found.clone(),
-                wanted: self.wanted.clone(),
-                next: self.next.clone(),
-            }),
+            code => Err(Rejection::new(code, self.message.clone())
+                .found(self.found.clone())
+                .wanted(self.wanted.clone())
+                .next(self.next.clone())),
         }
     }
 }
@@ -69,7 +66,9 @@ impl From<Result<Bytes, Rejection>> for TransactionResult {
     fn from(outcome: Result<Bytes, Rejection>) -> Self {
         match outcome {
             Ok(response) => Self { response, ..Self::default() },
-            Err(Rejection { code, message, found, wanted, next }) => {
+            Err(rejection) => {
+                let next = rejection.own_advice().to_owned();
+                let Rejection { code, message, found, wanted, .. } = rejection;
                 Self { code: code.number().into(), message, found, wanted, next, ..Self::default() }
             }
         }
@@ -217,5 +216,22 @@ impl BlockResult {
     pub fn from_bytes(bytes: Bytes) -> Result<Self, Rejection> {
         Self::decode(bytes)
             .map_err(|error| Rejection::new(Code::Corrupt, format!("a stored block result cannot be read: {error}")))
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stored_verdict_leaves_out_the_general_advice_of_its_code_and_shows_it_again() {
+        let behind = Rejection::new(Code::Behind, "m").found("f").wanted("w");
+        let stored = TransactionResult::from(Err(behind.clone()));
+        assert_eq!((stored.found.as_str(), stored.next.as_str()), ("f", ""));
+        let read = stored.outcome().unwrap_err();
+        assert_eq!((read.advice(), &read), (Code::Behind.advice(), &behind));
+        let own = TransactionResult::from(Err(behind.next("wait")));
+        assert_eq!((own.next.as_str(), own.outcome().unwrap_err().advice()), ("wait", "wait"));
     }
 }

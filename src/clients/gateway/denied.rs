@@ -13,8 +13,7 @@ pub(super) fn latest(denials: &Rejections, caller: &Identity, limit: u32) -> Res
     if caller.role != Role::Admin {
         return Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", caller.id()))
             .found(format!("role {}", caller.role))
-            .wanted("role admin")
-            .next(format!("ask an admin of {}", caller.organisation)));
+            .wanted(format!("an admin of {}", caller.organisation)));
     }
     let limit = if limit == 0 { DENIALS_DEFAULT } else { limit };
     Ok(DenialsResponse { denials: denials.latest(limit as usize) })

@@ -82,6 +82,7 @@ async fn collect(body: Body, bytes_max: usize, time_max: Duration) -> Result<Byt
     timeout(time_max, read).await.map_err(|_| {
         Rejection::new(Code::Timeout, "the body arrived too slowly")
             .wanted(format!("the whole body within {} s", time_max.as_secs()))
+            .next("send it again, or over a faster connection")
     })??;
     if bytes > bytes_max { Err(too_large(bytes, bytes_max)) } else { Ok(kept.freeze()) }
 }

@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn parameters_that_mean_nothing_are_rejected_with_what_is_wanted() {
         let mistyped = read("subjct=Rover").err().unwrap();
-        assert!(mistyped.next.contains("subject") && mistyped.found.contains("subjct"), "{mistyped}");
+        assert!(mistyped.advice().contains("subject") && mistyped.found.contains("subjct"), "{mistyped}");
         for query in ["subject=%zz", "subject=%f", "subject=%ff%fe", "unknown"] {
             assert_eq!(read(query).err().unwrap().code, Code::BadArgument, "{query}");
         }

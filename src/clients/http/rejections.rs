@@ -35,11 +35,12 @@ impl Rejected {
 
     /// The JSON of the answer.
     pub(super) fn json(&self) -> Value {
-        let Rejection { code, message, found, wanted, next, .. } = &*self.rejection;
+        let Rejection { code, message, found, wanted, .. } = &*self.rejection;
+        let next = self.rejection.advice();
         let mut fields = self.more.clone();
-        let four_lines = [("message", message), ("found", found), ("wanted", wanted), ("next", next)];
+        let four_lines = [("message", message.as_str()), ("found", found), ("wanted", wanted), ("next", next)];
         fields.insert("code".into(), code.to_string().into());
-        fields.extend(four_lines.map(|(name, text)| (name.to_owned(), text.as_str().into())));
+        fields.extend(four_lines.map(|(name, text)| (name.to_owned(), text.into())));
         Value::Object(fields)
     }
 }

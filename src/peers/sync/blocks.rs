@@ -43,7 +43,7 @@ pub(super) async fn in_time<T>(answer: impl Future<Output = T>) -> Result<T, Rej
     let silence = Duration::from_micros(SILENCE_MAX);
     tokio::time::timeout(silence, answer)
         .await
-        .map_err(|_| Rejection::new(Code::Timeout, format!("no answer within {silence:?}")))
+        .map_err(|_| Rejection::new(Code::Timeout, format!("no answer within {silence:?}")).next("ask another node"))
 }
 
 /// An entry as it travels.

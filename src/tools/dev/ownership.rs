@@ -103,6 +103,6 @@ mod tests {
         let file = place.path().join("home");
         std::fs::write(&file, "").unwrap();
         let refused = Ownership::take(&file).err().unwrap();
-        assert!(refused.code == Code::BadFile && refused.next.contains("LEDGERD_HOME"), "{refused}");
+        assert!(refused.code == Code::BadFile && refused.advice().contains("LEDGERD_HOME"), "{refused}");
     }
 }

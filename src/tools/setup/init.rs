@@ -259,9 +259,9 @@ mod tests {
         fs::remove_dir_all(&config.data).unwrap();
         let refused = init(&options).unwrap_err();
         assert_eq!(refused.code, Code::BadConfiguration);
-        assert!(refused.next.contains("ledgerctl network invite --node node1"), "{refused}");
+        assert!(refused.advice().contains("ledgerctl network invite --node node1"), "{refused}");
         assert!(
-            refused.next.contains(&format!("ledgerd join TOKEN --config {}", options.config.display())),
+            refused.advice().contains(&format!("ledgerd join TOKEN --config {}", options.config.display())),
             "{refused}"
         );
         assert!(!config.data.exists());
@@ -273,7 +273,7 @@ mod tests {
         let options = options(place.path());
         fs::write(&options.config, "a = 1\nb = 2\n").unwrap();
         let refused = init(&options).unwrap_err();
-        assert!(refused.next.contains("names all 2 faults"), "{refused}");
+        assert!(refused.advice().contains("names all 2 faults"), "{refused}");
         assert!(options.config.exists());
     }
 }

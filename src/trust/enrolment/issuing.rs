@@ -215,8 +215,7 @@ impl EnrolmentService {
         // The secret would be used up for a certificate that nobody can check yet.
         Err(Rejection::new(Code::Behind, format!("this node does not know yet that {organisation} has joined"))
             .found(format!("block {}", self.shared.ledger.tip().height))
-            .wanted("a node that has caught up with its network")
-            .next("try again in a moment"))
+            .wanted("a node that has caught up with its network"))
     }
 
     /// Does this node carry the CA of that organisation?

@@ -428,7 +428,7 @@ async fn a_carrier_whose_directory_is_gone_does_not_start_unless_it_was_given_up
     let check = || Authorities::open(&data, (365, 7)).unwrap().check_carried(&f.chain.ledger, &f.one.shared.own.me);
     let refused = check().unwrap_err();
     assert_eq!(refused.code, Code::BadFile);
-    assert!(refused.found.contains("ca/Org1") && refused.next.contains("ledgerd ca restore"), "{refused}");
+    assert!(refused.found.contains("ca/Org1") && refused.advice().contains("ledgerd ca restore"), "{refused}");
     std::fs::write(given_up_file(&data, "Org1"), b"").unwrap();
     check().unwrap();
 }

@@ -101,8 +101,7 @@ fn check_name(name: &str) -> Result<(), Rejection> {
     }
     Err(Rejection::new(Code::BadName, "the name of an attribute is not usable")
         .found(shown(name))
-        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits and \"_\", e.g. payload_kg"))
-        .next("choose another name"))
+        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits and \"_\", e.g. payload_kg")))
 }
 
 /// A usable value; a set sorted, each text once.

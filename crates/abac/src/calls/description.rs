@@ -149,8 +149,7 @@ pub(crate) fn check_name(name: &str) -> Result<(), Rejection> {
     }
     Err(Rejection::new(Code::BadName, "the name of the robot is not usable")
         .found(shown(name))
-        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\""))
-        .next("choose another name"))
+        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\"")))
 }
 
 pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {

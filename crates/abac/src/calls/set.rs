@@ -50,8 +50,7 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     if first_seq < next_seq {
         return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
             .found(format!("sequence number {first_seq}"))
-            .wanted(format!("at least {next_seq}"))
-            .next("number messages upwards; after a restart, acquire again and go on from next_seq"));
+            .wanted(format!("at least {next_seq}")));
     }
     let permitted = match &right {
         Right::Grant(own) => {

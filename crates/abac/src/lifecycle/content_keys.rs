@@ -41,7 +41,6 @@ pub(crate) fn check_key(
         )
         .found(found)
         .wanted("the newest content key of this publisher, shared with those who read now")
-        .next("share a new content key and send the message again; ledgerctl and bridges do so by themselves")
     };
     let Some(shared) = reader::shared(ctx, id, publisher)?.filter(|shared| shared.key == key) else {
         return Err(stale(format!("key {key}, which is not the newest one of {publisher}")));

@@ -160,8 +160,7 @@ pub(crate) fn check_base(organisation: &str, made_from: u64, in_force: u64) -> R
     }
     Err(Rejection::new(Code::PoliciesChanged, format!("the policies of {organisation} have changed meanwhile"))
         .found(format!("version {in_force} in force"))
-        .wanted(format!("version {made_from}, which this was made from"))
-        .next("ledgerctl policy history shows what has changed; make it again from the set in force"))
+        .wanted(format!("version {made_from}, which this was made from")))
 }
 
 fn texts_of(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Result<Texts, Rejection> {
@@ -189,9 +188,8 @@ pub(crate) fn checked(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyTe
         }
         decider.check(ctx, text).map_err(|mut refused| {
             refused.message = format!("{} ({id})", refused.message);
-            refused.next =
-                format!("its places: ledgerctl policy check FILE; a policy has at most {POLICY_BYTES_MAX} bytes");
             refused
+                .next(format!("its places: ledgerctl policy check FILE; a policy has at most {POLICY_BYTES_MAX} bytes"))
         })?;
         texts.push((id.clone(), text.clone()));
     }

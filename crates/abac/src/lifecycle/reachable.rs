@@ -48,8 +48,7 @@ pub(crate) fn check(
     }
     Err(Rejection::new(Code::NobodyMayPublish, "nobody whom the ledger knows may publish to a robot any more")
         .found(names)
-        .wanted("somebody who may acquire one of its services and publish on it")
-        .next("ledgerctl can --who-could shows who may; if it is meant, the same command with --i-mean-it"))
+        .wanted("somebody who may acquire one of its services and publish on it"))
 }
 
 /// The robots of an organisation to which nobody with a certificate of a CA of the network may publish any more under a set, at

@@ -59,8 +59,7 @@ pub(crate) fn admin<'a>(ctx: &Context<'a>, what: &str) -> Result<&'a Identity, R
     }
     Err(Rejection::new(Code::NotAdmin, format!("{} may not {what}", submitter.id()))
         .found(format!("role {}", submitter.role))
-        .wanted("role admin")
-        .next(format!("ask an admin of {}", submitter.organisation)))
+        .wanted(format!("an admin of {}", submitter.organisation)))
 }
 
 /// Refuses who is no admin of the robot's owner.

@@ -32,7 +32,7 @@ fn too_many_arguments_and_too_few_are_refused_with_the_usage() {
         let many = vec![Bytes::from_static(b"x"); 2000];
         let refusal = fleet.call(&owner(), function, &many).unwrap_err();
         assert_eq!(refusal.code, Code::BadArgument, "{function}: {refusal}");
-        assert!(refusal.next.starts_with(&format!("call it as: {function}")), "{function}: {refusal}");
+        assert!(refusal.advice().starts_with(&format!("call it as: {function}")), "{function}: {refusal}");
     }
     for function in ["acquire", "authorize", "policy", "release", "remove", "renew", "robot", "service", "set", "setup"]
     {
@@ -91,5 +91,5 @@ fn an_unknown_action_is_answered_with_the_known_ones() {
     let mut fleet = Fleet::of_the_paper();
     let refusal = fleet.refused(&owner(), Code::BadArgument, "authorize", &[TURTLEBOT, "publsh"]);
     assert_eq!(refusal.wanted, "acquire, publish or subscribe");
-    assert_eq!(refusal.next, r#"did you mean "publish"?"#);
+    assert_eq!(refusal.advice(), r#"did you mean "publish"?"#);
 }

@@ -11,7 +11,7 @@ use ledger_identity::{Identity, Role};
 #[track_caller]
 fn bad(fleet: &mut Fleet, who: &Identity, code: Code, call: (&str, &[&str]), parts: [&str; 3]) {
     let refused = fleet.refused(who, code, call.0, call.1);
-    let told = [&refused.found, &refused.wanted, &refused.next];
+    let told = [&*refused.found, &refused.wanted, refused.advice()];
     let fits = told.iter().zip(parts).all(|(told, part)| !told.is_empty() && told.contains(part));
     assert!(fits && !refused.message.is_empty(), "{call:?}: {refused}");
 }
@@ -129,7 +129,7 @@ fn a_line_and_a_holder_of_what_is_no_more_are_told_so() {
     let call = ("renew", &["Turtlebot4/gripper"][..]);
     bad(&mut fleet, &salma(), Code::UnknownRobot, call, parts);
     let refused = fleet.set_refused(&salma(), Code::UnknownRobot, "Turtlebot4/gripper", 1, 1);
-    assert!(!refused.wanted.is_empty() && !refused.next.is_empty(), "{refused}");
+    assert!(!refused.wanted.is_empty() && !refused.advice().is_empty(), "{refused}");
     fleet.tick();
     assert_eq!((fleet.keys("grant/"), fleet.keys("line/"), fleet.keys("due/")), (0, 0, 0));
 }

@@ -179,7 +179,7 @@ fn a_list_that_is_asked_for_without_pages_is_one_page_or_refused() {
     assert_eq!(listed.len(), PAGE_MAX, "with the three of the paper");
     add(&mut fleet, PAGE_MAX - 3);
     let refused = fleet.refused(&salma(), Code::OverBudget, "robots", &[]);
-    assert!(refused.next.contains("{}"), "{refused}");
+    assert!(refused.advice().contains("{}"), "{refused}");
     (PAGE_MAX - 2..=PAGE_MAX).for_each(|number| add(&mut fleet, number));
     fleet.refused(&salma(), Code::OverBudget, "grants", &[]);
     // A page ends by its bytes, too.
@@ -199,7 +199,7 @@ fn an_organisation_that_fills_its_quota_of_robots_keeps_no_other_from_adding_one
     }
     let refused = add(&mut fleet, &owner(), "One").unwrap_err();
     assert_eq!(refused.code, Code::QuotaReached);
-    assert!(refused.found.contains("128 robots") && refused.next.contains("robot remove"), "{refused}");
+    assert!(refused.found.contains("128 robots") && refused.advice().contains("robot remove"), "{refused}");
     add(&mut fleet, &admin1(), "Spot").unwrap();
     fleet.ok(&owner(), "replace", &[&robot("R0", "exclusive")]);
     fleet.ok(&owner(), "remove", &["R0"]);

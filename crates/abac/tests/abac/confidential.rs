@@ -90,7 +90,7 @@ fn send(
 fn on_a_confidential_service_only_envelopes_pass() {
     let (mut fleet, _admin) = fleet();
     let refused = fleet.set_refused(&camera(), Code::BadArgument, POSES, 0, 1);
-    assert!(refused.message.contains("not encrypted") && refused.next.contains("ledgerctl publish"), "{refused}");
+    assert!(refused.message.contains("not encrypted") && refused.advice().contains("ledgerctl publish"), "{refused}");
     let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
     send(&mut fleet, &camera(), &sealer, (POSES, 0, 1)).unwrap();
     let mut mixed = bytes(&[POSES, "0", "2"]);
@@ -143,7 +143,7 @@ fn a_share_that_leaves_out_the_owner_or_adds_a_stranger_is_refused() {
     fleet.ok(&owner(), "reader", &[POSES, "none"]);
     let (alone, _) = Sealer::share(&Hash::ZERO, "Org2/OptiTrack", &readers(&fleet, POSES)).unwrap();
     let told = refused(&mut fleet, &alone, Code::ReadersChanged);
-    assert!(told.next.contains("ledgerctl readers OptiTrack/poses --enter"), "{told}");
+    assert!(told.advice().contains("ledgerctl readers OptiTrack/poses --enter"), "{told}");
     admin.enter(&mut fleet, POSES).unwrap();
     share(&mut fleet, &camera(), POSES, 0).unwrap();
 }
@@ -181,7 +181,7 @@ fn a_key_from_before_a_change_of_readers_policies_or_the_robot_is_refused() {
         change(fleet);
         let refused = send(fleet, &camera(), &sealer, (POSES, 0, seq + 1)).unwrap_err();
         assert_eq!(refused.code, Code::ReadersChanged, "{why}: {refused}");
-        assert!(refused.next.contains("share a new content key"), "{refused}");
+        assert!(refused.advice().contains("share a new content key"), "{refused}");
     };
     stale(&mut fleet, "one is taken out", &mut |fleet| {
         other.enter(fleet, POSES).unwrap();
@@ -351,7 +351,7 @@ fn readers_are_bounded_and_leave_with_their_certificates() {
     }
     let late = Person::new(member("Late", 71));
     let refused = late.enter(&mut fleet, POSES).unwrap_err();
-    assert!(refused.code == Code::LimitExceeded && refused.next.contains("--remove"), "{refused}");
+    assert!(refused.code == Code::LimitExceeded && refused.advice().contains("--remove"), "{refused}");
     share(&mut fleet, &camera(), POSES, 0).unwrap();
     assert_eq!(fleet.newest::<Keyed>("keyed").until, START + HOUR, "no certificate ends before the key");
     fleet.time = START + HOUR;

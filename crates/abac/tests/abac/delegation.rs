@@ -43,7 +43,7 @@ fn a_delegated_grant_has_a_new_epoch_follows_without_a_stop_and_is_taken_back() 
     fleet.set_refused(&salma(), Code::StaleEpoch, TURTLEBOT, 1, 1);
     fleet.set(&farhad(), TURTLEBOT, 2, 1, 1).unwrap();
     let refused = fleet.refused(&salma(), Code::NotHolder, "renew", &[TURTLEBOT]);
-    assert_eq!(refused.next, format!("take it back: ledgerctl recall {TURTLEBOT}"));
+    assert_eq!(refused.advice(), format!("take it back: ledgerctl recall {TURTLEBOT}"));
 
     let back: Grant = fleet.get(&salma(), "recall", &[TURTLEBOT]);
     assert_eq!((back.holder.as_str(), back.epoch, back.follows), ("Org1/Salma", 3, Some(2)));
@@ -148,7 +148,7 @@ fn only_whom_policies_permit_receives_and_only_the_holder_gives() {
     assert_eq!(holders(&fleet), ["Org1/Salma"]);
     fleet.ok(&owner(), "configure", &[TURTLEBOT, r#"{"clear":["delegable"]}"#]);
     let refused = fleet.refused(&salma(), Code::NotDelegable, "delegate", &[TURTLEBOT, "Org1/Farhad"]);
-    assert!(refused.next.contains("delegable=true"), "{refused}");
+    assert!(refused.advice().contains("delegable=true"), "{refused}");
     fleet.ok(&owner(), "configure", &[TURTLEBOT, r#"{"sharing":{"delegable":true}}"#]);
     fleet.ok(&owner(), "take", &[TURTLEBOT, "fire"]);
     fleet.refused(&owner(), Code::NotDelegable, "handover", &[TURTLEBOT, "Org1/Farhad"]);

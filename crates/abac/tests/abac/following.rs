@@ -32,7 +32,7 @@ fn a_service_that_does_not_exist_is_refused_unless_one_waits_for_its_robot() {
         fleet.may_follow(&camera(), &[subject, "Nope"], &BRIDGE).unwrap();
     }
     let refused = fleet.may_follow(&salma(), &["Husky"], &["message"]).unwrap_err();
-    assert_eq!((refused.code, refused.next.as_str()), (Code::UnknownService, "subscribe to Husky/cmd_vel"));
+    assert_eq!((refused.code, refused.advice()), (Code::UnknownService, "subscribe to Husky/cmd_vel"));
     fleet.ok(&owner(), "remove", &["Husky"]);
     assert_eq!(fleet.may_follow(&salma(), &[HUSKY], &["message"]).unwrap_err().code, Code::UnknownRobot);
 }

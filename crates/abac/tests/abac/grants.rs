@@ -14,7 +14,7 @@ fn a_held_service_says_who_holds_it_until_when() {
         refusal.message,
         format!("{TURTLEBOT} is held by Org1/Salma until 2026-11-21T00:00:10.002000Z ({} µs)", grant.expires)
     );
-    assert!(refusal.next.contains("an admin of Org2"), "{refusal}");
+    assert!(refusal.advice().contains("an admin of Org2"), "{refusal}");
     assert_eq!(refusal.code.class().exit_code(), 5);
 }
 
@@ -27,7 +27,7 @@ fn a_missing_attribute_is_named_beside_those_that_are_there() {
         "Org1/Farhad may not acquire Husky/cmd_vel: the certificate lacks the attribute Husky=true"
     );
     assert_eq!(refusal.found, "attributes Turtlebot4=true");
-    assert_eq!(refusal.next, "ask an admin of Org1 for the attribute, then enrol again");
+    assert_eq!(refusal.advice(), "ask an admin of Org1 for the attribute, then enrol again");
     assert_eq!(refusal.code.class().exit_code(), 2);
     assert_eq!(fleet.refused(&admin1(), Code::MissingAttribute, "acquire", &[HUSKY]).found, "no attributes");
 }
@@ -233,17 +233,17 @@ fn the_robots_of_an_organisation_are_taken_out_of_service_in_the_block_that_remo
 fn who_has_nothing_to_release_is_not_told_to_acquire() {
     let mut fleet = Fleet::of_the_paper();
     let refusal = fleet.refused(&salma(), Code::NotHolder, "release", &[TURTLEBOT]);
-    assert!(refusal.next.starts_with("there is nothing to release"), "{refusal}");
+    assert!(refusal.advice().starts_with("there is nothing to release"), "{refusal}");
     fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
     let refusal = fleet.refused(&salma(), Code::NotHolder, "release", &[TURTLEBOT]);
-    assert_eq!(refusal.next, "only the holder, or an admin of Org2, can release it");
+    assert_eq!(refusal.advice(), "only the holder, or an admin of Org2, can release it");
     let refusal = fleet.refused(&owner(), Code::NotHolder, "release", &[TURTLEBOT, "Org1/Salma"]);
     assert!(
         refusal.found.starts_with("held by Org1/Farhad") && refusal.wanted == "a holder of the service",
         "{refusal}"
     );
     let refusal = fleet.refused(&salma(), Code::NotHolder, "renew", &[TURTLEBOT]);
-    assert_eq!(refusal.next, "once it is free: ledgerctl acquire Turtlebot4/cmd_vel");
+    assert_eq!(refusal.advice(), "once it is free: ledgerctl acquire Turtlebot4/cmd_vel");
 }
 
 #[test]

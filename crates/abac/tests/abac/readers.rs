@@ -49,7 +49,7 @@ fn one_more_subscriber_than_the_owner_allows_is_refused_and_reads_nothing() {
     assert_eq!(reads(&fleet, &salma()), Err(Code::NotHolder));
     assert_eq!((told(&fleet, &salma()).allowed, told(&fleet, &salma()).name.as_str()), (false, "NOT_HOLDER"));
     let refused = fleet.may_follow(&salma(), &[TURTLEBOT], &["message"]).unwrap_err();
-    assert_eq!(refused.next, format!("ledgerctl acquire {PLACES}"));
+    assert_eq!(refused.advice(), format!("ledgerctl acquire {PLACES}"));
     let place: Grant = fleet.get(&salma(), "acquire", &[PLACES]);
     assert_eq!((place.service.as_str(), place.limits), (PLACES, Limits::default()));
     assert_eq!(reads(&fleet, &salma()), Ok(()));
@@ -139,7 +139,7 @@ fn places_end_with_the_limit_and_with_the_robot_and_a_smaller_limit_keeps_the_ol
     assert_eq!(change.ended.len(), 1);
     assert_eq!(reads(&fleet, &farhad()), Ok(()));
     let gone = fleet.refused(&salma(), Code::UnknownService, "acquire", &[PLACES]);
-    assert_eq!(gone.next, format!("read it without a place: ledgerctl echo {TURTLEBOT}"));
+    assert_eq!(gone.advice(), format!("read it without a place: ledgerctl echo {TURTLEBOT}"));
 
     fleet.ok(
         &owner(),
@@ -171,11 +171,11 @@ fn from_the_places_of_subscribers_nobody_publishes_and_takes_no_task() {
     let mut fleet = one();
     let place: Grant = fleet.get(&salma(), "acquire", &[PLACES]);
     let refused = fleet.set_refused(&salma(), Code::UnknownService, PLACES, place.epoch, 1);
-    assert_eq!(refused.next, format!("publish on {TURTLEBOT}"));
+    assert_eq!(refused.advice(), format!("publish on {TURTLEBOT}"));
     fleet.refused(&salma(), Code::BadArgument, "submit", &[PLACES, r#"{"points":[{"x_um":0,"y_um":0}]}"#]);
     let refused =
         fleet.refused(&owner(), Code::BadArgument, "configure", &[PLACES, r#"{"sharing":{"subscribers":9}}"#]);
-    assert!(refused.next.contains(TURTLEBOT), "{refused}");
+    assert!(refused.advice().contains(TURTLEBOT), "{refused}");
     fleet.refused(&salma(), Code::UnknownService, "acquire", &[&format!("{HUSKY}:subscribe")]);
     fleet.refused(&salma(), Code::UnknownService, "acquire", &["Turtlebot4/nothing:subscribe"]);
 }

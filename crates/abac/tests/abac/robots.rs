@@ -16,7 +16,7 @@ fn only_an_admin_registers_robots() {
     for role in [Role::Member, Role::Node, Role::Robot] {
         let who = identity("Org2", "Maria", role, &[], 30);
         let refusal = fleet.refused(&who, Code::NotAdmin, "setup", &[&robot("Spot", "open")]);
-        assert!(refusal.next.contains("an admin of Org2"), "{refusal}");
+        assert_eq!((refusal.wanted.as_str(), refusal.advice()), ("an admin of Org2", Code::NotAdmin.advice()));
     }
     fleet.ok(&owner(), "setup", &[&robot("Spot", "open")]);
     let event: RobotEvent = fleet.newest("robot");
@@ -65,7 +65,7 @@ fn a_trusted_organisation_must_exist() {
     let mut fleet = Fleet::empty();
     let spec = robot("Husky", "open").replacen('{', r#"{"trusted":["Org1","Org22"],"#, 1);
     let refusal = fleet.refused(&owner(), Code::BadArgument, "setup", &[&spec]);
-    assert_eq!(refusal.next, r#"did you mean "Org2"?"#);
+    assert_eq!(refusal.advice(), r#"did you mean "Org2"?"#);
 }
 
 #[test]
@@ -94,13 +94,13 @@ fn a_service_that_is_gone_ends_its_grants() {
 fn an_unknown_name_is_answered_with_the_nearest_one() {
     let mut fleet = Fleet::of_the_paper();
     let refusal = fleet.refused(&salma(), Code::UnknownRobot, "acquire", &["turtelbot4"]);
-    assert_eq!(refusal.next, r#"did you mean "Turtlebot4"?"#);
+    assert_eq!(refusal.advice(), r#"did you mean "Turtlebot4"?"#);
     let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &["Turtlebot4/cmdvel"]);
-    assert_eq!(refusal.next, r#"did you mean "Turtlebot4/cmd_vel"?"#);
+    assert_eq!(refusal.advice(), r#"did you mean "Turtlebot4/cmd_vel"?"#);
     let refusal = fleet.refused(&salma(), Code::UnknownRobot, "robot", &["Atlas"]);
-    assert_eq!(refusal.next, "ledgerctl robot list");
+    assert_eq!(refusal.advice(), "ledgerctl robot list");
     let refusal = fleet.refused(&salma(), Code::UnknownFunction, "aquire", &[TURTLEBOT]);
-    assert_eq!(refusal.next, r#"did you mean "acquire"?"#);
+    assert_eq!(refusal.advice(), r#"did you mean "acquire"?"#);
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn what_is_no_ros_name_or_out_of_range_is_refused() {
     let twice = good.replace("}]}", r#"},{"topic":"/cmd_vel","type":"std_msgs/msg/Empty"}]}"#);
     fleet.refused(&owner(), Code::AlreadyExists, "setup", &[&twice]);
     let near = fleet.refused(&owner(), Code::BadName, "setup", &[&good.replace("geometry_msgs/msg", "geometry_msgs")]);
-    assert_eq!(near.next, "did you mean geometry_msgs/msg/Twist?");
+    assert_eq!(near.advice(), "did you mean geometry_msgs/msg/Twist?");
     let stop = good.replace(mode, r#""stop_hex":"00010000""#);
     fleet.ok(&owner(), "setup", &[&stop]);
 }

@@ -19,7 +19,7 @@ fn a_robot_that_exists_is_not_added_again_and_nobody_loses_it() {
     for mode in ["open", "exclusive"] {
         let refusal = fleet.refused(&owner(), Code::AlreadyExists, "setup", &[&robot("Husky", mode)]);
         assert_eq!(refusal.found, "robot of Org2 with Husky/cmd_vel (exclusive, held by Org1/Salma)");
-        assert!(refusal.next.contains("robot set Husky") && refusal.next.contains("--replace"), "{refusal}");
+        assert!(refusal.advice().contains("robot set Husky") && refusal.advice().contains("--replace"), "{refusal}");
     }
     let (new, twice) = (robot("Spot", "open"), robot("Spot", "exclusive"));
     fleet.refused(&owner(), Code::AlreadyExists, "setup", &[&new, &twice]);

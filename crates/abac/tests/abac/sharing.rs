@@ -54,7 +54,7 @@ fn settings_that_do_not_go_together_are_refused_with_both_names() {
     ] {
         let refused = fleet.refused(&owner(), Code::BadArgument, "configure", &[TURTLEBOT, settings]);
         assert!(parts.iter().all(|part| refused.message.contains(part)), "{settings}: {refused}");
-        assert!(!refused.wanted.is_empty() && !refused.next.is_empty(), "{settings}: {refused}");
+        assert!(!refused.wanted.is_empty() && !refused.advice().is_empty(), "{settings}: {refused}");
     }
 }
 

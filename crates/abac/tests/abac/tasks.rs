@@ -267,7 +267,7 @@ fn bad_tasks_are_refused_with_what_was_found_and_wanted() {
             "{}: {refused}",
             &task[..60.min(task.len())]
         );
-        assert!(!refused.next.is_empty());
+        assert!(!refused.advice().is_empty());
     }
     fleet.refused(&salma(), Code::BadArgument, "submit", &["OptiTrack/poses", TWO]);
     fleet.refused(&farhad(), Code::MissingAttribute, "submit", &[HUSKY, TWO]);
@@ -290,7 +290,7 @@ fn open_tasks_of_a_certificate_and_places_in_line_are_bounded() {
         submit(&mut fleet, &salma(), &later);
     }
     let refused = fleet.refused(&salma(), Code::LimitExceeded, "submit", &[TURTLEBOT, &later]);
-    assert!(refused.found.contains("64") && refused.next.contains("ledgerctl task cancel"), "{refused}");
+    assert!(refused.found.contains("64") && refused.advice().contains("ledgerctl task cancel"), "{refused}");
     fleet.ok(&salma(), "cancel", &["1"]);
     submit(&mut fleet, &salma(), &later);
 

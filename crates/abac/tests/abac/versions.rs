@@ -362,7 +362,7 @@ fn an_organisation_whose_own_rule_nobody_can_meet_gets_out_of_it_after_three_day
     let free = PolicyDraft { approvals: Some("none".into()), ..set("free again") };
     let proposal = propose(&mut fleet, &owner(), &free);
     let refused = fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposal.id, "break-glass"]);
-    assert!(refused.next.contains("72 hours more"), "{refused}");
+    assert!(refused.advice().contains("72 hours more"), "{refused}");
     fleet.time += 3 * DAY;
     fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposal.id]);
     fleet.ok(&owner(), "policy", &["enact", &proposal.id, "break-glass"]);

@@ -179,8 +179,9 @@ impl Client {
 pub fn read_checkpoint(network: &Hash, path: &Path) -> Result<Checkpoint, Rejection> {
     let found = ledger_base::durable::read(path, CHECKPOINT_BYTES_MAX)?;
     Checkpoint::from_bytes(network, &found).map_err(|refused| {
-        let message = format!("{} is not usable: {}", path.display(), refused.message);
-        Rejection { message, ..refused }.next("name another file, or none: then the way begins at the genesis")
+        refused
+            .prefix(format_args!("{} is not usable: ", path.display()))
+            .next("name another file, or none: then the way begins at the genesis")
     })
 }
 

@@ -183,7 +183,7 @@ fn summary(refusals: Vec<Rejection>) -> Rejection {
         Some(first) if count == 1 || hopeless => first,
         Some(first) => Rejection::new(Code::Unreachable, format!("none of {count} nodes can be reached"))
             .found(found.join("; "))
-            .wanted(first.wanted)
-            .next(first.next),
+            .next(first.advice())
+            .wanted(first.wanted),
     }
 }

@@ -117,7 +117,6 @@ fn clocks_differ(address: &str, here: u64, there: u64) -> Rejection {
     Rejection::new(Code::ClockOff, format!("the clock of this machine is {off} {way} that of the node at {address}"))
         .found(format!("{} here, {} there", rfc3339_seconds(here), rfc3339_seconds(there)))
         .wanted("clocks that agree: certificates are valid from one moment to another")
-        .next("set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator")
 }
 
 /// Our certificate is past its end by the clock of the node, which is the one that counts.

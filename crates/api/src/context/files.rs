@@ -167,7 +167,8 @@ pub(super) fn remove_directory(path: &Path) -> Result<(), Rejection> {
 
 /// The same refusal with the advice for contexts.
 fn advised(refused: Rejection) -> Rejection {
-    Rejection { code: Code::BadFile, ..refused }
+    refused
+        .code(Code::BadFile)
         .wanted("a place to store a context")
         .next("check the owner and the free space of the directory, or set LEDGERD_HOME to another")
 }

@@ -68,7 +68,7 @@ fn a_key_that_others_can_read_is_refused() {
     let refused = Context::load(home.path(), Some("Salma")).unwrap_err();
     assert_eq!(refused.code, Code::BadFile);
     assert!(refused.found.contains("0644") && refused.wanted.contains("0600"), "{refused}");
-    assert!(refused.next.contains("chmod 600"), "{refused}");
+    assert!(refused.advice().contains("chmod 600"), "{refused}");
 }
 
 #[test]
@@ -78,9 +78,9 @@ fn an_unknown_name_is_answered_with_the_nearest_one() {
     context.save(home.path()).unwrap();
     let refused = Context::load(home.path(), Some("salam")).unwrap_err();
     assert_eq!(refused.code, Code::NoContext);
-    assert_eq!(refused.next, "did you mean \"Salma\"?");
+    assert_eq!(refused.advice(), "did you mean \"Salma\"?");
     assert!(refused.found.contains("Farhad, Salma"), "{refused}");
-    assert_eq!(Context::load(home.path(), Some("Zq")).unwrap_err().next, "ledgerctl context list");
+    assert_eq!(Context::load(home.path(), Some("Zq")).unwrap_err().advice(), "ledgerctl context list");
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn without_any_context_the_way_to_get_one_is_shown() {
     for name in [None, Some("Salma")] {
         let refused = Context::load(home.path(), name).unwrap_err();
         assert_eq!(refused.code, Code::NoContext);
-        assert!(refused.next.starts_with("ledgerctl enroll"), "{refused}");
+        assert!(refused.advice().starts_with("ledgerctl enroll"), "{refused}");
     }
     assert!(Context::list(home.path()).unwrap().is_empty());
 }
@@ -167,5 +167,5 @@ fn one_context_is_selected_at_a_time_and_none_after_it_is_removed() {
     Context::remove(home.path(), "Farhad").unwrap();
     assert_eq!(Context::list(home.path()).unwrap(), ["Salma"]);
     let refused = Context::load(home.path(), None).unwrap_err();
-    assert!(refused.next.contains("ledgerctl context use Salma"), "{refused}");
+    assert!(refused.advice().contains("ledgerctl context use Salma"), "{refused}");
 }

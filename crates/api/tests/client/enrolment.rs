@@ -41,7 +41,7 @@ async fn a_wrong_secret_is_refused_in_the_words_of_the_ca() {
     let node = Fake::start(&authority).await;
     let enrolment = Enrolment::new(node.address(), authority.fingerprint());
     let refused = enrolment.enrol("Salma", "guess", KeyKind::Ed25519).await.unwrap_err();
-    assert_eq!((refused.code, refused.next.as_str()), (Code::EnrolmentRefused, "ask an admin for another"));
+    assert_eq!((refused.code, refused.advice()), (Code::EnrolmentRefused, "ask an admin for another"));
 }
 
 #[tokio::test]

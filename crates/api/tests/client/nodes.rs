@@ -173,7 +173,7 @@ async fn a_network_that_was_made_anew_is_told_from_a_forger() {
     assert_eq!(refused.message, format!("the network at {} was made anew", node.address()));
     assert!(refused.found.contains(&Hash([9; 32]).to_string()), "{refused}");
     assert!(refused.found.contains(&after.fingerprint().to_string()), "{refused}");
-    assert!(refused.next.contains("enrol again"), "{refused}");
+    assert!(refused.advice().contains("enrol again"), "{refused}");
     // With the name of our network, but another CA: nobody made it anew, somebody pretends to be it.
     *node.node.network.lock().unwrap() = crate::authority::NETWORK;
     let refused = Client::connect(&before.context(&[&node])).await.err().unwrap();
@@ -193,7 +193,7 @@ async fn a_clock_that_is_wrong_is_named_in_place_of_the_certificate() {
     assert_eq!(refused.code, Code::ClockOff, "{refused}");
     assert!(refused.message.starts_with("the clock of this machine is 240"), "{refused}");
     assert!(refused.message.contains("days behind that of the node at"), "{refused}");
-    assert!(refused.next.contains("timedatectl"), "{refused}");
+    assert!(refused.advice().contains("timedatectl"), "{refused}");
 }
 
 #[tokio::test]
@@ -203,6 +203,6 @@ async fn the_last_admin_is_told_of_the_secret_at_the_node() {
     let refused = Client::connect(&authority.expired_admin(&[&node])).await.err().unwrap();
     assert_eq!(refused.code, Code::CertificateExpired, "{refused}");
     for words in ["ask another admin of Org1", "ledgerd admin-secret"] {
-        assert!(refused.next.contains(words), "{refused}");
+        assert!(refused.advice().contains(words), "{refused}");
     }
 }

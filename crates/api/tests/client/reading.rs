@@ -61,6 +61,6 @@ async fn refusals_of_whole_calls_keep_their_code_and_their_lines() {
     let node = Fake::start(&authority).await;
     let client = Client::connect(&authority.context(&[&node])).await.unwrap();
     let missing = client.block(9).await.unwrap_err();
-    assert_eq!((missing.code, missing.next.as_str()), (Code::NotFound, "wait for it"));
+    assert_eq!((missing.code, missing.advice()), (Code::NotFound, "wait for it"));
     assert!(client.denials(0).await.unwrap().is_empty());
 }

@@ -204,7 +204,7 @@ async fn an_unknown_outcome_names_the_id() {
     let refused = client.submit(transaction).await.unwrap_err();
     assert_eq!(refused.code, Code::Timeout);
     assert!(refused.message.contains("outcome is unknown"), "{refused}");
-    assert!(refused.message.contains(&id.to_string()) && refused.next.contains(&id.to_string()), "{refused}");
+    assert!(refused.message.contains(&id.to_string()) && refused.advice().contains(&id.to_string()), "{refused}");
 }
 
 #[tokio::test]
@@ -397,7 +397,7 @@ async fn an_expired_certificate_is_refused_with_the_reason() {
     assert_eq!(refused.message, "the certificate of Org1/Salma has expired");
     assert!(refused.found.contains("2021-01-01"), "{refused}");
     assert!(
-        refused.next.starts_with("ask an admin of Org1 for: ledgerctl identity register Salma --reissue"),
+        refused.advice().starts_with("ask an admin of Org1 for: ledgerctl identity register Salma --reissue"),
         "{refused}"
     );
 }

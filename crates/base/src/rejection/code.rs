@@ -2,7 +2,8 @@
 //!
 //! A code never changes its meaning and is never reused. The number is stored in blocks' results and covered by the
 //! state digest. The name is for people and their searches. The class decides how a client reacts (and the exit code of
-//! `ledgerctl`). Each code has a paragraph in `docs/errors.md`.
+//! `ledgerctl`). The text behind some classes is the general advice of the code. Each code has a paragraph in
+//! `docs/errors.md`, which says the same.
 
 use std::fmt;
 
@@ -38,7 +39,7 @@ impl Class {
 }
 
 macro_rules! codes {
-    ($($(#[$doc:meta])* $variant:ident = $number:literal $name:literal $class:ident;)*) => {
+    ($($(#[$doc:meta])* $variant:ident = $number:literal $name:literal $class:ident $(, $advice:literal)?;)*) => {
         /// A stable code: `LGR-` and a number of four digits, or [`Code::Ok`].
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[non_exhaustive]
@@ -56,6 +57,10 @@ macro_rules! codes {
 
             /// How a client should react.
             pub const fn class(self) -> Class { match self { $(Self::$variant => Class::$class,)* } }
+
+            /// General advice for the next step, for every rejection with this code; empty if that depends on the case.
+            /// The paragraph of the code contains it. It is safe to follow: it loses no data and removes no node.
+            pub const fn advice(self) -> &'static str { match self { $(Self::$variant => concat!($($advice)?),)* } }
 
             /// Does a refusal before ordering with this code promise that the transaction is never executed? The others
             /// speak of a node, not of the transaction; or ask for the certificate, with which it is the same
@@ -83,11 +88,14 @@ codes! {
     /// The signature does not match the body and the creator's key.
     BadSignature = 1004 "BAD_SIGNATURE" Denied;
     /// The creator's certificate is not on the ledger and did not come with the transaction.
-    UnknownCreator = 1005 "UNKNOWN_CREATOR" Invalid;
+    UnknownCreator = 1005 "UNKNOWN_CREATOR" Invalid,
+        "send the same transaction again with the certificate attached";
     /// Block time has passed the transaction's `not_after`.
-    Expired = 1006 "EXPIRED" Invalid;
+    Expired = 1006 "EXPIRED" Invalid,
+        "make a new transaction";
     /// `not_after` lies further ahead of block time than ids are remembered.
-    NotAfterTooFar = 1007 "NOT_AFTER_TOO_FAR" Invalid;
+    NotAfterTooFar = 1007 "NOT_AFTER_TOO_FAR" Invalid,
+        "sign it again with an earlier not_after, and check this machine's clock";
     /// A transaction with this id was executed before; the first verdict stands.
     Duplicate = 1008 "DUPLICATE" Invalid;
     /// No chaincode of this name is installed.
@@ -124,23 +132,29 @@ codes! {
     /// The identity has another role than the one needed.
     WrongRole = 2006 "WRONG_ROLE" Denied;
     /// The enrolment name or its one-time secret is wrong or was used before.
-    EnrolmentRefused = 2007 "ENROLMENT_REFUSED" Denied;
+    EnrolmentRefused = 2007 "ENROLMENT_REFUSED" Denied,
+        "ask an admin of the organisation for a new secret: ledgerctl identity register NAME --reissue";
     /// This call needs a client certificate.
-    CertificateRequired = 2008 "CERTIFICATE_REQUIRED" Denied;
+    CertificateRequired = 2008 "CERTIFICATE_REQUIRED" Denied,
+        "enrol first (ledgerctl enroll), then use the context that it stores";
     /// A name is already registered.
-    AlreadyRegistered = 2009 "ALREADY_REGISTERED" Invalid;
+    AlreadyRegistered = 2009 "ALREADY_REGISTERED" Invalid,
+        "choose another name";
     /// No invitation stands on the ledger for this organisation, or this is not what it invites.
     NotInvited = 2010 "NOT_INVITED" Denied;
     /// The node is none of this network's, or no longer.
-    NotAMember = 2011 "NOT_A_MEMBER" Denied;
+    NotAMember = 2011 "NOT_A_MEMBER" Denied,
+        "bring it in as a new node: ledgerctl network invite --node NAME";
     /// The node does not carry the CA of the organisation; others may.
     CaElsewhere = 2012 "CA_ELSEWHERE" Unreachable;
     /// A revocation list that does not follow the newest one of its authority, or is not of today.
-    OldList = 2013 "OLD_LIST" Invalid;
+    OldList = 2013 "OLD_LIST" Invalid,
+        "fetch the newest list from the CA";
     /// The organisation refuses its members: the revocation list of its CA has ended.
     ListStale = 2014 "LIST_STALE" Denied;
     /// The clocks of this machine and of a node differ so much that good certificates look expired.
-    ClockOff = 2020 "CLOCK_OFF" Failure;
+    ClockOff = 2020 "CLOCK_OFF" Failure,
+        "set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator";
 
     /// The caller's certificate lacks an attribute that the robot requires.
     MissingAttribute = 3001 "MISSING_ATTRIBUTE" Denied;
@@ -157,11 +171,13 @@ codes! {
     /// The epoch is older than the newest grant.
     StaleEpoch = 3007 "STALE_EPOCH" Denied;
     /// The sequence number does not increase.
-    StaleSequence = 3008 "STALE_SEQUENCE" Invalid;
+    StaleSequence = 3008 "STALE_SEQUENCE" Invalid,
+        "number messages upwards; after a restart, acquire again and continue from next_seq";
     /// Only the organisation that owns the robot may do this.
     NotOwner = 3009 "NOT_OWNER" Denied;
     /// Only an admin may do this.
-    NotAdmin = 3010 "NOT_ADMIN" Denied;
+    NotAdmin = 3010 "NOT_ADMIN" Denied,
+        "use the context of such an admin (--context NAME), or ask one";
     /// Something of this name exists already.
     AlreadyExists = 3011 "ALREADY_EXISTS" Invalid;
     /// The message is of another type than the service's.
@@ -173,9 +189,12 @@ codes! {
     /// The network cannot go on without its last voter, organisation or root.
     LastOne = 3015 "LAST_ONE" Invalid;
     /// The service is in a mode whose rule this program does not know.
-    UnknownMode = 3016 "UNKNOWN_MODE" Invalid;
+    UnknownMode = 3016 "UNKNOWN_MODE" Invalid,
+        "install the version of the nodes on the machine of the bridge, or let the owner set another mode";
     /// A voter does not speak the rules of execution that are to be activated.
-    RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid;
+    RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid,
+        "install the newer release on the nodes that the message names, and start them; ledgerctl network rules shows what every \
+         node speaks";
     /// The function is executed only once enough have agreed to a proposal of this call.
     NeedsApproval = 3018 "NEEDS_APPROVAL" Denied;
     /// The organisation has as many of these as its quota allows.
@@ -187,46 +206,61 @@ codes! {
     /// The grant cannot be passed on.
     NotDelegable = 3022 "NOT_DELEGABLE" Conflict;
     /// Another set of policies is in force than the one that this was made from.
-    PoliciesChanged = 3023 "POLICIES_CHANGED" Conflict;
+    PoliciesChanged = 3023 "POLICIES_CHANGED" Conflict,
+        "ledgerctl policy history shows what has changed; make it again from the set in force";
     /// Under these policies nobody could publish to a robot.
-    NobodyMayPublish = 3024 "NOBODY_MAY_PUBLISH" Conflict;
+    NobodyMayPublish = 3024 "NOBODY_MAY_PUBLISH" Conflict,
+        "ledgerctl can --who-could shows who may; if it is meant, the same command with --i-mean-it";
     /// The readers of a confidential service have changed since its content key was shared.
-    ReadersChanged = 3025 "READERS_CHANGED" Conflict;
+    ReadersChanged = 3025 "READERS_CHANGED" Conflict,
+        "share a new content key and send the message again; ledgerctl and bridges do so by themselves";
 
     /// No node answered.
-    Unreachable = 4001 "UNREACHABLE" Unreachable;
+    Unreachable = 4001 "UNREACHABLE" Unreachable,
+        "try again, or another node";
     /// No leader is known, so nothing can be ordered now.
-    NoLeader = 4002 "NO_LEADER" Unreachable;
+    NoLeader = 4002 "NO_LEADER" Unreachable,
+        "try the same again shortly, unchanged, or through another node";
     /// A queue is full.
-    Overloaded = 4003 "OVERLOADED" Unreachable;
+    Overloaded = 4003 "OVERLOADED" Unreachable,
+        "send less often; send newer data instead, or the same call again after 100 ms";
     /// No verdict came in time; the outcome is unknown, repeat with the same transaction.
-    Timeout = 4004 "TIMEOUT" Unreachable;
+    Timeout = 4004 "TIMEOUT" Unreachable,
+        "submit the same transaction again, through this or another node: it is executed once";
     /// The node has not reached the height that was asked for.
-    Behind = 4005 "BEHIND" Unreachable;
+    Behind = 4005 "BEHIND" Unreachable,
+        "try again, or ask another node";
     /// The node is shutting down.
     ShuttingDown = 4006 "SHUTTING_DOWN" Unreachable;
     /// The clock of the only voter is in doubt, so it orders nothing.
-    ClockJumped = 4007 "CLOCK_JUMPED" Unreachable;
+    ClockJumped = 4007 "CLOCK_JUMPED" Unreachable,
+        "set the clock right; the node continues by itself. If the clock is right, end the node and confirm it: \
+         ledgerd run --trust-clock --config FILE";
 
     /// The disk is full; nothing more is accepted.
     DiskFull = 5001 "DISK_FULL" Failure;
     /// Stored bytes are damaged.
     Corrupt = 5002 "CORRUPT" Failure;
     /// The disk failed.
-    DiskFailed = 5003 "DISK_FAILED" Failure;
+    DiskFailed = 5003 "DISK_FAILED" Failure,
+        "see the system's log (dmesg); repair or replace the disk, then start again";
     /// The chain does not verify.
-    ChainInvalid = 5004 "CHAIN_INVALID" Failure;
+    ChainInvalid = 5004 "CHAIN_INVALID" Failure,
+        "compare with the same height on a node of another organisation (ledgerctl block N), and keep the directory as evidence";
     /// Something inside failed; the log has the details.
     Internal = 5005 "INTERNAL" Failure;
     /// The world state of this node differs from that of most others.
-    Diverged = 5006 "DIVERGED" Failure;
+    Diverged = 5006 "DIVERGED" Failure,
+        "start the node with the program that the other nodes run: it rebuilds its world state from its blocks";
     /// The network executes blocks by rules that this release does not speak.
-    UnknownRules = 5007 "UNKNOWN_RULES" Failure;
+    UnknownRules = 5007 "UNKNOWN_RULES" Failure,
+        "install the release of ledgerd that the other nodes of the network run";
     /// The network has another history than this node.
     Forked = 5008 "FORKED" Failure;
 
     /// A topic or type name is not a ROS 2 name.
-    BadName = 6001 "BAD_NAME" Invalid;
+    BadName = 6001 "BAD_NAME" Invalid,
+        "choose a name of the wanted form";
     /// A ROS 2 middleware failed.
     MiddlewareFailed = 6002 "MIDDLEWARE_FAILED" Failure;
     /// A message does not fit its ROS 2 type.

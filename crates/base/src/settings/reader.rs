@@ -25,9 +25,9 @@ pub fn load(path: &Path) -> Result<String, Vec<Fault>> {
         if rejection.code == Code::BadFile {
             // The fault names the file.
             rejection.message = "cannot be read".into();
-            rejection.next = "give the path of a configuration with --config; \
-                              docs/configuration.md and docs/bridge.md list all settings"
-                .into();
+            rejection = rejection.next(
+                "give the path of a configuration with --config; docs/configuration.md and docs/bridge.md list all settings",
+            );
         }
         whole(rejection)
     })?;
@@ -147,7 +147,7 @@ impl<'t> Section<'_, 't> {
             Some(Ok(value)) => return *target = value,
             Some(Err(refusal)) => {
                 let refusal: Rejection = refusal.into();
-                Rejection { message: format!("{}: {}", self.path(name), refusal.message), ..refusal }
+                refusal.prefix(format_args!("{}: ", self.path(name)))
             }
             None => self.wrong(name, &span, wanted),
         };
@@ -244,7 +244,7 @@ impl<'t> Section<'_, 't> {
             Some(Ok(read)) => return Some(read),
             Some(Err(refusal)) => {
                 let refusal: Rejection = refusal.into();
-                Rejection { message: format!("{}: {}", self.path(name), refusal.message), ..refusal }
+                refusal.prefix(format_args!("{}: ", self.path(name)))
             }
             None => self.wrong(name, &value.span(), wanted),
         };

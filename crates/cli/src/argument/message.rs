@@ -47,7 +47,7 @@ impl Definitions {
         self.library()?.message(type_name).map_err(|fault| {
             let unknown = refused(fault);
             let file = format!("--msg {type_name}=FILE.msg for its definition, or --hex for its bytes");
-            if unknown.next.is_empty() { unknown.next(file) } else { unknown }
+            if unknown.advice().is_empty() { unknown.next(file) } else { unknown }
         })
     }
 }
@@ -97,13 +97,13 @@ mod tests {
         std::fs::write(&path, "float32\n").unwrap();
         let unnamed = definitions(std::slice::from_ref(&path)).library().unwrap_err();
         assert_eq!(unnamed.code, Code::BadFile);
-        assert!(unnamed.next.contains("package/msg/Name=FILE"), "{unnamed:?}");
+        assert!(unnamed.advice().contains("package/msg/Name=FILE"), "{unnamed:?}");
         let broken = definitions(&[format!("arm_msgs/msg/Grip={path}")]).library().unwrap_err();
         assert!(broken.message.contains("line 1") && broken.code == Code::BadFile, "{broken:?}");
         let missing = definitions(&["a_msgs/msg/B=/nowhere/B.msg".to_owned()]).library().unwrap_err();
         assert_eq!(missing.code, Code::BadFile);
         let unknown = definitions(&[]).message("arm_msgs/msg/Grip").unwrap_err();
         assert_eq!(unknown.code, Code::BadMessage);
-        assert!(unknown.next.contains("--msg arm_msgs/msg/Grip=FILE.msg"), "{unknown:?}");
+        assert!(unknown.advice().contains("--msg arm_msgs/msg/Grip=FILE.msg"), "{unknown:?}");
     }
 }

@@ -104,7 +104,7 @@ impl Enroll {
         let enrolled =
             Enrolment::new(&self.node, fingerprint).enrol_key(&self.name, &self.secret, pending.key()?).await;
         let mut enrolled = enrolled.map_err(|refused| match refused.code.class() {
-            Class::Unreachable if refused.next.is_empty() => {
+            Class::Unreachable if refused.own_advice().is_empty() => {
                 refused.next("type the same command again: the key is kept, and the secret is not spent twice")
             }
             _ => refused,
@@ -112,10 +112,10 @@ impl Enroll {
         name.clone_into(&mut enrolled.name);
         enrolled.renew = self.renew;
         enrolled.save(&home).map_err(|full| {
-            let first = if full.next.is_empty() { "mend that".to_owned() } else { full.next.clone() };
-            full.next(format!(
-                "{first}; then type the same command again within 15 minutes: the same certificate comes back"
-            ))
+            let first = if full.advice().is_empty() { "mend that" } else { full.advice() };
+            let next =
+                format!("{first}; then type the same command again within 15 minutes: the same certificate comes back");
+            full.next(next)
         })?;
         pending.finish();
         let selected = Context::current(&home)?.as_deref() == Some(name);

@@ -113,6 +113,27 @@ mod tests {
     }
 
     #[test]
+    fn a_remedy_contains_the_advice_that_refusals_with_the_code_show() {
+        let plain = |text: &str| text.replace('`', "").split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase();
+        let advised: Vec<_> = Code::ALL.iter().filter(|code| !code.advice().is_empty()).collect();
+        for code in &advised {
+            let remedy = plain(paragraph(**code).unwrap().split("- Remedy: ").last().unwrap());
+            let advice = plain(code.advice());
+            assert!(remedy.contains(&advice), "{code}: the advice is {advice:?}, the remedy {remedy:?}");
+        }
+        assert!(advised.len() > 20, "the table of codes has its advice");
+    }
+
+    #[test]
+    fn the_advice_of_a_code_removes_nothing() {
+        for code in Code::ALL {
+            for word in ["remove", "delete", "--force", "revoke", "recover", "rejoin", "ledgerd init"] {
+                assert!(!code.advice().contains(word), "{code}: {}", code.advice());
+            }
+        }
+    }
+
+    #[test]
     fn a_code_is_found_by_number_form_and_name() {
         for text in ["LGR-3005", "lgr-3005", "3005", "HELD", "held"] {
             assert_eq!(find(text).unwrap(), Code::Held, "{text}");
@@ -123,7 +144,7 @@ mod tests {
 
     #[test]
     fn an_unknown_code_is_refused_with_a_near_match() {
-        assert!(find("MISING_ATTRIBUTE").unwrap_err().next.contains("LGR-3001 MISSING_ATTRIBUTE"));
+        assert!(find("MISING_ATTRIBUTE").unwrap_err().advice().contains("LGR-3001 MISSING_ATTRIBUTE"));
         assert_eq!(find("9999").unwrap_err().code, Code::NotFound);
         assert_eq!(find("99999999").unwrap_err().code, Code::NotFound);
     }

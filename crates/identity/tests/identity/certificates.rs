@@ -181,5 +181,5 @@ fn a_refusal_carries_its_code_and_what_to_do() {
     assert_eq!(rejection.code, Code::Untrusted);
     assert_eq!(rejection.message, "the certificate is not trusted");
     assert!(rejection.found.contains("ca.org9") && rejection.wanted.contains("Org1"), "{rejection}");
-    assert!(!rejection.next.is_empty());
+    assert!(!rejection.advice().is_empty());
 }

@@ -95,8 +95,7 @@ pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     let caller = node(ctx, "attest what the network computed")?;
     let Some(record) = nodes::present(ctx, &caller.organisation, &caller.name)? else {
         return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed")
-            .next("ledgerctl network invite --node NAME"));
+            .wanted("a node that has joined and was not removed"));
     };
     // Before ordering, this is the committed height, which may be attested; in the block, it is the block itself,
     // whose hash nobody could know when they signed.

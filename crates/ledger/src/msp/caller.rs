@@ -26,8 +26,7 @@ pub(super) fn admin<'a>(ctx: &Context<'a>, what: &str) -> Result<&'a Identity, R
     }
     Err(Rejection::new(Code::NotAdmin, format!("{} may not {what}", caller.id()))
         .found(format!("role {}", caller.role))
-        .wanted("role admin")
-        .next(format!("ask an admin of {}", caller.organisation)))
+        .wanted(format!("an admin of {}", caller.organisation)))
 }
 
 /// The submitter, if they are a node.
@@ -66,5 +65,5 @@ pub(super) fn bad(function: &str, name: &str, wanted: &str) -> Rejection {
 
 /// Checks the name of an organisation or a node.
 pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
-    ledger_identity::check_name(name).map_err(|error| Rejection { code: Code::BadName, ..Rejection::from(error) })
+    ledger_identity::check_name(name).map_err(|error| Rejection::from(error).code(Code::BadName))
 }

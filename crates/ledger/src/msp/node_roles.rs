@@ -82,8 +82,7 @@ pub(super) fn change_role(
 fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
     if node.role == NodeRole::Removed && role != NodeRole::Removed {
         return Err(Rejection::new(Code::NotAMember, format!("node {} ({}) was removed", node.id, node.full_name()))
-            .wanted("a node of the network; numbers are never used again")
-            .next("let it join again as a new node: ledgerctl network invite --node NAME"));
+            .wanted("a node of the network; numbers are never used again"));
     }
     if role == NodeRole::Voter {
         rules::check_voter(ctx, node)?;

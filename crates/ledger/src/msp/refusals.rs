@@ -88,8 +88,7 @@ pub(super) fn tell(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
     let caller = node(ctx, "tell what it refused")?;
     if nodes::present(ctx, &caller.organisation, &caller.name)?.is_none() {
         return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed")
-            .next("ledgerctl network invite --node NAME"));
+            .wanted("a node that has joined and was not removed"));
     }
     check(&told)?;
     let key = store::told_key(&caller.organisation, &caller.name);
@@ -149,7 +148,6 @@ pub(super) fn may_read(ctx: &Context<'_>) -> Result<(), Rejection> {
         ledger_identity::Role::Admin | ledger_identity::Role::Node => Ok(()),
         role => Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", reader.id()))
             .found(format!("role {role}"))
-            .wanted("role admin")
-            .next(format!("ask an admin of {}", reader.organisation))),
+            .wanted(format!("an admin of {}", reader.organisation))),
     }
 }

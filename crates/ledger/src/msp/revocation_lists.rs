@@ -280,8 +280,7 @@ fn decoded(text: &str, most: usize) -> Result<Vec<u8>, Rejection> {
 
 /// The refusal of a list that cannot be read or that nobody of the organisation has signed.
 fn unusable(error: ledger_identity::IdentityError) -> Rejection {
-    let refused = Rejection::from(error);
-    Rejection { message: format!("the revocation list is refused: {}", refused.message), ..refused }.next(
+    Rejection::from(error).prefix("the revocation list is refused: ").next(
         "fetch the list again from the CA of your organisation; ledgerctl network organisations shows its authorities",
     )
 }

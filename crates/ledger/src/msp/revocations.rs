@@ -62,8 +62,7 @@ pub(super) fn revoke(ctx: &mut Context<'_>, issuer: &[u8], serial: &[u8], reason
             format!("{} may not revoke certificates of {organisation}", caller.id()),
         )
         .found(format!("role {} of {}", caller.role, caller.organisation))
-        .wanted(format!("an admin of {organisation}, which issued it"))
-        .next(format!("ask an admin of {organisation}")));
+        .wanted(format!("an admin of {organisation}, which issued it")));
     }
     revoke_certificate(ctx, caller, &organisation, (&issuer, &serial), reason)
 }

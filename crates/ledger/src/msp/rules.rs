@@ -75,8 +75,7 @@ pub(super) fn speak(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
     }
     let Some(record) = nodes::present(ctx, &caller.organisation, &caller.name)? else {
         return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed")
-            .next("ledgerctl network invite --node NAME"));
+            .wanted("a node that has joined and was not removed"));
     };
     let record = NodeRecord { speaks: Some(speaks), ..record };
     nodes::write(ctx, &record)?;
@@ -118,8 +117,7 @@ pub(super) fn check_voter(ctx: &Context<'_>, node: &NodeRecord) -> Result<(), Re
     let message = format!("{} does not speak rules {number}, which hold from block {height} on", node.full_name());
     Err(Rejection::new(Code::RulesNotSpoken, message)
         .found(format!("rules {} at most", newest(node, ctx.rules().number())))
-        .wanted(format!("rules {number}"))
-        .next("install a newer release of ledgerd there, and start it: ledgerctl network rules shows what it speaks"))
+        .wanted(format!("rules {number}")))
 }
 
 /// Newer than what is in force, alone, and spoken by every voter.
@@ -148,8 +146,7 @@ fn check(ctx: &Context<'_>, number: u32) -> Result<(), Rejection> {
     }
     Err(Rejection::new(Code::RulesNotSpoken, format!("not every voter speaks rules {number}"))
         .found(silent.join(", "))
-        .wanted(format!("rules {number}, spoken by every voter"))
-        .next("install a newer release of ledgerd there, and start it: ledgerctl network rules shows what it speaks"))
+        .wanted(format!("rules {number}, spoken by every voter")))
 }
 
 /// The activation that is decided and not in force yet. A query asks with the rules of the next block.

@@ -104,7 +104,7 @@ fn a_long_list_comes_in_pages() {
     }
     assert_eq!(names.len(), 450);
     let refused = network.ask(&network.admins[0], "identities", &[]);
-    assert!(code(&refused) == Code::OverBudget && refused.unwrap_err().next.contains("{}"));
+    assert!(code(&refused) == Code::OverBudget && refused.unwrap_err().advice().contains("{}"));
     assert!(names.is_sorted());
 }
 

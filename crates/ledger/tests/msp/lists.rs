@@ -221,7 +221,7 @@ fn an_entry_leaves_a_list_only_once_its_certificate_is_known_to_have_ended() {
     assert_eq!(code(&story.record(&without_seen)), Code::Ok, "the ledger knows when that one ended");
     let without_both = story.list(std::slice::from_ref(&salma)).signed(&story.ca);
     let refused = story.record_bytes(&without_both, &[]).unwrap_err();
-    assert!(refused.code == Code::OldList && refused.next.contains("--ended"), "{refused}");
+    assert!(refused.code == Code::OldList && refused.advice().contains("--ended"), "{refused}");
     let valid = story.ca.user("Lena", "client", KeyKind::P256);
     assert_eq!(code(&story.record_bytes(&without_both, &[&valid])), Code::OldList, "that one is good");
     let of_others = story.network.cas[0].user_as(["Omar", "client"], KeyKind::P256, short);

@@ -115,7 +115,7 @@ fn an_organisation_brings_in_so_many_new_nodes_in_an_hour_and_the_refusal_says_w
         }
     }
     let refused = network.node(2, "join_node", &[replace]).unwrap_err();
-    assert!(refused.code == Code::LimitExceeded && refused.next.ends_with(" min"), "{refused}");
+    assert!(refused.code == Code::LimitExceeded && refused.advice().ends_with(" min"), "{refused}");
     network.node(2, "join_node", &[r#"{"address":"node2:7451"}"#]).unwrap();
     // Other organisations have their own.
     network.node(3, "join_node", &[r#"{"address":"node3:7450","replace":true}"#]).unwrap();

@@ -51,7 +51,7 @@ fn a_function_that_needs_approval_refuses_a_direct_call_and_says_how_to_propose_
         let call = network.sign_for("listener", &boss, function, &["yes"]);
         let refused = network.block(&[&call]).remove(0).unwrap_err();
         assert_eq!(refused.code, Code::NeedsApproval, "{function}");
-        assert!(refused.next.starts_with("ledgerctl network propose listener agree ARG"), "{refused}");
+        assert!(refused.advice().starts_with("ledgerctl network propose listener agree ARG"), "{refused}");
     }
     assert_eq!(network.agreed(), "");
 }

@@ -29,7 +29,7 @@ fn an_organisation_that_fills_its_quota_keeps_no_other_from_adding() {
     let late = format!(r#"{{"name":"Omar","role":"member","secret":"{}","expires":{expires}}}"#, Hash::ZERO);
     let refused = network.admin(1, "register", &[&late]).unwrap_err();
     assert_eq!(refused.code, Code::QuotaReached);
-    assert!(refused.found.contains("3 identities") && refused.next.contains("set_quota"), "{refused}");
+    assert!(refused.found.contains("3 identities") && refused.advice().contains("set_quota"), "{refused}");
     assert_eq!(register(&mut network, 2, "Omar"), Code::Ok);
     // Room comes from what nobody uses.
     network.admin(1, "cancel_registration", &[r#"{"name":"Nadia"}"#]).unwrap();

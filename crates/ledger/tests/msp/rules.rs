@@ -110,7 +110,7 @@ fn a_node_that_does_not_speak_the_rules_of_the_next_block_stops_and_says_which_r
     assert_eq!(refused.code, Code::UnknownRules);
     assert_eq!(refused.found, format!("rules {unknown} from block {} on", height + 1));
     assert_eq!(refused.wanted, Rules::OF_TESTS.and_older());
-    assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
+    assert!(refused.advice().contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
     assert_eq!(network.ledger.tip().height, height, "nothing was executed");
     let again = network.open_again();
     assert_eq!(again.err().map(|reason| reason.code), Some(Code::UnknownRules), "nor does it start");
@@ -130,7 +130,7 @@ fn a_ledger_that_speaks_less_goes_on_under_the_rules_that_it_speaks_and_stops_be
     for block in &network.blocks {
         let Err(refused) = old.apply(block) else { continue };
         assert_eq!((refused.code, refused.wanted.as_str()), (Code::UnknownRules, "rules 1"));
-        assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
+        assert!(refused.advice().contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
     }
     assert_eq!(old.tip().height, height - 1);
 }
@@ -218,7 +218,7 @@ fn a_transaction_answers_with_little_and_a_query_with_more() {
         |text: &Bytes| network.ledger.query(&caller, network.time, "listener", "echo", std::slice::from_ref(text));
     assert_eq!(ask(&much).unwrap().0, much);
     let refused = ask(&Bytes::from(vec![b'x'; 1024 * 1024 + 1])).unwrap_err();
-    assert!(refused.code == Code::OverBudget && refused.next.contains("pages"), "{refused}");
+    assert!(refused.code == Code::OverBudget && refused.advice().contains("pages"), "{refused}");
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn a_call_that_goes_on_for_ever_is_stopped_and_the_block_goes_on() {
     let codes: Vec<_> = outcomes.iter().map(code).collect();
     assert_eq!(codes, [Code::OverBudget, Code::OverBudget, Code::Ok]);
     let refused = outcomes[0].as_ref().unwrap_err();
-    assert!(refused.found.contains("bytes written") && refused.next.contains("several"), "{refused}");
+    assert!(refused.found.contains("bytes written") && refused.advice().contains("several"), "{refused}");
     assert!(outcomes[1].as_ref().unwrap_err().found.contains("keys read"));
     let admitted = network.sign_for("listener", &member, "hog", &[]);
     let refused = network.ledger.admit(admitted.encoded().clone(), network.time).unwrap_err();
@@ -250,7 +250,7 @@ fn functions_of_msp_that_only_read_are_queries_and_no_transactions() {
             _ => &[],
         };
         let refused = network.call(&admin, function, args).unwrap_err();
-        assert!(refused.code == Code::QueryOnly && refused.next.contains("ledgerctl query msp"), "{refused}");
+        assert!(refused.code == Code::QueryOnly && refused.advice().contains("ledgerctl query msp"), "{refused}");
         match network.ask(&admin, function, args) {
             Ok(_) => {}
             // Names of all organisations are told to chaincodes only.

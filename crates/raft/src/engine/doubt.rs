@@ -28,7 +28,6 @@ impl ClockDoubt {
         Rejection::new(Code::ClockJumped, format!("the clock of the only voter {what}, so it orders nothing"))
             .found(found)
             .wanted(format!("at most {} ms", TIME_AHEAD_MAX / 1000))
-            .next("set its clock; it goes on by itself. If the clock is right: end it, ledgerd run --trust-clock --config FILE")
     }
 }
 

@@ -34,14 +34,13 @@ impl Engine {
     pub(super) fn read_index(&mut self, context: u64, out: &mut Vec<Output>) {
         let raft = &self.raw.raft;
         let reason = if self.leader().is_none() {
-            Rejection::new(Code::NoLeader, "no leader is known, so no node can confirm a read").next("ask again later")
+            Rejection::new(Code::NoLeader, "no leader is known, so no node can confirm a read")
         } else if self.is_leader() && !raft.commit_to_current_term() {
-            Rejection::new(Code::NoLeader, "the leader is new and has committed nothing yet").next("ask again later")
+            Rejection::new(Code::NoLeader, "the leader is new and has committed nothing yet")
         } else if raft.pending_read_count() >= READS_PENDING_MAX {
             Rejection::new(Code::Overloaded, "too many reads wait for confirmation")
                 .found(raft.pending_read_count().to_string())
                 .wanted(format!("at most {READS_PENDING_MAX}"))
-                .next("ask again later")
         } else {
             let name = self.read_name(context);
             return self.raw.read_index(name);
@@ -57,8 +56,7 @@ impl Engine {
             self.transfer(*to)
         } else if !self.may_propose() {
             Err(Rejection::new(Code::NoLeader, "this node is not the leader, or not ready to order")
-                .found(format!("leader {:?}", self.told.leader))
-                .next("ask the leader, or again later"))
+                .found(format!("leader {:?}", self.told.leader)))
         } else {
             match &input {
                 Input::ChangeMembership(change) => self.change_membership(change),

@@ -50,8 +50,7 @@ impl Engine {
         let code = u16::try_from(transactions.code).ok().and_then(Code::from_number);
         let code = code.filter(|code| (4000..5000).contains(&code.number())).unwrap_or(Code::NoLeader);
         for transaction in transactions.control.into_iter().chain(transactions.data) {
-            let reason = Rejection::new(code, "the node that was taken for the leader did not order the transaction")
-                .next("submit it again later, unchanged");
+            let reason = Rejection::new(code, "the node that was taken for the leader did not order the transaction");
             out.push(Output::Dropped { transaction, reason });
         }
     }
@@ -82,7 +81,6 @@ impl Engine {
 
 pub(super) fn no_leader() -> Rejection {
     Rejection::new(Code::NoLeader, "no leader is known, so nothing can be ordered now")
-        .next("submit it again later, unchanged, or through another node")
 }
 
 /// Tells whoever submitted: a client of this node, or the node that forwarded.

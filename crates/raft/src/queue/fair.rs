@@ -181,7 +181,6 @@ impl Queue {
         Rejection::new(Code::Overloaded, "too many transactions wait to be ordered")
             .found(format!("{} transactions, {} bytes", self.items.len(), self.bytes))
             .wanted(format!("at most {} transactions, {} bytes", self.transactions_max, self.bytes_max))
-            .next("send less often; submit it again after 100 ms, unchanged, if it still matters then")
     }
 }
 

@@ -140,7 +140,6 @@ pub(super) fn overloaded(newest: bool, waited: u64, (waiting, oldest): (usize, u
             oldest / 1000
         ))
         .wanted(format!("at most {} ms (order.wait_ms)", wait_max / 1000))
-        .next("send less often; send newer data instead, or the same call again after 100 ms")
 }
 
 /// The subject of a call: usually a service.

@@ -80,8 +80,7 @@ impl<W: Waiter> Replica<W> {
     /// There is no way to the leader now, so who waits for what was forwarded is told.
     pub(super) fn unsent(&mut self, to: u64, message: PeerMessage, out: &mut Vec<Effect>) {
         let PeerMessage::Forward(lost) = message else { return };
-        let reason = Rejection::new(Code::NoLeader, format!("node {to} leads, but there is no connection to it"))
-            .next("submit the same transaction again, through this or another node");
+        let reason = Rejection::new(Code::NoLeader, format!("node {to} leads, but there is no connection to it"));
         for transaction in lost.control.into_iter().chain(lost.data) {
             self.refuse(transaction, reason.clone(), out);
         }

@@ -130,10 +130,10 @@ impl RobotGrants {
                 let goes_on = format!("ledgerctl resume {robot} lets it go on");
                 Answer::yes(format!("{robot} is stopped, {} grants have ended; {goes_on}", ended.len()))
             }
-            Err(mut refused) => {
+            Err(refused) => {
                 let own = format!("call {name}/release, which stops it if you hold it");
-                refused.next = if refused.next.is_empty() { own } else { format!("{}; or {own}", refused.next) };
-                Answer::no(&refused)
+                let next = if refused.advice().is_empty() { own } else { format!("{}; or {own}", refused.advice()) };
+                Answer::no(&refused.next(next))
             }
         }
     }

@@ -196,7 +196,7 @@ mod tests {
             Reach::choose(&Settings::default(), move |name| (name == ROS_SECURITY_ENABLE).then(|| value.clone()))
         };
         let refused = with("true").unwrap_err();
-        assert!(refused.message.contains("SROS2") && refused.next.contains("docs/bridge.md"), "{refused}");
+        assert!(refused.message.contains("SROS2") && refused.advice().contains("docs/bridge.md"), "{refused}");
         for value in ["false", "", "True"] {
             assert_eq!(with(value).unwrap(), Reach::default(), "as ROS 2 reads it: {value:?}");
         }

@@ -164,7 +164,7 @@ impl RoguePublisherReports {
             }
             Outcome::Refused(refused) if pause_after(refused) == REFUSED_PAUSE => {
                 if self.log_limiter.admit(refused.code.name(), now).is_some() {
-                    let (code, reason, next) = (refused.code.name(), one_line(refused), &refused.next);
+                    let (code, reason, next) = (refused.code.name(), one_line(refused), refused.advice());
                     tracing::warn!(
                         service,
                         code,

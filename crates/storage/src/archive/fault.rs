@@ -25,6 +25,5 @@ pub(super) fn in_archive(error: &StoreError) -> Rejection {
 }
 
 fn named(place: &str, error: &StoreError) -> Rejection {
-    let rejection = Rejection::from(error.clone());
-    Rejection { message: format!("{place}: {}", rejection.message), ..rejection }
+    Rejection::from(error.clone()).prefix(format_args!("{place}: "))
 }

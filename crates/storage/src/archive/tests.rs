@@ -218,7 +218,7 @@ fn blocks_that_do_not_begin_at_1_are_archived_with_the_snapshot_before_them() {
     let first = blocks.prune(60).unwrap();
     fs::write(data.join(SNAPSHOTS_DIRECTORY).join(snapshot_name(first - 2)), b"too old").unwrap();
     let refused = archive(&data, &to, Extent::Finished).unwrap_err();
-    assert!(refused.code == Code::BadFile && refused.next.contains("snapshot"), "{refused}");
+    assert!(refused.code == Code::BadFile && refused.advice().contains("snapshot"), "{refused}");
     for height in [70, first - 1, 90] {
         fs::write(data.join(SNAPSHOTS_DIRECTORY).join(snapshot_name(height)), height.to_string()).unwrap();
     }

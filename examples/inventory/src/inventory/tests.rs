@@ -195,7 +195,7 @@ fn a_full_inventory_says_how_to_make_room() {
         world.found(&salma, "pallet");
     }
     let refusal = world.refused(&salma, Code::LimitExceeded, "found", &["Turtlebot4", "pallet", "0", "0"]);
-    assert!(refusal.next.contains("collected"), "{refusal}");
+    assert!(refusal.advice().contains("collected"), "{refusal}");
     world.call(&salma, "collected", &["500"]).unwrap();
     world.found(&salma, "pallet");
 }

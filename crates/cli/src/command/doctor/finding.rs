@@ -75,14 +75,15 @@ impl Finding {
 
     /// Wrong, as a refusal explains it.
     pub(super) fn refused(check: impl Into<Cow<'static, str>>, refused: &Rejection) -> Self {
-        let Rejection { code, message, found, wanted, next } = refused;
+        let Rejection { code, message, found, wanted, .. } = refused;
         let mut text = format!("{message} [{code}]");
         for (word, value) in [("found", found), ("wanted", wanted)] {
             if !value.is_empty() {
                 text.push_str(&format!("; {word} {value}"));
             }
         }
-        let repair = if next.is_empty() { format!("ledgerctl explain {code}") } else { next.clone() };
+        let advice = refused.advice();
+        let repair = if advice.is_empty() { format!("ledgerctl explain {code}") } else { advice.to_owned() };
         Self::wrong(check, text, repair)
     }
 }

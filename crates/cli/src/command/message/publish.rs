@@ -118,7 +118,7 @@ impl Content {
             }
             (Self::Bytes(bytes), Ok(message)) => message.check(bytes).map(|()| bytes.clone()).map_err(|fault| {
                 let refused = refused(fault);
-                if refused.next.is_empty() { refused.next(AS_TEXT) } else { refused }
+                if refused.advice().is_empty() { refused.next(AS_TEXT) } else { refused }
             }),
             (Self::Bytes(bytes), Err(_)) => Ok(bytes.clone()),
         }

@@ -169,7 +169,7 @@ impl Transfer {
         // The leader itself is asked, and may be of an organisation that has joined since.
         let session = Session::connect(current(session).await?).await?;
         let leadership = session.client.transfer_leadership(id).await.map_err(|refused: Rejection| {
-            if refused.next.is_empty() { refused.next("ledgerctl network status shows who votes") } else { refused }
+            if refused.advice().is_empty() { refused.next("ledgerctl network status shows who votes") } else { refused }
         })?;
         let leader = nodes.iter().find(|node| node.id == leadership.leader).map_or_else(String::new, |n| n.full_name());
         output.show(&Leads { leader_id: leadership.leader, leader, term: leadership.term })

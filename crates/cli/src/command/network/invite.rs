@@ -151,8 +151,7 @@ async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invite
         Some(known) => {
             return Err(Rejection::new(Code::AlreadyRegistered, format!("{name} is registered, and not as a node"))
                 .found(format!("role {}", known.role))
-                .wanted("a name that is free, or that of a node")
-                .next("choose another name for the node"));
+                .wanted("a name that is free, or that of a node"));
         }
     };
     let token = door.token(registered.organisation, name.to_owned(), JoinKind::Node, registered.secret);

@@ -124,8 +124,10 @@ pub(super) fn in_words_of_the_command_line(refused: Rejection) -> Rejection {
         keys.sort_by_key(|key| std::cmp::Reverse(key.field.len()));
         keys.iter().fold(text, |text, key| text.replace(key.field, key.name))
     };
-    let Rejection { code, message, found, wanted, next } = WORDS.told(refused);
-    Rejection { code, message: typed(message), found: typed(found), wanted: typed(wanted), next: typed(next) }
+    let told = WORDS.told(refused);
+    let next = typed(told.own_advice().to_owned());
+    let Rejection { code, message, found, wanted, .. } = told;
+    Rejection::new(code, typed(message)).found(typed(found)).wanted(typed(wanted)).next(next)
 }
 
 #[derive(Serialize)]
@@ -248,6 +250,6 @@ mod tests {
             .next("lease_ms is 20 ms, and lease_ms_max is never shorter: set both");
         let refused = in_words_of_the_command_line(refused);
         assert_eq!(refused.message, "lease-max of service /cmd_vel is out of range");
-        assert_eq!(refused.next, "lease is 20 ms, and lease-max is never shorter: set both");
+        assert_eq!(refused.advice(), "lease is 20 ms, and lease-max is never shorter: set both");
     }
 }

@@ -129,7 +129,8 @@ fn check_may_issue(ctx: &Context<'_>, caller: &Identity, organisation: &str) -> 
     }
     Err(Rejection::new(Code::NotAdmin, format!("{} may not issue for {organisation}", caller.id()))
         .found("a node that does not carry its CA, as far as the ledger knows")
-        .wanted(format!("a node that carries the CA of {organisation}")))
+        .wanted(format!("a node that carries the CA of {organisation}"))
+        .next("ledgerctl ca status shows the nodes that carry it"))
 }
 
 /// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away. One that
@@ -314,7 +315,7 @@ pub(in super::super) fn adopt(
     known: KnownIdentity,
 ) -> Result<(), Rejection> {
     let KnownIdentity { name, role, attributes, secret, certificates } = known;
-    check_name(&name).map_err(|error| Rejection { code: Code::BadArgument, ..Rejection::from(error) })?;
+    check_name(&name).map_err(|error| Rejection::from(error).code(Code::BadArgument))?;
     check(&attributes)?;
     let before = find(ctx, organisation, &name)?;
     let mut record = match &before {
@@ -345,5 +346,4 @@ fn refused(found: &str) -> Rejection {
     Rejection::new(Code::EnrolmentRefused, "enrolment is refused")
         .found(found)
         .wanted("a registered name and its unused one-time secret")
-        .next("ask an admin of the organisation for a new secret")
 }

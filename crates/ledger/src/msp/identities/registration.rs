@@ -137,8 +137,7 @@ fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<()
                 format!("{name:?} looks like a name that is registered"),
             )
             .found(format!("{known:?} of {organisation}"))
-            .wanted("a name that people can tell from the others, whatever the case of its letters (UTS 39)")
-            .next("choose another name"));
+            .wanted("a name that people can tell from the others, whatever the case of its letters (UTS 39)"));
         }
     }
     keys.iter().try_for_each(|key| store::write(ctx, key, &name))
@@ -195,9 +194,7 @@ pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(),
 
 /// Attributes that a certificate can hold.
 pub(super) fn check(attributes: &BTreeMap<String, String>) -> Result<(), Rejection> {
-    encode_attributes(attributes)
-        .map(|_| ())
-        .map_err(|error| Rejection { code: Code::BadArgument, ..Rejection::from(error) })
+    encode_attributes(attributes).map(|_| ()).map_err(|error| Rejection::from(error).code(Code::BadArgument))
 }
 
 pub(super) fn unknown(organisation: &str, name: &str) -> Rejection {

@@ -33,6 +33,7 @@ pub(super) async fn block(
         Rejection::new(Code::Timeout, format!("block {height} does not come"))
             .found(format!("nothing within {} s", BLOCK_TIME_MAX.as_secs()))
             .wanted(format!("the events {name:?} of {service}"))
+            .next("look at ledgerctl status")
     })?
 }
 
