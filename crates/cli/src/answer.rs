@@ -1,7 +1,7 @@
 //! The answer of a chaincode: bytes that are JSON, text, or neither.
 
-use crate::json;
 use bytes::Bytes;
+use ledger_api::json;
 use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;

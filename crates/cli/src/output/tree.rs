@@ -1,7 +1,8 @@
 //! JSON as a tree that keeps the order of fields and the digits of numbers, with times in the form of RFC 3339 beside those in
 //! microseconds.
 
-use crate::{json, time};
+use crate::time;
+use ledger_api::json;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt::{self, Write};
