@@ -12,7 +12,7 @@
 //! body        bodies of requests, limited in bytes and time
 //! rejections  rejections as answers
 //! lines       streams
-//! shape       messages as JSON, with the field names of `ledgerctl -o json`
+//! shape       messages as JSON that `ledgerctl` does not print; the others are `ledger_api::facts`
 //! ```
 
 mod access;

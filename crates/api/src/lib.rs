@@ -8,6 +8,7 @@
 //! - [`Client`]: signs, submits, queries and subscribes, through whichever node answers.
 //! - [`passphrase()`]: of a secret copy, from a file, the environment or the terminal.
 //! - [`report`]: a refusal as people read it.
+//! - [`facts`]: answers as JSON; [`json`] lays such text out.
 //!
 //! It knows no chaincode: what functions there are and what their arguments mean is the caller's business.
 //!
@@ -28,6 +29,8 @@ mod clock;
 mod connect;
 pub mod context;
 mod enrol;
+pub mod facts;
+pub mod json;
 pub mod pages;
 mod passphrase;
 mod renew;

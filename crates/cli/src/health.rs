@@ -1,9 +1,10 @@
-//! The health of a network: voters, disks, certificates; in words for people, and as an exit code for monitoring.
+//! The health of a network: voters, disks, certificates; as text, and as an exit code for monitoring.
 
 use crate::failure::Failure;
 use crate::output::printable;
 use crate::time;
 use ledger_api::context::warning_due;
+use ledger_api::facts::{AttentionFacts, CertificateFacts, DiskFacts};
 use ledger_api::v1;
 use ledger_base::units::size;
 use serde::Serialize;
@@ -48,7 +49,7 @@ pub(crate) struct Voters {
     /// How many of them answer.
     pub(crate) voters_reachable: u64,
     /// How many more may fail now.
-    failures_tolerated: u64,
+    pub(crate) failures_tolerated: u64,
     /// Can be ordered?
     pub(crate) quorum: bool,
 }
@@ -82,91 +83,61 @@ impl Voters {
     }
 }
 
-/// The disk of a node's data directory.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct Disk {
-    path: String,
-    free_bytes: u64,
-    total_bytes: u64,
-    /// all, ends or nothing.
-    accepts: String,
+/// The report of a node about the disk of its data directory; none if it could not measure it.
+pub(crate) fn disk(status: &v1::StatusResponse) -> Option<DiskFacts> {
+    Some(DiskFacts::from(status)).filter(|disk| disk.total_bytes > 0)
 }
 
-impl Disk {
-    /// The report of a node about it; none if it is older than that.
-    pub(crate) fn of(status: &v1::StatusResponse) -> Option<Self> {
-        let (free_bytes, total_bytes) = (status.disk_free_bytes, status.disk_total_bytes);
-        let (path, accepts) = (status.data_directory.clone(), status.disk_accepts.clone());
-        (total_bytes > 0).then_some(Self { path, free_bytes, total_bytes, accepts })
-    }
+/// How much of a disk is free, for a column.
+pub(crate) fn disk_free(disk: &DiskFacts) -> String {
+    format!("{} ({} %)", size(disk.free_bytes), disk.free_bytes.saturating_mul(100) / disk.total_bytes.max(1))
+}
 
-    /// How much is free, for a column.
-    pub(crate) fn free(&self) -> String {
-        format!("{} ({} %)", size(self.free_bytes), self.free_bytes.saturating_mul(100) / self.total_bytes.max(1))
+/// A disk in one line; nothing if the node could not measure it.
+pub(crate) fn disk_text(disk: &DiskFacts) -> String {
+    if disk.total_bytes == 0 {
+        return String::new();
     }
-
-    /// In one line.
-    pub(crate) fn text(&self) -> String {
-        let text = format!("{} of {} free, in {}", self.free(), size(self.total_bytes), self.path);
-        match self.accepts.as_str() {
-            "ends" => text + "; only calls that end control are accepted",
-            "nothing" => text + "; nothing is accepted",
-            _ => text,
-        }
+    let text = format!("{} of {} free, in {}", disk_free(disk), size(disk.total_bytes), disk.path);
+    match disk.accepts.as_str() {
+        "ends" => text + "; only calls that end control are accepted",
+        "nothing" => text + "; nothing is accepted",
+        _ => text,
     }
 }
 
-/// A certificate and its life.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub(crate) struct Certificate {
-    /// node, ca, own or list.
-    pub(crate) kind: String,
-    pub(crate) name: String,
-    not_before: u64,
-    not_after: u64,
+/// The certificates and lists that a node depends on.
+pub(crate) fn certificates(status: &v1::StatusResponse) -> Vec<CertificateFacts> {
+    status.certificates.iter().cloned().map(CertificateFacts::from).collect()
 }
 
-impl Certificate {
-    /// Those that a node depends on.
-    pub(crate) fn of(status: &v1::StatusResponse) -> Vec<Self> {
-        let of = |found: &v1::CertificateStatus| Self {
-            kind: found.kind.clone(),
-            name: found.name.clone(),
-            not_before: found.not_before,
-            not_after: found.not_after,
-        };
-        status.certificates.iter().map(of).collect()
-    }
+/// The own certificate.
+pub(crate) fn own_certificate(identity: &ledger_identity::Identity) -> CertificateFacts {
+    let (not_before, not_after) = (identity.not_before, identity.not_after);
+    v1::CertificateStatus { kind: "own".to_owned(), name: identity.id(), not_before, not_after }.into()
+}
 
-    /// That of whoever asks.
-    pub(crate) fn own(identity: &ledger_identity::Identity) -> Self {
-        let (not_before, not_after) = (identity.not_before, identity.not_after);
-        Self { kind: "own".to_owned(), name: identity.id(), not_before, not_after }
-    }
+/// How long a certificate is valid.
+pub(crate) fn certificate_ends(certificate: &CertificateFacts, now: u64) -> String {
+    let verb = if now > certificate.not_after { "ended" } else { "ends" };
+    format!("{verb} {}", time::relative(certificate.not_after, now))
+}
 
-    /// How long it is good for.
-    pub(crate) fn ends(&self, now: u64) -> String {
-        match now > self.not_after {
-            true => format!("ended {}", time::relative(self.not_after, now)),
-            false => format!("ends {}", time::relative(self.not_after, now)),
-        }
-    }
+/// A certificate in one line.
+pub(crate) fn certificate_text(certificate: &CertificateFacts, now: u64) -> String {
+    let what = match certificate.kind.as_str() {
+        "ca" => " (CA)",
+        "own" => " (yours)",
+        "list" => " (revocation list)",
+        _ => "",
+    };
+    let ends = certificate_ends(certificate, now);
+    format!("{}{what} {ends}, {}", certificate.name, time::moment(certificate.not_after))
+}
 
-    /// In one line.
-    pub(crate) fn text(&self, now: u64) -> String {
-        let what = match self.kind.as_str() {
-            "ca" => " (CA)",
-            "own" => " (yours)",
-            "list" => " (revocation list)",
-            _ => "",
-        };
-        format!("{}{what} {}, {}", self.name, self.ends(now), time::moment(self.not_after))
-    }
-
-    /// Is it time to look after it? For the certificate of whoever asks: nodes judge theirs themselves.
-    pub(crate) fn is_ending(&self, now: u64) -> bool {
-        now >= warning_due(self.not_before, self.not_after)
-    }
+/// Is the own certificate due for renewal? Nodes judge theirs themselves.
+pub(crate) fn is_ending(own: &CertificateFacts, now: u64) -> bool {
+    now >= warning_due(own.not_before, own.not_after)
 }
 
 /// Something that needs attention: what a node reports of itself, or what is seen from here.
@@ -174,53 +145,47 @@ impl Certificate {
 pub(crate) struct Attention {
     /// Full names of the nodes that report it; none for what is seen from here.
     nodes: Vec<String>,
-    /// What was checked, such as `disk`.
-    pub(crate) check: String,
-    severity: String,
-    /// What is found, in one line.
-    pub(crate) message: String,
-    /// What to do next.
-    pub(crate) next: String,
+    #[serde(flatten)]
+    pub(crate) facts: AttentionFacts,
 }
 
 impl Attention {
     /// Something that is seen from here.
     pub(crate) fn here(check: &str, severity: &str, message: String, next: impl Into<String>) -> Self {
-        Self { nodes: Vec::new(), check: check.to_owned(), severity: severity.to_owned(), message, next: next.into() }
+        let (check, severity) = (check.to_owned(), severity.to_owned());
+        Self { nodes: Vec::new(), facts: AttentionFacts { check, severity, message, next: next.into() } }
     }
 
     /// What a node reports of itself.
     pub(crate) fn of(status: &v1::StatusResponse) -> Vec<Self> {
         let name = format!("{}/{}", status.organisation, status.node_name);
-        let of = |item: &v1::Attention| Self {
-            nodes: vec![name.clone()],
-            check: item.check.clone(),
-            severity: item.severity.clone(),
-            message: item.message.clone(),
-            next: item.next.clone(),
-        };
-        status.attention.iter().map(of).collect()
+        let of = |facts: AttentionFacts| Self { nodes: vec![name.clone()], facts };
+        status.attention.iter().cloned().map(AttentionFacts::from).map(of).collect()
     }
 
     /// Adds items to a list: what several nodes report alike stands there once, with their names.
     pub(crate) fn add(list: &mut Vec<Self>, more: impl IntoIterator<Item = Self>) {
-        for item in more {
-            match list.iter_mut().find(|known| known.check == item.check && known.message == item.message) {
-                Some(known) => known.nodes.extend(item.nodes),
-                None => list.push(item),
+        for found in more {
+            let is_alike = |known: &&mut Self| {
+                known.facts.check == found.facts.check && known.facts.message == found.facts.message
+            };
+            match list.iter_mut().find(is_alike) {
+                Some(known) => known.nodes.extend(found.nodes),
+                None => list.push(found),
             }
         }
     }
 
     /// The own certificate near its end, or after it.
-    pub(crate) fn own_certificate(own: &Certificate, now: u64) -> Option<Self> {
+    pub(crate) fn own_certificate(own: &CertificateFacts, now: u64) -> Option<Self> {
         let severity = if now > own.not_after { CRITICAL } else { WARNING };
-        own.is_ending(now).then(|| Self::here("certificate", severity, own.text(now), "ledgerctl identity renew"))
+        is_ending(own, now)
+            .then(|| Self::here("certificate", severity, certificate_text(own, now), "ledgerctl identity renew"))
     }
 
     /// Does it keep somebody from something now?
     pub(crate) fn is_critical(&self) -> bool {
-        self.severity != WARNING
+        self.facts.severity != WARNING
     }
 
     /// Does this node report it?
@@ -230,13 +195,13 @@ impl Attention {
 
     /// Is it about whoever asks?
     pub(crate) fn is_own(&self) -> bool {
-        self.nodes.is_empty() && self.check == "certificate"
+        self.nodes.is_empty() && self.facts.check == "certificate"
     }
 
     /// In one line.
     pub(crate) fn text(&self) -> String {
         let nodes = self.nodes.join(", ");
-        if nodes.is_empty() { self.message.clone() } else { format!("{nodes}: {}", self.message) }
+        if nodes.is_empty() { self.facts.message.clone() } else { format!("{nodes}: {}", self.facts.message) }
     }
 }
 
@@ -247,7 +212,7 @@ pub(crate) fn print_attention(attention: &[Attention], out: &mut dyn Write) -> i
     }
     attention.iter().try_for_each(|item| {
         writeln!(out, "attention: {}", printable(&item.text()))?;
-        writeln!(out, "  try      {}", printable(&item.next))
+        writeln!(out, "  try      {}", printable(&item.facts.next))
     })
 }
 
@@ -310,27 +275,33 @@ mod tests {
 
     #[test]
     fn an_own_certificate_needs_attention_a_month_before_its_end_once_its_renewal_is_due() {
+        let own = |not_before, not_after| {
+            CertificateFacts::from(v1::CertificateStatus {
+                kind: "own".into(),
+                name: "n".into(),
+                not_before,
+                not_after,
+            })
+        };
         let found = |days: u64, life: u64| {
             let not_after = 20_000 * DAY + days * DAY;
-            let own =
-                Certificate { kind: "own".into(), name: "n".into(), not_before: not_after - life * DAY, not_after };
+            let own = own(not_after - life * DAY, not_after);
             Attention::own_certificate(&own, 20_000 * DAY).map(|item| item.is_critical())
         };
         assert_eq!([found(31, 365), found(29, 365)], [None, Some(false)]);
         assert_eq!([found(4, 10), found(3, 10)], [None, Some(false)], "a short life is renewed late");
-        let ended = Certificate { kind: "own".into(), name: "n".into(), not_before: 0, not_after: 5 };
-        assert!(Attention::own_certificate(&ended, 6).is_some_and(|item| item.is_critical()));
+        assert!(Attention::own_certificate(&own(0, 5), 6).is_some_and(|item| item.is_critical()));
     }
 
     #[test]
     fn a_disk_is_printed_with_path_and_numbers() {
-        let disk = |accepts: &str| Disk {
+        let disk = |accepts: &str| DiskFacts {
             path: "/var/lib/ledgerd".into(),
             free_bytes: (1 << 30) + (1 << 29),
             total_bytes: 20 << 30,
             accepts: accepts.into(),
         };
-        assert_eq!(disk("all").text(), "1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd");
-        assert!(disk("ends").text().ends_with("; only calls that end control are accepted"));
+        assert_eq!(disk_text(&disk("all")), "1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd");
+        assert!(disk_text(&disk("ends")).ends_with("; only calls that end control are accepted"));
     }
 }

@@ -14,7 +14,6 @@ mod failure;
 mod format;
 mod global;
 mod health;
-mod json;
 mod nodes;
 mod output;
 mod printable;

@@ -25,6 +25,11 @@ pub(crate) trait Facts: Serialize {
     /// Writes them for people.
     fn text(&self, out: &mut dyn Write) -> io::Result<()>;
 
+    /// Fields that only the HTTP API has, as paths below an object and the lists in it: `peers.role`.
+    fn omitted(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// The JSON whose elements are the rows of comma-separated values: all of it, unless the facts have one list that matters.
     fn rows(&self) -> serde_json::Result<String> {
         serde_json::to_string(self)
@@ -56,6 +61,7 @@ impl Output {
 
     /// Writes the facts and flushes, so that whoever reads a stream of them gets each at once.
     pub(crate) fn show<F: Facts>(&mut self, facts: &F) -> Result<(), Failure> {
+        let read = |json: String| Ok(Tree::read(&json)?.without(facts.omitted()).with_utc());
         let shown = match self.format {
             Format::Table => {
                 let mut text = Vec::new();
@@ -63,12 +69,12 @@ impl Output {
                 harmless(&String::from_utf8_lossy(&text))
             }
             Format::Json => {
-                let json = serde_json::to_string(facts).and_then(|json| Tree::read(&json)).map_err(io::Error::from)?;
-                harmless_json(&json.with_utc().to_json()) + "\n"
+                let json = serde_json::to_string(facts).and_then(read).map_err(io::Error::from)?;
+                harmless_json(&json.to_json()) + "\n"
             }
             Format::Csv => {
-                let rows = facts.rows().and_then(|json| Tree::read(&json)).map_err(io::Error::from)?;
-                self.sheet.lines(rows.with_utc())
+                let rows = facts.rows().and_then(read).map_err(io::Error::from)?;
+                self.sheet.lines(rows)
             }
         };
         self.raw(shown.as_bytes())

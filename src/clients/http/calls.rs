@@ -3,12 +3,12 @@
 use super::body;
 use super::parameters::Parameters;
 use super::rejections::{Rejected, answer};
-use super::shape::{Answer, utc};
 use super::{Api, access::call};
 use crate::process::caller::Caller;
 use axum::extract::{Extension, Request, State};
 use axum::response::Response;
 use bytes::Bytes;
+use ledger_api::facts::{DecodedBytes, utc};
 use ledger_api::v1;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_base::rejection::{Code, Rejection};
@@ -62,7 +62,7 @@ struct Answered {
     #[serde(skip_serializing_if = "Option::is_none")]
     stale_for_us: Option<u64>,
     #[serde(flatten)]
-    response: Answer,
+    response: DecodedBytes,
 }
 
 pub(super) async fn query(
@@ -79,7 +79,7 @@ pub(super) async fn query(
     ledger_api::accepted(told.verdict.as_ref())?;
     let stale_for_us = (told.stale_for > 0).then_some(told.stale_for);
     let (height, time) = (told.height, told.time);
-    answer(&Answered { height, time, time_utc: utc(time), stale_for_us, response: Answer::read(&told.response) })
+    answer(&Answered { height, time, time_utc: utc(time), stale_for_us, response: DecodedBytes::read(&told.response) })
 }
 
 /// The answer to a transaction, as `ledgerctl invoke -o json` prints it.
@@ -91,7 +91,7 @@ struct Executed {
     time: u64,
     time_utc: Option<String>,
     #[serde(flatten)]
-    response: Answer,
+    response: DecodedBytes,
 }
 
 pub(super) async fn submit(
@@ -110,5 +110,5 @@ pub(super) async fn submit(
         let place = json!({ "id": id, "height": height, "index": index, "time": time, "time_utc": time_utc });
         return Err(Rejected::from(rejection).with(place));
     }
-    answer(&Executed { id, height, index, time, time_utc, response: Answer::read(&told.response) })
+    answer(&Executed { id, height, index, time, time_utc, response: DecodedBytes::read(&told.response) })
 }

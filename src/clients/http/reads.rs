@@ -2,12 +2,13 @@
 
 use super::parameters::{self, Parameters, Part};
 use super::rejections::{Rejected, answer};
-use super::shape::{AuditFacts, BlockFacts, DenialFacts, NodeFacts, StatusFacts, TransactionFacts};
+use super::shape::NodeFacts;
 use super::{Api, access::call};
 use crate::process::caller::Caller;
 use axum::extract::{Extension, State};
 use axum::http::Uri;
 use axum::response::Response;
+use ledger_api::facts::{AuditFacts, BlockFacts, DenialFacts, StatusFacts, TransactionFacts};
 use ledger_api::v1;
 use ledger_api::v1::gateway_server::Gateway;
 use serde_json::json;

@@ -10,9 +10,10 @@ use crate::output::{Format, Output};
 use crate::session::Session;
 use crate::time;
 use bytes::Bytes;
+use ledger_api::facts::AuditFacts;
 use ledger_api::v1::{AuditRequest, AuditResponse};
 use ledger_base::rejection::{Code, Rejection};
-use row::{Row, Rows};
+use row::Rows;
 use std::time::Duration;
 
 /// Rows of one question.
@@ -105,7 +106,8 @@ impl Audit {
                 extent(output, (from_height, height, executed));
             }
             left -= rows.len() as u64;
-            let rows = rows.into_iter().filter(|row| !(self.from_now && row.decision == COMMANDS)).map(Row::from);
+            let rows =
+                rows.into_iter().filter(|row| !(self.from_now && row.decision == COMMANDS)).map(AuditFacts::from);
             match output.format() {
                 Format::Json | Format::Csv => rows.into_iter().try_for_each(|row| output.show(&row))?,
                 Format::Table if self.follow => rows.into_iter().try_for_each(|row| output.show(&row))?,

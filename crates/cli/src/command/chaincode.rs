@@ -1,6 +1,5 @@
 //! `invoke`, `query`: any function of any chaincode.
 
-use crate::answer::Answer;
 use crate::argument::bytes;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -8,6 +7,7 @@ use crate::output::{Facts, Output};
 use crate::session::Session;
 use crate::time::moment;
 use ::bytes::Bytes;
+use ledger_api::facts::DecodedBytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use serde::Serialize;
@@ -69,7 +69,7 @@ struct Invoked {
     index: u32,
     time: u64,
     #[serde(flatten)]
-    answer: Answer,
+    answer: DecodedBytes,
 }
 
 #[derive(Serialize)]
@@ -82,7 +82,7 @@ struct Queried {
     #[serde(skip_serializing_if = "is_zero")]
     stale_for: u64,
     #[serde(flatten)]
-    answer: Answer,
+    answer: DecodedBytes,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
@@ -90,7 +90,7 @@ fn is_zero(number: &u64) -> bool {
     *number == 0
 }
 
-fn write_answer(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
+fn write_answer(answer: &DecodedBytes, out: &mut dyn Write) -> io::Result<()> {
     let text = answer.to_text();
     if text.is_empty() { Ok(()) } else { writeln!(out, "{}", text.trim_end_matches('\n')) }
 }
@@ -116,7 +116,7 @@ impl Invoke {
             height: done.height,
             index: done.index,
             time: done.time,
-            answer: Answer::read(&done.response),
+            answer: DecodedBytes::read(&done.response),
         })?;
         output.note(&format!("executed in block {}, transaction {}", done.height, done.id));
         Ok(())
@@ -132,7 +132,7 @@ impl Query {
             false => client.query(&chaincode, &function, args).await?,
         };
         let ledger_api::Answer { response, height, time, stale_for } = answer;
-        output.show(&Queried { height, time, stale_for, answer: Answer::read(&response) })?;
+        output.show(&Queried { height, time, stale_for, answer: DecodedBytes::read(&response) })?;
         if stale_for > 0 {
             output.note(&format!(
                 "as of block {height}, {}: the node has reached no leader for {} s, and others may know more",
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn an_invocation_in_json_is_flat_and_keeps_the_response_as_it_is() {
-        let answer = Answer::read(br#"{"b":1,"a":2}"#);
+        let answer = DecodedBytes::read(br#"{"b":1,"a":2}"#);
         let text = serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, answer }).unwrap();
         assert!(
             text.ends_with(r#""height":3,"index":1,"time":9,"encoding":"json","response":{"b":1,"a":2}}"#),
@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn an_empty_response_prints_nothing() {
         let mut out = Vec::new();
-        Queried { height: 0, time: 0, stale_for: 0, answer: Answer::read(b"") }.text(&mut out).unwrap();
+        Queried { height: 0, time: 0, stale_for: 0, answer: DecodedBytes::read(b"") }.text(&mut out).unwrap();
         assert!(out.is_empty());
     }
 }

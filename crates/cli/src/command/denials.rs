@@ -6,7 +6,7 @@ use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
-use ledger_api::v1;
+use ledger_api::facts::DenialFacts;
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -25,44 +25,12 @@ impl Denials {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let denials =
             Session::open(global).await?.client.denials(u32::try_from(self.limit).unwrap_or(u32::MAX)).await?;
-        output.show(&Shown(denials.into_iter().map(Denial::from).collect()))
+        output.show(&Shown(denials.into_iter().map(DenialFacts::from).collect()))
     }
 }
 
 #[derive(Serialize)]
-struct Shown(Vec<Denial>);
-
-#[derive(Serialize)]
-struct Denial {
-    time: u64,
-    who: String,
-    chaincode: String,
-    function: String,
-    subject: String,
-    code: String,
-    message: String,
-    found: String,
-    wanted: String,
-    count: u64,
-}
-
-impl From<v1::Denial> for Denial {
-    fn from(denial: v1::Denial) -> Self {
-        let verdict = denial.verdict.unwrap_or_default();
-        Self {
-            time: denial.time,
-            who: denial.who,
-            chaincode: denial.chaincode,
-            function: denial.function,
-            subject: denial.subject,
-            code: format!("LGR-{:04}", verdict.code),
-            message: verdict.message,
-            found: verdict.found,
-            wanted: verdict.wanted,
-            count: denial.count,
-        }
-    }
-}
+struct Shown(Vec<DenialFacts>);
 
 impl Facts for Shown {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -88,6 +56,7 @@ impl Facts for Shown {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use ledger_api::v1;
 
     #[test]
     fn a_denial_says_who_wanted_what_and_why_not() {

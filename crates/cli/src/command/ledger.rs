@@ -2,7 +2,6 @@
 
 mod archive;
 mod block;
-mod event;
 mod status;
 mod tx;
 
@@ -26,9 +25,4 @@ impl Ledger {
             Self::Archive(command) => command.run(output),
         }
     }
-}
-
-/// The printed form of a code that may be unknown to this version.
-fn code_text(number: u32) -> String {
-    if number == 0 { "OK".to_owned() } else { format!("LGR-{number:04}") }
 }

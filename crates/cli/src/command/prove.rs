@@ -1,6 +1,5 @@
 //! `prove`: a file that proves a transaction, and checking such a file without a network.
 
-use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, Table};
@@ -8,6 +7,7 @@ use crate::session::Session;
 use crate::time;
 use ledger::evidence::{EVIDENCE_BYTES_MAX, Evidence, Proved};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger_api::facts::DecodedBytes;
 use ledger_api::read_checkpoint;
 use ledger_base::durable::{PUBLIC_MODE, read, replace};
 use ledger_base::hash::Hash;
@@ -102,7 +102,7 @@ struct Shown {
     time: u64,
     chaincode: String,
     function: String,
-    args: Vec<Answer>,
+    args: Vec<DecodedBytes>,
     /// None if the file does not prove it.
     code: Option<String>,
     certified_height: u64,
@@ -128,7 +128,7 @@ impl Shown {
             time: proved.header.time,
             chaincode: body.chaincode.clone(),
             function: body.function.clone(),
-            args: body.args.iter().map(|arg| Answer::read(arg)).collect(),
+            args: body.args.iter().map(|arg| DecodedBytes::read(arg)).collect(),
             code: proved.verdict.map(|verdict| format!("LGR-{:04}", verdict.code)),
             certified_height,
             certified_time,
@@ -146,7 +146,7 @@ impl Facts for Shown {
         table.pair("network", format!("{} ({})", self.network, self.label));
         table.pair("transaction", self.transaction);
         table.pair("signed by", format!("{}, role {}", self.signer, self.role));
-        let args: Vec<String> = self.args.iter().map(Answer::to_text).collect();
+        let args: Vec<String> = self.args.iter().map(DecodedBytes::to_text).collect();
         table.pair("call", format!("{} {} {}", self.chaincode, self.function, args.join(" ")).trim_end());
         table.pair("block", format!("{}, index {}", self.height, self.index));
         table.pair("time", time::rfc3339(self.time));

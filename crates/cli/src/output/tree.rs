@@ -1,7 +1,8 @@
 //! JSON as a tree that keeps the order of fields and the digits of numbers, with times in the form of RFC 3339 beside those in
 //! microseconds.
 
-use crate::{json, time};
+use crate::time;
+use ledger_api::json;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt::{self, Write};
@@ -95,14 +96,35 @@ impl Tree {
             Self::Leaf(text) => Self::Leaf(text),
             Self::List(values) => Self::List(values.into_iter().map(Self::with_utc).collect()),
             Self::Object(fields) => {
-                let mut told = Vec::with_capacity(fields.len());
+                let mut told: Vec<(String, Self)> = Vec::with_capacity(fields.len());
                 for (name, value) in fields {
+                    // Answers of a node have it already.
+                    if told.last().is_some_and(|(last, _)| *last == name) {
+                        continue;
+                    }
                     let utc = utc(&name, &value).map(|utc| (format!("{name}{UTC}"), Self::Leaf(utc)));
                     let value = if FOREIGN.contains(&name.as_str()) { value } else { value.with_utc() };
                     told.push((name, value));
                     told.extend(utc);
                 }
                 Self::Object(told)
+            }
+        }
+    }
+
+    /// The same without the fields at these paths.
+    pub(super) fn without(mut self, paths: &[&str]) -> Self {
+        paths.iter().for_each(|path| self.remove(path));
+        self
+    }
+
+    fn remove(&mut self, path: &str) {
+        match (self, path.split_once('.')) {
+            (Self::Leaf(_), _) => {}
+            (Self::List(values), _) => values.iter_mut().for_each(|value| value.remove(path)),
+            (Self::Object(fields), None) => fields.retain(|(name, _)| name != path),
+            (Self::Object(fields), Some((first, rest))) => {
+                fields.iter_mut().filter(|(name, _)| name == first).for_each(|(_, value)| value.remove(rest));
             }
         }
     }
@@ -189,6 +211,13 @@ mod tests {
         let json = r#"{"Name":"a\"b","time":1700000000000001,"expires":0,"renewed_from":null,"height":18446744073709551615,"x":[1e400,{"since":5}]}"#;
         let wanted = r#"{"Name":"a\"b","time":1700000000000001,"time_utc":"2023-11-14T22:13:20.000001Z","expires":0,"expires_utc":null,"renewed_from":null,"renewed_from_utc":null,"height":18446744073709551615,"x":[1e400,{"since":5,"since_utc":"1970-01-01T00:00:00.000005Z"}]}"#;
         assert_eq!(told(json), wanted);
+    }
+
+    #[test]
+    fn a_time_that_has_its_second_form_keeps_it_and_fields_are_left_out_by_their_paths() {
+        let json = r#"{"a":[{"b":1,"c":2},{"b":3}],"b":4,"time":5,"time_utc":"1970-01-01T00:00:00.000005Z"}"#;
+        let wanted = r#"{"a":[{"c":2},{}],"b":4,"time":5,"time_utc":"1970-01-01T00:00:00.000005Z"}"#;
+        assert_eq!(Tree::read(json).unwrap().without(&["a.b", "x.b"]).with_utc().to_json(), wanted);
     }
 
     #[test]

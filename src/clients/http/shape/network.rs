@@ -1,7 +1,7 @@
 //! The network as a new client learns it.
 
-use super::utc;
 use bytes::Bytes;
+use ledger_api::facts::utc;
 use ledger_api::v1;
 use serde::Serialize;
 

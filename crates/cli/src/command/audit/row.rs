@@ -2,69 +2,14 @@
 
 use crate::output::{Facts, Table, printable};
 use crate::time;
-use ledger_api::v1::AuditRow;
+use ledger_api::facts::AuditFacts;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// A decision about control.
-#[derive(Debug, Serialize)]
-pub(super) struct Row {
-    time: u64,
-    height: u64,
-    decision: String,
-    who: String,
-    by: String,
-    robot: String,
-    subject: String,
-    /// Empty if nothing was refused.
-    code: String,
-    count: u64,
-    first: u64,
-    last: u64,
-    last_height: u64,
-    epoch: u64,
-    policy_version: u64,
-    /// Ids of those that decided.
-    policies: Vec<String>,
-    /// Empty if it is not known, or if policies did not decide.
-    action: String,
-    detail: String,
-    found: String,
-    transaction: String,
-    told_by: String,
-}
-
-impl From<AuditRow> for Row {
-    fn from(row: AuditRow) -> Self {
-        Self {
-            time: row.time,
-            height: row.height,
-            decision: row.decision,
-            who: row.who,
-            by: row.by,
-            robot: row.robot,
-            subject: row.subject,
-            code: if row.code == 0 { String::new() } else { format!("LGR-{:04}", row.code) },
-            count: row.count,
-            first: row.first,
-            last: row.last,
-            last_height: row.last_height,
-            epoch: row.epoch,
-            policy_version: row.policy_version,
-            policies: row.policies,
-            action: row.action,
-            detail: row.detail,
-            found: row.found,
-            transaction: hex::encode(&row.transaction),
-            told_by: row.told_by,
-        }
-    }
-}
-
-impl Facts for Row {
+impl Facts for AuditFacts {
     /// One line of a stream: its columns keep their places.
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let [who, decision, subject, words] = [self.who.clone(), self.decided(), self.subject.clone(), self.words()]
+        let [who, decision, subject, words] = [self.who.clone(), decided(self), self.subject.clone(), words(self)]
             .map(|cell| printable(&cell).into_owned());
         let times = if self.count > 1 { format!("{} times  ", self.count) } else { String::new() };
         let line =
@@ -75,7 +20,7 @@ impl Facts for Row {
 
 /// Rows for people.
 #[derive(Serialize)]
-pub(super) struct Rows(pub(super) Vec<Row>);
+pub(super) struct Rows(pub(super) Vec<AuditFacts>);
 
 impl Facts for Rows {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -88,42 +33,41 @@ impl Facts for Rows {
                 time::moment(row.first),
                 row.height.to_string(),
                 row.who.clone(),
-                row.decided(),
+                decided(row),
                 row.subject.clone(),
                 row.count.to_string(),
-                row.decided_by(),
-                row.words(),
+                decided_by(row),
+                words(row),
             ]);
         }
         table.write(out, 0)
     }
 }
 
-impl Row {
-    /// The set of policies that decided and those of it that did, e.g. `version 3: night, rain`.
-    fn decided_by(&self) -> String {
-        let version = if self.policy_version == 0 { String::new() } else { format!("version {}", self.policy_version) };
-        let parts = [version, self.policies.join(", ")];
-        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(": ")
-    }
+/// The set of policies that decided and those of it that did, e.g. `version 3: night, rain`.
+fn decided_by(row: &AuditFacts) -> String {
+    let version = if row.policy_version == 0 { String::new() } else { format!("version {}", row.policy_version) };
+    let parts = [version, row.policies.join(", ")];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(": ")
+}
 
-    fn decided(&self) -> String {
-        [&self.decision, &self.code].map(String::as_str).join(" ").trim().to_owned()
-    }
+fn decided(row: &AuditFacts) -> String {
+    [&row.decision, &row.code].map(String::as_str).join(" ").trim().to_owned()
+}
 
-    fn words(&self) -> String {
-        let by = if self.by.is_empty() { String::new() } else { format!("by {}", self.by) };
-        let epoch = if self.epoch == 0 { String::new() } else { format!("epoch {}", self.epoch) };
-        let told = if self.told_by.is_empty() { String::new() } else { format!("told by {}", self.told_by) };
-        let parts = [by, epoch, self.detail.clone(), told];
-        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
-    }
+fn words(row: &AuditFacts) -> String {
+    let by = if row.by.is_empty() { String::new() } else { format!("by {}", row.by) };
+    let epoch = if row.epoch == 0 { String::new() } else { format!("epoch {}", row.epoch) };
+    let told = if row.told_by.is_empty() { String::new() } else { format!("told by {}", row.told_by) };
+    let parts = [by, epoch, row.detail.clone(), told];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
 }
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use ledger_api::v1::AuditRow;
 
     #[test]
     fn the_lines_of_a_stream_stand_below_each_other() {
@@ -135,7 +79,7 @@ mod tests {
                 ..AuditRow::default()
             };
             let mut out = Vec::new();
-            Row::from(row).text(&mut out).unwrap();
+            AuditFacts::from(row).text(&mut out).unwrap();
             String::from_utf8(out).unwrap()
         };
         let (short, long) = (line("granted", "T/c"), line("released", "Turtlebot4/cmd_vel"));

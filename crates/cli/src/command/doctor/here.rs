@@ -4,7 +4,7 @@ use super::acting;
 use super::finding::Finding;
 use crate::context;
 use crate::global::Global;
-use crate::health::Certificate;
+use crate::health::{certificate_text, is_ending, own_certificate};
 use ledger_api::Context;
 use ledger_base::units::size;
 use std::path::Path;
@@ -67,16 +67,16 @@ fn judged(home: &Path, free: u64, no_names: bool) -> Finding {
 /// The own certificate.
 pub(super) fn certificate(context: &Context, now: u64, findings: &mut Vec<Finding>) {
     let Ok(identity) = context::identity(context) else { return };
-    let own = Certificate::own(&identity);
+    let own = own_certificate(&identity);
     let renew = || format!("ledgerctl identity renew{}", acting(context));
-    findings.push(match own.text(now) {
+    findings.push(match certificate_text(&own, now) {
         text if now < identity.not_before => Finding::wrong(
             "certificate",
             format!("{text} is not valid yet"),
             "set the clock of this machine: timedatectl set-ntp true",
         ),
         text if now > identity.not_after => Finding::wrong("certificate", text, context.way_back()),
-        text if own.is_ending(now) => Finding::advice("certificate", text, renew()),
+        text if is_ending(&own, now) => Finding::advice("certificate", text, renew()),
         text => Finding::ok("certificate", text),
     });
 }

@@ -2,9 +2,10 @@
 
 use super::finding::Finding;
 use crate::command::network::status::{self, Node, Overview};
-use crate::health::{Attention, Certificate, Disk};
+use crate::health::{Attention, certificate_text, disk_text};
 use crate::session::{ABAC, Session};
 use crate::time;
+use ledger_api::facts::CertificateFacts;
 use std::io;
 use std::time::Duration;
 use tokio::net::TcpStream;
@@ -80,7 +81,7 @@ fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
     // The own certificate was looked at before.
     let attention: Vec<_> = overview.attention.iter().filter(|item| !item.is_own()).collect();
     let needs = |checks: &[&str], node: &str| {
-        attention.iter().any(|item| checks.contains(&&*item.check) && (node.is_empty() || item.is_of(node)))
+        attention.iter().any(|item| checks.contains(&&*item.facts.check) && (node.is_empty() || item.is_of(node)))
     };
     findings.extend(attention.iter().map(|item| finding(item)));
     if !needs(&["quorum", "leader"], "") {
@@ -92,23 +93,23 @@ fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
             let height = node.height.unwrap_or_default();
             findings.push(Finding::ok("peers", format!("{name} at {}: height {height}", node.address)));
         }
-        if let Some(disk) = node.disk.as_ref().map(Disk::text).filter(|_| !needs(&["disk"], &name)) {
+        if let Some(disk) = node.disk.as_ref().map(disk_text).filter(|_| !needs(&["disk"], &name)) {
             findings.push(Finding::ok("disk", format!("{name}: {disk}")));
         }
         findings.extend(version(node));
     }
     let of_nodes = overview.nodes.iter().filter_map(|node| node.certificate.as_ref());
     let cas = overview.certificates.iter().filter(|found| found.kind != "own");
-    let needs_none = |found: &&Certificate| {
-        !attention.iter().any(|item| item.check == "certificate" && item.message.contains(&found.name))
+    let needs_none = |found: &&CertificateFacts| {
+        !attention.iter().any(|item| item.facts.check == "certificate" && item.facts.message.contains(&found.name))
     };
     let well = of_nodes.chain(cas).filter(needs_none);
-    findings.extend(well.map(|found| Finding::ok("certificate", found.text(now))));
+    findings.extend(well.map(|found| Finding::ok("certificate", certificate_text(found, now))));
 }
 
 /// Something that needs attention, as a finding.
 fn finding(item: &Attention) -> Finding {
-    let (check, message, repair) = (item.check.clone(), item.text(), item.next.clone());
+    let (check, message, repair) = (item.facts.check.clone(), item.text(), item.facts.next.clone());
     if item.is_critical() { Finding::wrong(check, message, repair) } else { Finding::advice(check, message, repair) }
 }
 

@@ -1,15 +1,13 @@
 //! `block`: one block of the chain.
 
-use super::event::EventFacts;
-use super::tx::TransactionFacts;
+use super::tx::{call, event_cells};
 use crate::argument::number;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
-use ledger_api::v1;
-use serde::Serialize;
+use ledger_api::facts::BlockFacts;
 use std::io::{self, Write};
 
 /// Show a block with its transactions and verdicts.
@@ -28,38 +26,11 @@ impl Block {
     }
 }
 
-#[derive(Serialize)]
-struct BlockFacts {
-    height: u64,
-    term: u64,
-    time: u64,
-    kind: String,
-    hash: String,
-    previous_hash: String,
-    root: String,
-    state_digest: String,
-    transactions: Vec<TransactionFacts>,
-    events: Vec<EventFacts>,
-}
-
-impl From<v1::Block> for BlockFacts {
-    fn from(block: v1::Block) -> Self {
-        Self {
-            height: block.height,
-            term: block.term,
-            time: block.time,
-            kind: block.kind,
-            hash: hex::encode(block.hash),
-            previous_hash: hex::encode(block.previous_hash),
-            root: hex::encode(block.root),
-            state_digest: hex::encode(block.state_digest),
-            transactions: block.transactions.into_iter().map(TransactionFacts::from).collect(),
-            events: block.events.into_iter().map(EventFacts::from).collect(),
-        }
-    }
-}
-
 impl Facts for BlockFacts {
+    fn omitted(&self) -> &'static [&'static str] {
+        &["transactions.not_after", "transactions.not_after_utc"]
+    }
+
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table = Table::pairs();
         table.pair("block", format!("{} ({})", self.height, self.kind));
@@ -79,7 +50,7 @@ impl Facts for BlockFacts {
                     transaction.id.clone(),
                     transaction.creator.clone(),
                     transaction.code.clone(),
-                    transaction.call(),
+                    call(&transaction.call),
                 ]);
             }
             table.write(out, 0)?;
@@ -94,7 +65,8 @@ impl Facts for BlockFacts {
             writeln!(out)?;
             let mut table = Table::new(["INDEX", "EVENT", "SUBJECT", "DETAILS"]);
             for (index, event) in events {
-                table.row([index, event.what(), event.subject.clone(), event.details()]);
+                let [name, subject, details] = event_cells(event);
+                table.row([index, name, subject, details]);
             }
             table.write(out, 0)?;
         }

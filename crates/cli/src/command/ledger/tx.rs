@@ -1,18 +1,13 @@
 //! `tx`: one transaction of the chain.
 
-use super::code_text;
-use super::event::EventFacts;
-use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
-use ledger::transaction::Transaction;
-use ledger_api::v1;
+use ledger_api::facts::{CallFacts, DecodedBytes, EventFacts, TransactionFacts};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use serde::Serialize;
 use std::io::{self, Write};
 
 /// Show where a transaction is and what became of it.
@@ -38,62 +33,26 @@ impl Tx {
     }
 }
 
-/// A transaction: who called what, where it stands, and its verdict.
-#[derive(Serialize)]
-pub(super) struct TransactionFacts {
-    pub(super) id: String,
-    height: u64,
-    pub(super) index: u32,
-    time: u64,
-    pub(super) creator: String,
-    chaincode: String,
-    function: String,
-    args: Vec<Answer>,
-    pub(super) code: String,
-    message: String,
-    pub(super) events: Vec<EventFacts>,
-    #[serde(flatten)]
-    response: Answer,
+/// `abac acquire Turtlebot4/cmd_vel`; long arguments are cut.
+pub(super) fn call(call: &CallFacts) -> String {
+    let mut words = vec![call.chaincode.clone(), call.function.clone()];
+    words.extend(call.args.iter().map(brief));
+    words.join(" ")
 }
 
-impl From<v1::TransactionRecord> for TransactionFacts {
-    fn from(record: v1::TransactionRecord) -> Self {
-        // A transaction that a node sends and we cannot read still has its place and its verdict.
-        let body = Transaction::decode(record.transaction).map(|t| t.body().clone()).unwrap_or_default();
-        let verdict = record.verdict.unwrap_or_default();
-        Self {
-            id: hex::encode(record.id),
-            height: record.height,
-            index: record.index,
-            time: record.time,
-            creator: record.creator,
-            chaincode: body.chaincode,
-            function: body.function,
-            args: body.args.iter().map(|arg| Answer::read(arg)).collect(),
-            code: code_text(verdict.code),
-            message: verdict.message,
-            events: record.events.into_iter().map(EventFacts::from).collect(),
-            response: Answer::read(&record.response),
-        }
-    }
-}
-
-impl TransactionFacts {
-    /// `abac acquire Turtlebot4/cmd_vel`; long arguments are cut.
-    pub(super) fn call(&self) -> String {
-        let mut words = vec![self.chaincode.clone(), self.function.clone()];
-        words.extend(self.args.iter().map(brief));
-        words.join(" ")
-    }
+/// An event: `abac granted`, its subject, and its payload in one line.
+pub(super) fn event_cells(event: &EventFacts) -> [String; 3] {
+    let name = format!("{} {}", event.chaincode, event.name);
+    [name, event.subject.clone(), event.payload.to_text().replace('\n', " ")]
 }
 
 /// An argument in at most `BRIEF_CHARS_MAX` characters.
-fn brief(answer: &Answer) -> String {
+fn brief(arg: &DecodedBytes) -> String {
     const BRIEF_CHARS_MAX: usize = 40;
-    let text = match answer {
-        Answer::Json(value) => value.get().to_owned(),
-        Answer::Text(text) => text.clone(),
-        Answer::Hex(digits) => format!("hex:{digits}"),
+    let text = match arg {
+        DecodedBytes::Json(value) => value.get().to_owned(),
+        DecodedBytes::Text(text) => text.clone(),
+        DecodedBytes::Hex(digits) => format!("hex:{digits}"),
     };
     if text.chars().count() <= BRIEF_CHARS_MAX {
         return text;
@@ -102,16 +61,20 @@ fn brief(answer: &Answer) -> String {
 }
 
 impl Facts for TransactionFacts {
+    fn omitted(&self) -> &'static [&'static str] {
+        &["not_after", "not_after_utc"]
+    }
+
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table = Table::pairs();
         table.pair("transaction", &self.id);
         table.pair("block", format!("{}, index {}", self.height, self.index));
         table.pair("time", time::moment(self.time));
         table.pair("creator", &self.creator);
-        table.pair("call", self.call());
+        table.pair("call", call(&self.call));
         table.pair("verdict", format!("{} {}", self.code, self.message).trim_end());
         for event in &self.events {
-            table.pair("event", format!("{}  {}  {}", event.what(), event.subject, event.details()));
+            table.pair("event", event_cells(event).join("  "));
         }
         table.write(out, 0)?;
         let response = self.response.to_text();

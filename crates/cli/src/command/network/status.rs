@@ -3,12 +3,16 @@
 use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
-use crate::health::{Attention, CRITICAL, Certificate, Check, Disk, Voters, print_attention};
+use crate::health::{
+    Attention, CRITICAL, Check, Voters, certificate_ends, certificate_text, certificates, disk, disk_free,
+    own_certificate, print_attention,
+};
 use crate::nodes::current;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
 use ledger::msp::{AttestationRecord, NodeRecord, NodeRole, Nodes};
+use ledger_api::facts::{CertificateFacts, DiskFacts};
 use ledger_api::{Client, Context, Credentials, Options, v1};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
@@ -51,7 +55,7 @@ pub(crate) struct Overview {
     pub(crate) quorum: Voters,
     pub(crate) nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
-    pub(crate) certificates: Vec<Certificate>,
+    pub(crate) certificates: Vec<CertificateFacts>,
     /// What needs attention.
     pub(crate) attention: Vec<Attention>,
     /// When it was asked.
@@ -93,8 +97,8 @@ pub(crate) struct Node {
     matched: Option<u64>,
     /// Last height that it has attested.
     attested: Option<u64>,
-    pub(crate) disk: Option<Disk>,
-    pub(crate) certificate: Option<Certificate>,
+    pub(crate) disk: Option<DiskFacts>,
+    pub(crate) certificate: Option<CertificateFacts>,
     /// What needs attention by its own report.
     #[serde(skip)]
     attention: Vec<Attention>,
@@ -118,7 +122,7 @@ pub(crate) async fn asked(session: &Session) -> Result<Overview, Rejection> {
     let credentials = current(session).await?.credentials()?;
     let answers = everybody(&known, &credentials).await;
     let mut overview = overview(session.context(), &known, &attestations, answers);
-    let own = Certificate::own(&session.identity()?);
+    let own = own_certificate(&session.identity()?);
     overview.look(&own, time::now());
     overview.certificates.push(own);
     Ok(overview)
@@ -181,8 +185,8 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
     let matched: BTreeMap<u64, u64> =
         leader.map(|leader| leader.peers.iter().map(|peer| (peer.node_id, peer.matched)).collect()).unwrap_or_default();
     let height = reports().map(|status| status.height).max().unwrap_or_default();
-    let mut certificates: Vec<Certificate> =
-        reports().flat_map(Certificate::of).filter(|found| found.kind == "ca").collect();
+    let mut certificates: Vec<CertificateFacts> =
+        reports().flat_map(certificates).filter(|found| found.kind == "ca").collect();
     certificates.sort();
     certificates.dedup();
     let nodes = known.nodes.iter().filter(|node| shown(known, node)).map(|node| {
@@ -222,8 +226,8 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
                 Some(leader) if node.id == leader_id => Some(leader.last_index),
                 _ => matched.get(&node.id).copied().filter(|matched| *matched > 0),
             },
-            disk: said.and_then(Disk::of),
-            certificate: said.and_then(|said| Certificate::of(said).into_iter().find(|found| found.kind == "node")),
+            disk: said.and_then(disk),
+            certificate: said.and_then(|said| self::certificates(said).into_iter().find(|found| found.kind == "node")),
             attested: attestations.iter().find(|record| record.id == node.id).map(|record| record.latest.attest.height),
         }
     });
@@ -299,7 +303,7 @@ impl Node {
 
 impl Overview {
     /// Collects what needs attention: what each node reports of itself, and what is seen from here.
-    fn look(&mut self, own: &Certificate, now: u64) {
+    fn look(&mut self, own: &CertificateFacts, now: u64) {
         let mut attention = Vec::new();
         for node in &self.nodes {
             if !node.reachable {
@@ -309,7 +313,7 @@ impl Overview {
             }
             Attention::add(&mut attention, node.attention.iter().cloned());
         }
-        let is_told = |item: &Attention| item.is_critical() && ["quorum", "leader"].contains(&&*item.check);
+        let is_told = |item: &Attention| item.is_critical() && ["quorum", "leader"].contains(&&*item.facts.check);
         if !self.quorum.quorum && !attention.iter().any(is_told) {
             let next = "start the nodes that are silent: systemctl start ledgerd";
             attention.push(Attention::here("quorum", CRITICAL, format!("voters: {}", self.quorum.text()), next));
@@ -335,7 +339,7 @@ impl Facts for Overview {
         table.pair("height", self.height);
         table.pair("voters", self.quorum.text());
         for certificate in &self.certificates {
-            table.pair("certificate", certificate.text(self.now));
+            table.pair("certificate", certificate_text(certificate, self.now));
         }
         table.write(out, 0)?;
         writeln!(out)?;
@@ -364,8 +368,10 @@ impl Facts for Overview {
                 number(node.matched),
                 number(node.attested),
                 node.state(),
-                node.disk.as_ref().map_or_else(|| "-".to_owned(), Disk::free),
-                node.certificate.as_ref().map_or_else(|| "-".to_owned(), |certificate| certificate.ends(self.now)),
+                node.disk.as_ref().map_or_else(|| "-".to_owned(), disk_free),
+                node.certificate
+                    .as_ref()
+                    .map_or_else(|| "-".to_owned(), |certificate| certificate_ends(certificate, self.now)),
             ]);
         }
         table.write(out, 0)?;
@@ -397,7 +403,7 @@ mod tests {
     }
 
     fn looked(node: Node, quorum: Voters) -> Vec<String> {
-        let own = Certificate::of(&v1::StatusResponse {
+        let own = certificates(&v1::StatusResponse {
             certificates: vec![v1::CertificateStatus { not_after: u64::MAX, ..Default::default() }],
             ..Default::default()
         });

@@ -146,7 +146,7 @@ impl View {
                 node.state(),
                 node.height.map(|height| height.to_string()).unwrap_or_default(),
                 behind.unwrap_or_default(),
-                node.disk.as_ref().map(crate::health::Disk::free).unwrap_or_default(),
+                node.disk.as_ref().map(crate::health::disk_free).unwrap_or_default(),
                 clock.unwrap_or_default(),
             ]
         }));

@@ -1,5 +1,4 @@
-//! JSON that somebody else wrote, laid out anew without touching a character of its values: the order of fields and
-//! the digits of numbers stay as they are.
+//! The layout of JSON text, without a change to its values: the order of fields and the digits of numbers stay as they are.
 
 use serde_json::value::RawValue;
 
@@ -7,12 +6,12 @@ use serde_json::value::RawValue;
 const INDENT: usize = 2;
 
 /// The text with one field per line, or `None` if it is not JSON.
-pub(crate) fn pretty(text: &str) -> Option<String> {
+pub fn pretty(text: &str) -> Option<String> {
     serde_json::from_str::<&RawValue>(text).ok().map(|_| lay_out(text, true))
 }
 
 /// The text on one line, or `None` if it is not JSON.
-pub(crate) fn compact(text: &str) -> Option<Box<RawValue>> {
+pub fn compact(text: &str) -> Option<Box<RawValue>> {
     serde_json::from_str::<&RawValue>(text).ok()?;
     RawValue::from_string(lay_out(text, false)).ok()
 }
