@@ -198,6 +198,7 @@ fn proof(status: &StatusResponse) -> Option<Attention> {
 }
 
 #[cfg(test)]
+#[expect(clippy::panic, reason = "tests")]
 mod tests {
     use super::*;
     use ledger_api::v1::PeerStatus;
