@@ -1,9 +1,8 @@
 //! Proposals of any call that needs approval, and the quorums that they need.
 
 use crate::world::{Ca, DAY, Network, User, code, failed, is_executed, json, waiting};
-use bytes::Bytes;
 use ledger::msp::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
-use ledger_base::rejection::{Code, Rejection};
+use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
 use serde_json::{Value, json as value};
 
