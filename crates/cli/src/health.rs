@@ -156,7 +156,7 @@ impl Attention {
         Self { nodes: Vec::new(), facts: AttentionFacts { check, severity, message, next: next.into() } }
     }
 
-    /// What a node reports of itself.
+    /// Problems that a node reports.
     pub(crate) fn of(status: &v1::StatusResponse) -> Vec<Self> {
         let name = format!("{}/{}", status.organisation, status.node_name);
         let of = |facts: AttentionFacts| Self { nodes: vec![name.clone()], facts };

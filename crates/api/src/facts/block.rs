@@ -64,7 +64,7 @@ pub struct TransactionFacts {
     time_utc: Option<String>,
     /// The signer, such as `Org1/Salma`.
     pub creator: String,
-    /// What it calls.
+    /// The call.
     #[serde(flatten)]
     pub call: CallFacts,
     /// The verdict: `OK`, or a code.
@@ -73,7 +73,7 @@ pub struct TransactionFacts {
     pub message: String,
     /// Events that it caused, as far as the caller may read them.
     pub events: Vec<EventFacts>,
-    /// What the function returned.
+    /// The return value of the function.
     #[serde(flatten)]
     pub response: DecodedBytes,
 }

@@ -7,6 +7,7 @@ use serde_json::value::RawValue;
 /// The bytes as people and programs can read them. In JSON a pair: `encoding` says how `response` is to be read.
 #[derive(Debug, Serialize)]
 #[serde(tag = "encoding", content = "response", rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum DecodedBytes {
     /// JSON as the chaincode wrote it, on one line.
     Json(Box<RawValue>),

@@ -13,9 +13,9 @@ pub struct EventFacts {
     pub chaincode: String,
     /// Its name, such as `granted`.
     pub name: String,
-    /// What it is about, such as a service.
+    /// Its subject, such as a service.
     pub subject: String,
-    /// What it carries.
+    /// Its payload.
     pub payload: DecodedBytes,
     /// In a stream: the signed call that caused it, with the first of its events.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -85,7 +85,7 @@ pub struct StatusFacts {
     pub disk: DiskFacts,
     /// Certificates and revocation lists on which it depends.
     pub certificates: Vec<CertificateFacts>,
-    /// What needs attention. Taken out where a client lists it in another form.
+    /// Problems of the node. None where a client lists them in another form.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub attention: Option<Vec<AttentionFacts>>,
     /// Report about nodes whose state digest differs; empty if all agree.
@@ -152,16 +152,16 @@ pub struct CertificateFacts {
     not_after_utc: Option<String>,
 }
 
-/// What needs attention at the node.
+/// A problem of the node (docs/metrics.md).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AttentionFacts {
-    /// What was checked, such as `disk`.
+    /// The check that found it, such as `disk`.
     pub check: String,
     /// `critical` or `warning`.
     pub severity: String,
-    /// What is found, in one line.
+    /// The finding, in one line.
     pub message: String,
-    /// What to do next.
+    /// The next step.
     pub next: String,
 }
 

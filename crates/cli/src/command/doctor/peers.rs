@@ -75,7 +75,7 @@ async fn standing(session: &Session) -> Finding {
     }
 }
 
-/// What needs attention, and a line for everything that was looked at and does not.
+/// The problems, and a line for each check that found none.
 fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
     findings.extend(clocks(&overview.nodes));
     // The own certificate was looked at before.

@@ -42,7 +42,7 @@ struct Node {
     facts: StatusFacts,
     failures_tolerated: u64,
     quorum: bool,
-    /// What needs attention.
+    /// Problems, with the nodes that report them.
     attention: Vec<Attention>,
     #[serde(skip)]
     voters: Voters,

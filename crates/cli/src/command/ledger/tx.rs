@@ -51,8 +51,8 @@ fn brief(arg: &DecodedBytes) -> String {
     const BRIEF_CHARS_MAX: usize = 40;
     let text = match arg {
         DecodedBytes::Json(value) => value.get().to_owned(),
-        DecodedBytes::Text(text) => text.clone(),
         DecodedBytes::Hex(digits) => format!("hex:{digits}"),
+        _ => arg.to_text(),
     };
     if text.chars().count() <= BRIEF_CHARS_MAX {
         return text;

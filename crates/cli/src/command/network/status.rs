@@ -56,7 +56,7 @@ pub(crate) struct Overview {
     pub(crate) nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
     pub(crate) certificates: Vec<CertificateFacts>,
-    /// What needs attention.
+    /// Problems, with the nodes that report them.
     pub(crate) attention: Vec<Attention>,
     /// When it was asked.
     #[serde(skip)]
@@ -99,7 +99,7 @@ pub(crate) struct Node {
     attested: Option<u64>,
     pub(crate) disk: Option<DiskFacts>,
     pub(crate) certificate: Option<CertificateFacts>,
-    /// What needs attention by its own report.
+    /// Problems by its own report.
     #[serde(skip)]
     attention: Vec<Attention>,
     /// The clock of its machine as seen from this one's, microseconds, and how far off that may be.
