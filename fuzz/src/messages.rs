@@ -9,6 +9,7 @@ pub type Round = fn(&[u8]) -> bool;
 /// Names and readers of the messages; a test of the repository compares the names with the proto files.
 pub const ALL: &[(&str, Round)] = &[
     ("Attested", round::<v1::Attested>),
+    ("Attention", round::<v1::Attention>),
     ("AuditRequest", round::<v1::AuditRequest>),
     ("AuditResponse", round::<v1::AuditResponse>),
     ("AuditRow", round::<v1::AuditRow>),
