@@ -29,9 +29,9 @@ PROCESSORS = os.cpu_count() or 1
 # The classes of test binaries, with their slots. What is named nowhere computes, has one slot for each processor, and gives way.
 CLASSES = {
     # They wait for nodes, leases and elections.
-    "waiting": (4 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
+    "waiting": (3 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
     # They wait for graphs of ROS 2, whose many processes lose messages where processors are short.
-    "graphs": (PROCESSORS + 1, {"bridge", "interop", "ros_bridge"}),
+    "graphs": (PROCESSORS, {"bridge", "interop", "ros_bridge"}),
     "computing": (PROCESSORS, set()),
 }
 # Test binaries that start programs of this workspace.

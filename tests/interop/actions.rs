@@ -227,9 +227,11 @@ fn a_goal_that_takes_too_long_is_cancelled_until_it_ends_and_a_silent_server_is_
         // It refuses, and is asked again.
         assert_eq!([stubborn.line().unwrap(), stubborn.line().unwrap()], ["cancel", "cancel"], "{}", world.logs());
         world.line("Rover", &["THE ROBOT REFUSES TO CANCEL A GOAL"]).await;
-        drop((goal, stubborn));
-        world.line("Rover", &["the action server has left"]).await;
+        // The client before the server: a goal that the robot has lost has no client any more.
+        drop(goal);
         world.line("Salma", &["the client of a goal has left"]).await;
+        drop(stubborn);
+        world.line("Rover", &["the action server has left"]).await;
 
         // A bridge with a log of its own. The goal is told to be refused. So it must not run, should the server have heard of it.
         robot.report();
