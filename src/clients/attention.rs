@@ -46,7 +46,8 @@ fn warning(check: &str, message: String, next: impl Into<String>) -> Option<Atte
 
 /// Another node has other blocks, or another state.
 fn log(status: &StatusResponse) -> Option<Attention> {
-    let next = "on its machine: ledgerd verify DATA, then ledgerd rejoin --config ledgerd.toml";
+    let next = "where the node that differs from most runs: ledgerd verify DATA; only if that finds a fault: ledgerd rejoin \
+                --config ledgerd.toml";
     if status.divergence.is_empty() { None } else { critical("log", status.divergence.clone(), next) }
 }
 

@@ -108,6 +108,7 @@ async fn chain(channel: &Channel, request: ChainRequest) -> Result<ChainResponse
 fn holding(chain: &ChainResponse) -> Holding {
     Holding {
         height: chain.height,
+        durable: chain.durable,
         first_height: chain.first_height,
         snapshot_height: chain.snapshot_height,
         yours: chain.yours,

@@ -201,6 +201,11 @@ impl<C: Chain> Company<C> {
             self.lost.remove(&who.id);
             return;
         }
+        if has.durable >= confirmed.index {
+            // It has started again, and has not learned yet how far its log is committed. Another log would differ in its hashes.
+            self.lost.remove(&who.id);
+            return;
+        }
         let had = confirmed.index;
         let text = format!("{} holds blocks up to height {height}, and had confirmed {had}", who.name);
         if self.lost.insert(who.id, text).is_none() {
@@ -411,6 +416,22 @@ mod tests {
         assert_eq!(behind(&[said("Org1", 10), said("Org2", 10)], &place), None, "there is nothing to fetch");
         let led = Place { cut_off: false, ..place };
         assert_eq!(behind(&[said("Org1", 20), said("Org2", 15)], &led), None, "who has a leader was not removed");
+    }
+
+    #[test]
+    fn a_voter_that_has_started_again_has_lost_nothing_that_its_disk_still_holds() {
+        let place = place(&[(1, "Org1"), (2, "Org1"), (3, "Org2")]);
+        let mut company = Company::new(own(40), "Org1", BTreeMap::new());
+        let mut heard = |height, durable| {
+            let mut said = said(2, "Org1", height, None);
+            said.has.durable = durable;
+            company.heard(&[said], &place, None).unwrap();
+            company.describe()
+        };
+        assert_eq!(heard(38, 38), "");
+        assert_eq!(heard(37, 38), "", "it has not learned yet how far its log is committed");
+        assert!(heard(37, 37).contains("holds blocks up to height 37, and had confirmed 38"));
+        assert_eq!(heard(37, 39), "");
     }
 
     #[test]

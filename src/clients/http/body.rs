@@ -49,6 +49,20 @@ async fn read(request: Request, kind: &str, curl: &str, bytes_max: usize) -> Res
     collect(request.into_body(), bytes_max, BODY_TIME_MAX).await
 }
 
+/// Reads something of a request whose body comes later. If that is rejected, the body is read all the same.
+pub(super) async fn before<T>(
+    request: Request,
+    read: impl FnOnce(&Request) -> Result<T, Rejection>,
+) -> Result<(T, Request), Rejection> {
+    match read(&request) {
+        Ok(read) => Ok((read, request)),
+        Err(rejection) => {
+            discard(request).await;
+            Err(rejection)
+        }
+    }
+}
+
 /// Reads the body of a request that is rejected without it: many clients read no answer before all is sent.
 pub(crate) async fn discard(request: Request) {
     if length(request.headers()) <= DISCARDED_BYTES_MAX {

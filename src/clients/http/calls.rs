@@ -34,7 +34,7 @@ struct Query {
 
 /// An argument: text, or bytes in hexadecimal digits.
 #[derive(Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, deny_unknown_fields)]
 enum Argument {
     Text(String),
     Hex { hex: String },
@@ -70,7 +70,7 @@ pub(super) async fn query(
     Extension(caller): Extension<Caller>,
     request: Request,
 ) -> Result<Response, Rejected> {
-    Parameters::read(request.uri(), &[])?;
+    let (_, request) = body::before(request, |request| Parameters::read(request.uri(), &[])).await?;
     let asked: Query = body::json(request, body::BODY_BYTES_MAX, QUERY).await?;
     let Query { chaincode, function, args, min_height, may_be_stale } = asked;
     let args = args.into_iter().map(Argument::bytes).collect::<Result<_, _>>()?;
@@ -99,8 +99,11 @@ pub(super) async fn submit(
     Extension(caller): Extension<Caller>,
     request: Request,
 ) -> Result<Response, Rejected> {
-    let given = Parameters::read(request.uri(), &["min_height", "first_attempt"])?;
-    let (min_height, first_attempt) = (given.number("min_height")?, given.is_on("first_attempt")?);
+    let read = |request: &Request| {
+        let given = Parameters::read(request.uri(), &["min_height", "first_attempt"])?;
+        Ok((given.number("min_height")?, given.is_on("first_attempt")?))
+    };
+    let ((min_height, first_attempt), request) = body::before(request, read).await?;
     let transaction = body::bytes(request, body::BODY_BYTES_MAX).await?;
     let request = v1::SubmitRequest { transaction, min_height, first_attempt };
     let told = api.gateway.submit(call(caller, request)).await?.into_inner();

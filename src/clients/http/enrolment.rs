@@ -50,7 +50,7 @@ pub(super) async fn enrol(
     Extension(caller): Extension<Caller>,
     request: Request,
 ) -> Result<Response, Rejected> {
-    Parameters::read(request.uri(), &[])?;
+    let (_, request) = body::before(request, |request| Parameters::read(request.uri(), &[])).await?;
     let Enrol { name, secret, request } = body::json(request, body::NEWCOMER_BODY_BYTES_MAX, ENROL).await?;
     let request = v1::EnrolRequest { name, secret, request: request.into() };
     let told = api.enrolment.enrol(call(caller, request)).await?.into_inner();

@@ -21,7 +21,7 @@ pub(super) fn answer<T, S: Serialize>(
     let lines = messages.map(move |message| {
         let line = match message {
             Ok(message) => serde_json::to_vec(&shape(message)).unwrap_or_default(),
-            Err(status) => Rejected::from(status).json().to_string().into_bytes(),
+            Err(status) => Rejected::from(status).line().to_string().into_bytes(),
         };
         Ok::<_, Infallible>(Bytes::from([&line[..], b"\n"].concat()))
     });
@@ -43,6 +43,6 @@ mod tests {
         let lines: Vec<&str> = text.lines().collect();
         assert!(text.ends_with('\n') && lines.len() == 3, "{text}");
         assert_eq!(lines.get(..2), Some(&["[1]", "[2]"][..]));
-        assert!(text.contains("\"code\":\"LGR-2004\""), "{text}");
+        assert!(text.contains("\"code\":\"LGR-2004\"") && text.contains("\"status\":403"), "{text}");
     }
 }

@@ -29,7 +29,9 @@ pub(super) async fn transaction(
     State(api): State<Arc<Api>>,
     Extension(caller): Extension<Caller>,
     id: Part,
+    uri: Uri,
 ) -> Result<Response, Rejected> {
+    Parameters::read(&uri, &[])?;
     let request = v1::ProveTransactionRequest { id: parameters::id(id)?.0.to_vec().into() };
     let told = api.gateway.prove_transaction(call(caller, request)).await?.into_inner();
     answer(&json!({ "link": hex::encode(told.link) }))

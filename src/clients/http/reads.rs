@@ -42,7 +42,9 @@ pub(super) async fn block(
     State(api): State<Arc<Api>>,
     Extension(caller): Extension<Caller>,
     height: Part,
+    uri: Uri,
 ) -> Result<Response, Rejected> {
+    Parameters::read(&uri, &[])?;
     let height = parameters::height(height)?;
     let block = api.gateway.get_block(call(caller, v1::GetBlockRequest { height })).await?;
     answer(&BlockFacts::from(block.into_inner()))
@@ -52,7 +54,9 @@ pub(super) async fn transaction(
     State(api): State<Arc<Api>>,
     Extension(caller): Extension<Caller>,
     id: Part,
+    uri: Uri,
 ) -> Result<Response, Rejected> {
+    Parameters::read(&uri, &[])?;
     let id = parameters::id(id)?.0.to_vec().into();
     let record = api.gateway.get_transaction(call(caller, v1::GetTransactionRequest { id })).await?;
     answer(&TransactionFacts::from(record.into_inner()))

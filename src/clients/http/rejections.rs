@@ -1,7 +1,9 @@
 //! Rejections as answers: a status and JSON with `code`, `message`, `found`, `wanted` and `next`.
 
+use super::body::discard;
+use axum::extract::Request;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
-use axum::http::{Method, StatusCode, Uri};
+use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use ledger_base::rejection::{Class, Code, Rejection};
 use serde::Serialize;
@@ -33,15 +35,26 @@ impl Rejected {
         }
     }
 
+    /// The last line of a stream, which has its status of HTTP in itself.
+    pub(super) fn line(&self) -> Value {
+        let mut fields = self.fields();
+        fields.insert("status".into(), self.status.as_u16().into());
+        Value::Object(fields)
+    }
+
     /// The JSON of the answer.
-    pub(super) fn json(&self) -> Value {
+    fn json(&self) -> Value {
+        Value::Object(self.fields())
+    }
+
+    fn fields(&self) -> Map<String, Value> {
         let Rejection { code, message, found, wanted, .. } = &*self.rejection;
         let next = self.rejection.advice();
         let mut fields = self.more.clone();
         let four_lines = [("message", message.as_str()), ("found", found), ("wanted", wanted), ("next", next)];
         fields.insert("code".into(), code.to_string().into());
         fields.extend(four_lines.map(|(name, text)| (name.to_owned(), text.into())));
-        Value::Object(fields)
+        fields
     }
 }
 
@@ -88,15 +101,30 @@ pub(crate) fn answer(body: &impl Serialize) -> Result<Response, Rejected> {
 }
 
 /// The answer where nothing is.
-pub(super) async fn unknown_path(uri: Uri) -> Rejected {
-    Rejection::new(Code::NotFound, "there is no such path").found(uri.path()).wanted("a path of docs/http.md").into()
+pub(super) async fn unknown_path(request: Request) -> Rejected {
+    let rejection = Rejection::new(Code::NotFound, "there is no such path")
+        .found(request.uri().path())
+        .wanted("a path of docs/http.md")
+        .next("health and metrics have a listener of their own: [admin] listen in ledgerd.toml");
+    discard(request).await;
+    rejection.into()
+}
+
+/// The answer beside the services of gRPC: tools of gRPC hear that there is no such call, all others that there is no such path.
+pub(crate) async fn elsewhere(request: Request) -> Response {
+    let kind = request.headers().get(CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();
+    if kind.starts_with(b"application/grpc") {
+        return Status::unimplemented("there is no such call").into_http();
+    }
+    unknown_path(request).await.into_response()
 }
 
 /// The answer to another method than that of an endpoint.
-pub(super) async fn other_method(method: Method, uri: Uri) -> Rejected {
+pub(super) async fn other_method(request: Request) -> Rejected {
     let rejection = Rejection::new(Code::BadArgument, "the endpoint has another method")
-        .found(format!("{method} {}", uri.path()))
+        .found(format!("{} {}", request.method(), request.uri().path()))
         .wanted("GET to read, POST to query, submit and enrol");
+    discard(request).await;
     Rejected::from(rejection).with_status(StatusCode::METHOD_NOT_ALLOWED)
 }
 

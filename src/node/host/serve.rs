@@ -133,7 +133,7 @@ fn routes(gateway: &Arc<GatewayService>, enrolment: &Arc<EnrolmentService>) -> R
     let api = Api { gateway: Arc::clone(gateway), enrolment: Arc::clone(enrolment) };
     let mut routes = Routes::default();
     let grpc = std::mem::take(routes.axum_router_mut());
-    *routes.axum_router_mut() = grpc.merge(http::for_certificates(http::router(api), names));
+    *routes.axum_router_mut() = grpc.merge(http::for_certificates(http::router(api), names)).fallback(http::elsewhere);
     routes
 }
 

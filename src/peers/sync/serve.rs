@@ -60,7 +60,7 @@ impl Source {
         let id = asking.map_or(0, |asking| asking.id);
         let confirmed = self.monitor.confirmed(id);
         let has = Holding::of(stores, self.ordering.slot.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
-        let Holding { height, first_height, snapshot_height, yours, receipts, you_vote, receipt } = has;
+        let Holding { height, durable, first_height, snapshot_height, yours, receipts, you_vote, receipt } = has;
         let told = Hash::from_slice(&request.block_hash).zip(Hash::from_slice(&request.digest));
         if let (Some(asking), Some((hash, digest))) = (asking, told) {
             self.monitor.told(asking, Point { height: request.height, hash, digest });
@@ -75,6 +75,7 @@ impl Source {
             network: self.storage().ledger.network().0.to_vec().into(),
             first_height,
             height,
+            durable,
             term: self.storage().log.store.term(height).unwrap_or_default(),
             snapshot_height,
             yours,

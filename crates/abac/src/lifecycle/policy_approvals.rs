@@ -68,7 +68,8 @@ pub(crate) fn check_alone(ctx: &mut Context<'_>, caller: &Identity) -> Result<()
         None => Ok(()),
         Some(need) => Err(not_agreed(&caller.organisation, need)
             .found(format!("{} alone", caller.id()))
-            .next("ledgerctl policy propose FILE..., then the others: ledgerctl policy approve ID")),
+            .next("propose the whole set, with every policy that shall stay: ledgerctl policy propose FILE... (or --restore VERSION, \
+                   --built-in); then the others: ledgerctl policy approve ID")),
     }
 }
 

@@ -32,6 +32,8 @@ pub struct Who {
 pub struct Holding {
     /// Its newest block that is committed and durable.
     pub height: u64,
+    /// The end of its log on disk. After a start it may be ahead of `height` until the node learns again how far the log is committed.
+    pub durable: u64,
     /// Its oldest block.
     pub first_height: u64,
     /// The snapshot that it gives; 0 if it has none.
@@ -80,6 +82,7 @@ impl Holding {
         let height = store_holds(store);
         Self {
             height,
+            durable: store.durable_index(),
             first_height: store.first_index(),
             snapshot_height: given(ledger, snapshots).ok().flatten().map_or(0, |given| given.manifest().height),
             yours: known.chain(attested).max().unwrap_or_default(),

@@ -1,9 +1,9 @@
 //! Questions to the index.
 
-use super::row::{Kind, Place, name_prefix};
+use super::row::{Kind, PLACE_BYTES, Place, name_prefix};
 use super::{FOLDED_US, Index, ROWS, ROWS_AT_ONCE, Row};
 use bytes::Bytes;
-use ledger_base::rejection::Rejection;
+use ledger_base::rejection::{Code, Rejection};
 
 /// Rows that one question looks at, at most. The next one goes on behind them.
 const LOOKED_AT_MAX: usize = 20_000;
@@ -74,8 +74,14 @@ impl Index {
     /// The rows that are asked for and that `shown` lets pass. Looks at the rows of one name and time, and never at blocks.
     ///
     /// # Errors
-    /// [`Code::Corrupt`](ledger_base::rejection::Code::Corrupt), [`Code::DiskFailed`](ledger_base::rejection::Code::DiskFailed).
+    /// [`Code::BadArgument`] for an `after` that is none; [`Code::Corrupt`], [`Code::DiskFailed`].
     pub fn find(&self, question: &Question, mut shown: impl FnMut(&Row) -> bool) -> Result<Page, Rejection> {
+        if ![0, PLACE_BYTES].contains(&question.after.len()) {
+            return Err(Rejection::new(Code::BadArgument, "the place in the audit cannot be read")
+                .found(format!("{} bytes", question.after.len()))
+                .wanted(format!("{PLACE_BYTES} bytes, as `after` of the page before has them, or none"))
+                .next("begin without it"));
+        }
         let prefix = question.keys();
         let begin = Place::at(question.since.saturating_sub(FOLDED_US)).max(Place::of_key(&question.after));
         let mut page = Page { after: Bytes::copy_from_slice(&begin.to_bytes()), ..Page::default() };

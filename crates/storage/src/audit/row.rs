@@ -18,7 +18,7 @@ const REFUSED: &str = "refused";
 const REVOKED: &str = "revoked";
 
 const NAMES: u8 = b'x';
-const PLACE_BYTES: usize = 20;
+pub(super) const PLACE_BYTES: usize = 20;
 
 /// A decision about control.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
