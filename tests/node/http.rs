@@ -297,7 +297,12 @@ fn hostile_requests_are_rejected_with_their_four_lines() {
     }
     // Paths, parameters and bodies that mean nothing.
     rejected(&format!("{url}/nothing"), 404, "LGR-1013");
+    for path in ["", "/", "/readyz", "/v1", "/V1/status", "//v1/status", "/v1%2Fstatus"] {
+        rejected(&format!("https://node1:7450{path}"), 404, "LGR-1013");
+    }
     rejected(&format!("-X DELETE {url}/status"), 405, "LGR-1011");
+    rejected(&format!("'{url}/blocks/0?x=1'"), 400, "LGR-1011");
+    rejected(&format!("'{url}/audit?after=00'"), 400, "LGR-1011");
     rejected(&format!("{url}/blocks/x"), 400, "LGR-1011");
     rejected(&format!("{url}/blocks/99999999"), 404, "LGR-1013");
     rejected(&format!("{url}/blocks/%ff"), 400, "LGR-1011");
@@ -313,6 +318,11 @@ fn hostile_requests_are_rejected_with_their_four_lines() {
     fs::write(place.file("nonsense"), vec![0xff; 100]).unwrap();
     let bytes = "-H 'content-type: application/octet-stream' --data-binary";
     rejected(&format!("{url}/transactions {bytes} @nonsense"), 400, "LGR-1001");
+    // A body that nobody reads is sent before its rejection is read.
+    fs::write(place.file("body"), vec![b' '; 900_000]).unwrap();
+    rejected(&format!("'{url}/transactions?first_attempt=yes' {bytes} @body"), 400, "LGR-1011");
+    rejected(&format!("{url}/nothing {bytes} @body"), 404, "LGR-1013");
+    rejected(&format!("{url}/status {bytes} @body"), 405, "LGR-1011");
     // More bytes than are read, announced or not.
     fs::write(place.file("large"), vec![b' '; (1 << 20) + 1]).unwrap();
     rejected(&format!("{url}/query -H 'content-type: application/json' --data-binary @large"), 413, "LGR-1002");
