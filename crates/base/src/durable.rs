@@ -29,7 +29,7 @@ pub const PUBLIC_MODE: u32 = 0o644;
 /// A failed operation on a file, for people.
 pub fn failed(what: &str, path: &Path, error: &io::Error) -> Rejection {
     let (code, next) = match error.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => (Code::DiskFull, "free space on this disk"),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => (Code::DiskFull, ""),
         io::ErrorKind::NotFound | io::ErrorKind::IsADirectory | io::ErrorKind::NotADirectory => {
             (Code::BadFile, "check the path")
         }

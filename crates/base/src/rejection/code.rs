@@ -238,7 +238,8 @@ codes! {
          ledgerd run --trust-clock --config FILE";
 
     /// The disk is full; nothing more is accepted.
-    DiskFull = 5001 "DISK_FULL" Failure;
+    DiskFull = 5001 "DISK_FULL" Failure,
+        "make room on that file system";
     /// Stored bytes are damaged.
     Corrupt = 5002 "CORRUPT" Failure;
     /// The disk failed.

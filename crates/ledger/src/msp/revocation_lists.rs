@@ -253,7 +253,8 @@ impl Ends {
             if holder.issuer != issuer.0 || holder.not_after >= ctx.block_time() {
                 return Err(Rejection::new(Code::OldList, "a certificate that came along proves nothing")
                     .found(format!("the certificate of {} with serial {}", holder.id(), hex::encode(&holder.serial)))
-                    .wanted("certificates of the list's issuer that have ended"));
+                    .wanted("certificates of the list's issuer that have ended")
+                    .next("leave it out, or take the certificate that the list no longer names"));
             }
             shown.insert(holder.serial);
         }
