@@ -222,6 +222,8 @@ fn with_a_certificate_of_its_operator_the_page_of_a_bridge_is_for_clients_of_the
         for refused in [ask("stranger"), over_tls(&file("ours.pem"), None)] {
             assert!(refused.is_err(), "{refused:?}");
         }
+        // The page is there before the bridge has joined the graph, and only a bridge that has joined reports.
+        world.line("Salma", &["is ready"]).await;
         salma.report();
     });
 }
