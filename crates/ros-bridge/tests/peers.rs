@@ -86,7 +86,9 @@ async fn all_come(peer: Peer, stream: Stream) {
     let (_bridge, mut reader) = reader(&Qos::default(), size).await;
     let mut publisher = peer.publishes(DOMAIN, &names(size).0.dds(), stream, &["keep_all"]);
     for wanted in 0..count {
-        assert_eq!(next(&mut reader, size).await, wanted, "{peer:?} {stream:?}");
+        let incoming = tokio::time::timeout(DEADLINE, reader.next()).await;
+        assert!(incoming.is_ok(), "{peer:?} {stream:?}: no sample {wanted}; dropped: {}", reader.dropped());
+        assert_eq!(number_of(&incoming.unwrap().unwrap().sample, size), wanted, "{peer:?} {stream:?}");
     }
     assert_eq!(publisher.line().as_deref(), Some("matched"));
     assert!(publisher.finish(), "everything was acknowledged to {peer:?}");
