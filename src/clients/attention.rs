@@ -17,9 +17,9 @@ pub(crate) const WARNING: &str = "warning";
 const CLOCK_OFF_MAX_US: u64 = 5_000_000;
 /// A clock needs attention that is further from those of most voters, microseconds.
 const CLOCK_NEAR_US: u64 = 1_000_000;
-/// A disk needs attention below one part in so many.
+/// A disk needs attention when less than 1/N of it is free.
 const DISK_LOW_PART: u64 = 10;
-/// A certificate needs attention in the last part of its life, one in so many: by then it should have been renewed.
+/// A certificate needs attention in the last 1/N of its life: by then it should have been renewed.
 const LIFE_PART: u64 = 6;
 /// The same, at most so long before its end, microseconds: 30 days.
 const ENDING_US: u64 = 30 * 86_400_000_000;
@@ -353,7 +353,7 @@ mod tests {
 
     #[test]
     fn a_clock_five_seconds_behind_block_time_is_critical() {
-        // The clock of the node goes on from block time.
+        // The clock of the node is never behind block time.
         let ahead = |by: u64| found(|s| (s.block_time, s.clock) = (100 * DAY + by, 100 * DAY + by));
         assert_eq!(ahead(4_999_999), []);
         only(&ahead(240_000_000), "clock", CRITICAL, "block time is 4 min ahead of the clock of its machine");

@@ -318,7 +318,7 @@ fn hostile_requests_are_rejected_with_their_four_lines() {
     fs::write(place.file("nonsense"), vec![0xff; 100]).unwrap();
     let bytes = "-H 'content-type: application/octet-stream' --data-binary";
     rejected(&format!("{url}/transactions {bytes} @nonsense"), 400, "LGR-1001");
-    // A body that nobody reads is sent before its rejection is read.
+    // Clients send the whole body of a rejected request before they read the answer.
     fs::write(place.file("body"), vec![b' '; 900_000]).unwrap();
     rejected(&format!("'{url}/transactions?first_attempt=yes' {bytes} @body"), 400, "LGR-1011");
     rejected(&format!("{url}/nothing {bytes} @body"), 404, "LGR-1013");

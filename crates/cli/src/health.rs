@@ -14,7 +14,7 @@ use std::io::{self, Write};
 const EXIT_ATTENTION: u8 = 1;
 /// Exit code without a quorum.
 const EXIT_NO_QUORUM: u8 = 4;
-/// It keeps somebody from something.
+/// Something does not work.
 pub(crate) const CRITICAL: &str = "critical";
 /// It may soon do so.
 const WARNING: &str = "warning";
@@ -183,7 +183,7 @@ impl Attention {
             .then(|| Self::here("certificate", severity, certificate_text(own, now), "ledgerctl identity renew"))
     }
 
-    /// Does it keep somebody from something now?
+    /// Does something not work because of it?
     pub(crate) fn is_critical(&self) -> bool {
         self.facts.severity != WARNING
     }
@@ -193,7 +193,7 @@ impl Attention {
         self.nodes.iter().any(|name| name == node)
     }
 
-    /// Is it about whoever asks?
+    /// Is it about the caller's own certificate?
     pub(crate) fn is_own(&self) -> bool {
         self.nodes.is_empty() && self.facts.check == "certificate"
     }
