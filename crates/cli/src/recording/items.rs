@@ -57,9 +57,14 @@ pub(crate) enum Fault {
 }
 
 /// A file that is being read.
+///
+/// Chunks are opened here: the crate's reader (0.26.0) panics, or reads on in other records without checks of overflow, where
+/// a record is longer than the chunk that it stands in.
 pub(crate) struct Reader<R> {
     input: R,
     records: LinearReader,
+    /// The records of the last chunk that are not read yet.
+    chunk: Chunk,
     /// Bytes read so far.
     read: usize,
 }
@@ -68,8 +73,8 @@ impl<R: Read> Reader<R> {
     /// From the beginning of this stream on.
     pub(crate) fn new(input: R) -> Self {
         let options =
-            LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(RECORD_BYTES_MAX);
-        Self { input, records: LinearReader::new_with_options(options), read: 0 }
+            LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(RECORD_BYTES_MAX);
+        Self { input, records: LinearReader::new_with_options(options), chunk: Chunk::default(), read: 0 }
     }
 
     /// The next item; none at the end of the data.
@@ -77,7 +82,11 @@ impl<R: Read> Reader<R> {
     /// # Errors
     /// The reason why there is no more although the file has no end here.
     pub(crate) fn read(&mut self) -> Result<Option<Item>, Fault> {
-        while let Some(event) = self.records.next_event() {
+        loop {
+            if let Some(item) = self.chunk.read()? {
+                return Ok(Some(item));
+            }
+            let Some(event) = self.records.next_event() else { return Ok(None) };
             match event {
                 Ok(LinearReadEvent::ReadRequest(wanted)) => {
                     // Grows with what is there, not with what somebody says.
@@ -87,6 +96,7 @@ impl<R: Read> Reader<R> {
                     self.read = self.read.saturating_add(count);
                 }
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(None),
+                Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => self.chunk = Chunk::opened(Fields(data))?,
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     if let Some(item) = item(opcode, Fields(data))? {
                         return Ok(Some(item));
@@ -96,8 +106,57 @@ impl<R: Read> Reader<R> {
                 Err(error) => return Err(error.into()),
             }
         }
+    }
+}
+
+/// The records of a chunk.
+#[derive(Default)]
+struct Chunk {
+    records: Vec<u8>,
+    /// Bytes of them that are read.
+    read: usize,
+}
+
+impl Chunk {
+    /// The chunk of this record, if its sum is right.
+    fn opened(mut record: Fields<'_>) -> Result<Self, Fault> {
+        let parts = (|| {
+            let (_first_time, _last_time, _length) = (record.u64()?, record.u64()?, record.u64()?);
+            let (sum, compression, length) = (record.u32()?, record.text()?, record.u64()?);
+            Some((sum, compression, record.take(length)?))
+        })();
+        let (sum, compression, records) = parts.ok_or_else(shorter)?;
+        if !compression.is_empty() {
+            return Err(Fault::Compressed(compression));
+        }
+        // Zero says that the writer made no sum.
+        if sum != 0 && sum != crc32fast::hash(records) {
+            return Err(Fault::Damaged("a chunk whose sum is another".to_owned()));
+        }
+        Ok(Self { records: records.to_vec(), read: 0 })
+    }
+
+    /// The next item; none at its end.
+    fn read(&mut self) -> Result<Option<Item>, Fault> {
+        while let Some(rest) = self.records.get(self.read..).filter(|rest| !rest.is_empty()) {
+            let mut fields = Fields(rest);
+            let record = (|| {
+                let [opcode] = fields.array()?;
+                let length = fields.u64()?;
+                Some((opcode, fields.take(length)?))
+            })();
+            let (opcode, data) = record.ok_or_else(shorter)?;
+            self.read = self.records.len() - fields.0.len();
+            if let Some(item) = item(opcode, Fields(data))? {
+                return Ok(Some(item));
+            }
+        }
         Ok(None)
     }
+}
+
+fn shorter() -> Fault {
+    Fault::Damaged("a record that is shorter than its fields".to_owned())
 }
 
 /// As [`Read::read`], again where it was interrupted.
@@ -115,9 +174,7 @@ impl From<McapError> for Fault {
         match error {
             McapError::BadMagic => Self::NotMcap,
             McapError::UnexpectedEof => Self::Cut,
-            McapError::UnsupportedCompression(name) => Self::Compressed(name),
-            McapError::BadChunkCrc { .. } => Self::Damaged("a chunk whose sum is another".to_owned()),
-            McapError::RecordTooLarge { .. } | McapError::ChunkTooLarge(_) => {
+            McapError::RecordTooLarge { .. } => {
                 Self::Damaged("a record that is longer than 64 MiB".to_owned())
             }
             error => Self::Damaged(error.to_string()),
@@ -142,7 +199,7 @@ fn item(opcode: u8, mut fields: Fields<'_>) -> Result<Option<Item>, Fault> {
         })(),
         _ => return Ok(None),
     };
-    item.map(Some).ok_or_else(|| Fault::Damaged("a record that is shorter than its fields".to_owned()))
+    item.map(Some).ok_or_else(shorter)
 }
 
 /// The content of a record. Every reader gives none where the bytes end before.
@@ -167,12 +224,17 @@ impl<'a> Fields<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// Bytes behind their length.
-    fn bytes(&mut self) -> Option<&'a [u8]> {
-        let length = usize::try_from(self.u32()?).ok()?;
-        let (taken, rest) = self.0.split_at_checked(length)?;
+    /// This many bytes.
+    fn take(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
         self.0 = rest;
         Some(taken)
+    }
+
+    /// Bytes behind their length.
+    fn bytes(&mut self) -> Option<&'a [u8]> {
+        let length = self.u32()?;
+        self.take(length.into())
     }
 
     fn text(&mut self) -> Option<String> {

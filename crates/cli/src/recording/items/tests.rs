@@ -94,3 +94,41 @@ fn a_length_beyond_everything_allocates_nothing() {
     file.extend(channel);
     assert!(matches!(read(&file).1, Some(Fault::Damaged(_))));
 }
+
+/// A file with one chunk of these records; without a sum.
+fn of_chunk(records: &[u8], compression: &str) -> Vec<u8> {
+    let mut chunk = [0; 16].to_vec();
+    chunk.extend((records.len() as u64).to_le_bytes());
+    chunk.extend([0; 4]);
+    chunk.extend((compression.len() as u32).to_le_bytes());
+    chunk.extend(compression.as_bytes());
+    chunk.extend((records.len() as u64).to_le_bytes());
+    chunk.extend(records);
+    let mut file = mcap::MAGIC.to_vec();
+    file.push(op::CHUNK);
+    file.extend((chunk.len() as u64).to_le_bytes());
+    file.extend(chunk);
+    file
+}
+
+#[test]
+fn a_record_longer_than_its_chunk_is_damage_and_takes_nothing_from_what_follows() {
+    let mut message = vec![op::MESSAGE];
+    message.extend(22_u64.to_le_bytes());
+    message.extend([0; 22]);
+    let (items, fault) = read(&of_chunk(&message, ""));
+    assert!(items.len() == 1 && matches!(fault, Some(Fault::Cut)), "{items:?} {fault:?}");
+    for length in [23, 24, u64::MAX] {
+        message[1..9].copy_from_slice(&length.to_le_bytes());
+        let mut file = of_chunk(&message, "");
+        file.extend([0; 64]);
+        let (items, fault) = read(&file);
+        assert!(items.is_empty() && matches!(fault, Some(Fault::Damaged(_))), "{length}: {items:?} {fault:?}");
+    }
+}
+
+#[test]
+fn a_compressed_chunk_is_named() {
+    let (items, fault) = read(&of_chunk(&[0; 20], "zstd"));
+    assert!(items.is_empty() && matches!(&fault, Some(Fault::Compressed(name)) if name == "zstd"), "{fault:?}");
+}
