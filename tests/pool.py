@@ -31,7 +31,7 @@ CLASSES = {
     # They wait for nodes, leases and elections.
     "waiting": (3 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
     # They wait for graphs of ROS 2, whose many processes lose messages where processors are short.
-    "graphs": (PROCESSORS, {"bridge", "interop", "ros_bridge"}),
+    "graphs": (PROCESSORS + 1, {"bridge", "interop", "ros_bridge"}),
     "computing": (PROCESSORS, set()),
 }
 # Test binaries that start programs of this workspace.
@@ -39,7 +39,7 @@ WITH_PROGRAMS = {"cli", "clients", "cluster", "hostile", "interop", "node"}
 # The longest ones begin first. What is not named here begins in the order of the last run's durations.
 FIRST = ["sim::seeds::", "node::languages::", "node::packaging::", "node::crash::", "cluster::", "interop::"]
 # Left out without --long.
-LONG = []
+LONG = ["interop::arena::the_arena_judges_its_claims"]
 # With --long these try more than without it.
 LONGER = ["cluster::", "replica::chaos::", "sim::mutations::", "sim::seeds::no_storm"]
 # One after the other, when all others have ended: they show what a machine without other work can do.

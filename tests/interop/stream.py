@@ -101,14 +101,17 @@ def subscribe(domain, topic, count, seconds, size, *words):
     while count == 0 or received < count:
         if time.monotonic() > deadline:
             sys.exit(0 if count == 0 else 3)
-        if not matched and reader.get_matched_publications():
+        # A sample may be there before DDS says that its writer is.
+        samples = reader.take(N=10)
+        if not matched and (samples or reader.get_matched_publications()):
             matched = True
             print("matched", flush=True)
         if matched and "until_left" in words and not reader.get_matched_publications():
             print("left", flush=True)
             return
-        news.wait(duration(milliseconds=100 if matched else 10))
-        for sample in reader.take(N=10):
+        if not samples:
+            news.wait(duration(milliseconds=100 if matched else 10))
+        for sample in samples:
             if not isinstance(sample, Raw):
                 continue
             now = time.monotonic_ns()

@@ -29,7 +29,7 @@ fn the_first_command_of_the_readme_plays_the_experiment() {
     // As it stands .ci/run plays it; here the program is the one of the tests, so that no other is built.
     assert_eq!(command, "cargo run --release -- demo");
     let played = Command::new(testkit::program("ledgerd"))
-        .arg("demo")
+        .args(["demo", "--seconds", "3"])
         .output()
         .unwrap_or_else(|error| panic!("ledgerd does not start: {error}"));
     let (table, progress) = (String::from_utf8_lossy(&played.stdout), String::from_utf8_lossy(&played.stderr));

@@ -227,6 +227,11 @@ int subscribe(DataReader* reader, uint32_t count, double seconds, size_t size, c
                 std::cerr << "sample " << number << " is damaged\n";
                 return 1;
             }
+            // It may be there before DDS says that its writer is.
+            if (!matched) {
+                matched = true;
+                std::cout << "matched" << std::endl;
+            }
             ++received;
             std::cout << number << ' ' << (came - sent) / 1000 << std::endl;
         }

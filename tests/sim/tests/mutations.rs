@@ -23,7 +23,7 @@ const SEEDS_MAX: u64 = 1500;
 /// Seeds at a time.
 const WORKERS: usize = 2;
 /// Seeds in which a bug that others make good for must break nothing; in `./test --long` three times as many.
-const SEEDS_BORNE: u64 = 10;
+const SEEDS_BORNE: u64 = 4;
 
 /// Is this a process of one test? The bug is a switch of the whole process, so each test runs itself again in one of its own,
 /// and passes its failure on.

@@ -1,4 +1,4 @@
-//! A hundred seeds, those that once failed, and the same seed twice.
+//! Many seeds, those that once failed, and the same seed twice.
 
 #![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
 
@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
-const SEEDS: u64 = 100;
+const SEEDS: u64 = 40;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.

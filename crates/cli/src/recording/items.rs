@@ -58,8 +58,8 @@ pub(crate) enum Fault {
 
 /// A file that is being read.
 ///
-/// Chunks are opened here: the crate's reader (0.26.0) panics, or reads on in other records without checks of overflow, where
-/// a record is longer than the chunk that it stands in.
+/// Chunks are opened here. Where a record is longer than its chunk, the crate's own reader (0.26.0) panics, or takes what
+/// follows for records.
 pub(crate) struct Reader<R> {
     input: R,
     records: LinearReader,
