@@ -72,8 +72,7 @@ pub(crate) struct Reader<R> {
 impl<R: Read> Reader<R> {
     /// From the beginning of this stream on.
     pub(crate) fn new(input: R) -> Self {
-        let options =
-            LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(RECORD_BYTES_MAX);
+        let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(RECORD_BYTES_MAX);
         Self { input, records: LinearReader::new_with_options(options), chunk: Chunk::default(), read: 0 }
     }
 
@@ -174,9 +173,7 @@ impl From<McapError> for Fault {
         match error {
             McapError::BadMagic => Self::NotMcap,
             McapError::UnexpectedEof => Self::Cut,
-            McapError::RecordTooLarge { .. } => {
-                Self::Damaged("a record that is longer than 64 MiB".to_owned())
-            }
+            McapError::RecordTooLarge { .. } => Self::Damaged("a record that is longer than 64 MiB".to_owned()),
             error => Self::Damaged(error.to_string()),
         }
     }
