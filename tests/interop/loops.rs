@@ -3,9 +3,11 @@
 
 use std::time::Duration;
 
+use ledger_base::hash::Hash;
 use ledger_gate::sample::Sample;
 use ros_bridge::{
     dds::{Participant, Reader, Writer},
+    mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits},
@@ -162,6 +164,27 @@ fn two_bridges_in_one_domain_make_no_loop_of_a_route_that_they_discovered() {
         let rover = "[discover]\nrobot = 'Rover'\n".to_owned();
         world::run(two_bridges("open", [salma, rover]));
     }
+}
+
+#[test]
+fn a_route_that_opens_late_tells_of_a_bridge_that_was_there_before() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", TWIST).await;
+        let late = route("from_ledger", "/late").replace("Rover/cmd_vel", "Late/late");
+        let routes = format!("shared_memory = false\n{}{late}", route("from_ledger", "/cmd_vel"));
+        let _rover = world.start_bridge_as("Rover", &routes, &[]);
+        let node = Node::open(0, "another").await;
+        let mark = Mark::new(&Hash([7; 32]), "Other/late");
+        let _bridge = node.0.marked_writer(&topic("/late"), &kind(), &Qos::default(), mark).unwrap();
+        // DDS announces them in this order: whoever knows this one knows the other bridge.
+        let _publisher = node.writer("/cmd_vel");
+        world.line("Rover", &["WARN", "a publisher beside this bridge on /cmd_vel"]).await;
+        world.register("Late", "/late", TWIST).await;
+        world.line("Rover", &["WARN", "a publisher beside this bridge on /late"]).await;
+    });
 }
 
 /// The same where local processes use shared memory; the bridges use both, as they do by default.

@@ -4,7 +4,11 @@ mod budget;
 mod meaning;
 mod rogue;
 
-use std::{collections::BTreeMap, sync::Arc, time::Instant};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+    time::Instant,
+};
 
 use tokio::task::AbortHandle;
 
@@ -37,6 +41,8 @@ pub(crate) struct Neighbourhood {
     local: LocalGraph,
     roster: Arc<Roster>,
     known: BTreeMap<[u8; 16], Neighbour>,
+    /// What was told: the number of a route, and a neighbour on its topic.
+    told: BTreeSet<(usize, [u8; 16])>,
     /// Publishers of other bridges on other topics, listened to: what they deliver must not come in by a relay.
     listened: BTreeMap<[u8; 16], AbortHandle>,
     /// How many use each route's topic in shared memory, when last looked at, by the numbers of the routes.
@@ -50,9 +56,9 @@ pub(crate) struct Neighbourhood {
 impl Neighbourhood {
     pub(crate) fn new(local: LocalGraph, roster: Arc<Roster>) -> Self {
         let in_memory = roster.open().map(|open| (open.slot.number, count_in_memory(&open))).collect();
-        let (known, listened, met) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        let (known, told, listened, met) = (BTreeMap::new(), BTreeSet::new(), BTreeMap::new(), BTreeMap::new());
         let (lines, warnings) = (LogBudget::new(Instant::now()), LogBudget::new(Instant::now()));
-        Self { local, roster, known, listened, in_memory, met, lines, warnings }
+        Self { local, roster, known, told, listened, in_memory, met, lines, warnings }
     }
 
     /// Takes note of a change, and tells what it means.
@@ -74,9 +80,22 @@ impl Neighbourhood {
         for open in open.iter().filter(|open| open.dds_topic() == neighbour.topic) {
             self.meet(open);
             self.look_beside(open, now);
-            let line = meaning(open, &neighbour, came);
-            let line = if came { line.map(|line| self.second(open, &neighbour, line)) } else { line };
-            self.tell(open, &neighbour, line, now);
+            if came {
+                self.tell_of(open, &neighbour, now);
+            } else {
+                self.tell(open, &neighbour, meaning(open, &neighbour, false), now);
+            }
+        }
+        if !came {
+            self.told.retain(|(_, guid)| *guid != neighbour.guid);
+        }
+    }
+
+    /// Tells what somebody who is there means for a route, once.
+    fn tell_of(&mut self, open: &OpenRoute, neighbour: &Neighbour, now: Instant) {
+        if self.told.insert((open.slot.number, neighbour.guid)) {
+            let line = meaning(open, neighbour, true).map(|line| self.second(open, neighbour, line));
+            self.tell(open, neighbour, line, now);
         }
     }
 
@@ -88,10 +107,16 @@ impl Neighbourhood {
             self.listen(&neighbour);
         }
         let open: Vec<OpenRoute> = self.roster.open().collect();
+        self.told.retain(|(number, _)| open.iter().any(|open| open.slot.number == *number));
         for open in open {
             // A route that was opened late has neighbours of which nobody tells any more.
             self.meet(&open);
             self.look_beside(&open, now);
+            let topic = open.dds_topic();
+            let there = self.known.values().filter(|neighbour| neighbour.topic == topic).cloned();
+            for neighbour in there.collect::<Vec<_>>() {
+                self.tell_of(&open, &neighbour, now);
+            }
             let count = count_in_memory(&open);
             let before = self.in_memory.entry(open.slot.number).or_insert(count);
             if count != *before
