@@ -31,7 +31,7 @@ CLASSES = {
     # They wait for nodes, leases and elections.
     "waiting": (3 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
     # They wait for graphs of ROS 2, whose many processes lose messages where processors are short.
-    "graphs": (PROCESSORS + 1, {"bridge", "interop", "ros_bridge"}),
+    "graphs": (PROCESSORS, {"bridge", "interop", "ros_bridge"}),
     "computing": (PROCESSORS, set()),
 }
 # Test binaries that start programs of this workspace.

@@ -41,7 +41,7 @@ pub(crate) struct Neighbourhood {
     local: LocalGraph,
     roster: Arc<Roster>,
     known: BTreeMap<[u8; 16], Neighbour>,
-    /// What was told: the number of a route, and a neighbour on its topic.
+    /// Each pair that was told of: the number of a route, and a neighbour on its topic.
     told: BTreeSet<(usize, [u8; 16])>,
     /// Publishers of other bridges on other topics, listened to: what they deliver must not come in by a relay.
     listened: BTreeMap<[u8; 16], AbortHandle>,
