@@ -179,7 +179,7 @@ fn a_route_that_opens_late_tells_of_a_bridge_that_was_there_before() {
         let node = Node::open(0, "another").await;
         let mark = Mark::new(&Hash([7; 32]), "Other/late");
         let _bridge = node.0.marked_writer(&topic("/late"), &kind(), &Qos::default(), mark).unwrap();
-        // DDS announces them in this order: whoever knows this one knows the other bridge.
+        // DDS announces them in this order: a bridge that knows this publisher knows the other bridge.
         let _publisher = node.writer("/cmd_vel");
         world.line("Rover", &["WARN", "a publisher beside this bridge on /cmd_vel"]).await;
         world.register("Late", "/late", TWIST).await;

@@ -133,7 +133,7 @@ const CONTESTS: [&str; 26] = [
 ];
 
 /// Seeds from which on every kind of fault must have happened. A rare one happens in about one of twenty.
-pub const SEEDS_ENOUGH: u64 = 100;
+pub const SEEDS_ENOUGH: u64 = 40;
 
 /// Counts of one run, or of many.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

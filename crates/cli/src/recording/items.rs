@@ -144,7 +144,8 @@ impl Chunk {
                 let length = fields.u64()?;
                 Some((opcode, fields.take(length)?))
             })();
-            let (opcode, data) = record.ok_or_else(shorter)?;
+            let longer = || Fault::Damaged("a record that is longer than its chunk".to_owned());
+            let (opcode, data) = record.ok_or_else(longer)?;
             self.read = self.records.len() - fields.0.len();
             if let Some(item) = item(opcode, Fields(data))? {
                 return Ok(Some(item));

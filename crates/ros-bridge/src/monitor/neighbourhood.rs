@@ -41,7 +41,7 @@ pub(crate) struct Neighbourhood {
     local: LocalGraph,
     roster: Arc<Roster>,
     known: BTreeMap<[u8; 16], Neighbour>,
-    /// Each pair that was told of: the number of a route, and a neighbour on its topic.
+    /// Routes, by their numbers, with the neighbours that the log already names for them.
     told: BTreeSet<(usize, [u8; 16])>,
     /// Publishers of other bridges on other topics, listened to: what they deliver must not come in by a relay.
     listened: BTreeMap<[u8; 16], AbortHandle>,
@@ -91,7 +91,7 @@ impl Neighbourhood {
         }
     }
 
-    /// Tells what somebody who is there means for a route, once.
+    /// Logs once what a known neighbour means for a route.
     fn tell_of(&mut self, open: &OpenRoute, neighbour: &Neighbour, now: Instant) {
         if self.told.insert((open.slot.number, neighbour.guid)) {
             let line = meaning(open, neighbour, true).map(|line| self.second(open, neighbour, line));
