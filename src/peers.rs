@@ -9,7 +9,7 @@
 //! | `conductor` | starts and ends the orderer, and synchronises when the node is too far behind |
 //! | `chain_monitor` | compares the chain with the voters' and stops a node that differs |
 //! | `attestation` | signs what this node computed into the ledger, and compares what others signed |
-//! | `quorum_certificates` | signatures of voters over blocks, and proofs of lies |
+//! | `quorum_certificates` | signatures of voters over blocks, and proofs of misbehaviour |
 //! | `early_stop` | emergency stops, broadcast ahead of ordering |
 
 pub(crate) mod attestation;
@@ -37,7 +37,7 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, PeerMessage, ReceiptKey};
 use ledger_replica::Executor;
 use ledger_replica::catch_up::Ballot;
-use ledger_replica::certifier::Certifier;
+use ledger_replica::certifier::{Certifier, Earlier};
 use question::Bootstrap;
 use quorum_certificates::{Certificates, Certifying, Keys, era};
 use reachability::Reachability;
@@ -114,7 +114,9 @@ impl Peers {
             certificates,
             witness,
         });
-        let keys = Keys::new(me.id, trust.identity.clone(), Arc::clone(ledger));
+        let keys = || Keys::new(me.id, trust.identity.clone(), Arc::clone(ledger));
+        let end = ordering.storage.log.store.last_index();
+        let earlier = Earlier { end, signed: peers.certificates.recorded()? };
         let tasks = Tasks {
             attesting: Attesting {
                 author: Arc::clone(author),
@@ -133,7 +135,8 @@ impl Peers {
             },
             certifying: Certifying {
                 certificates: Arc::clone(&peers.certificates),
-                certifier: Certifier::new(me.id, ledger.network(), keys, era(ledger)?),
+                certifier: Certifier::new(me.id, ledger.network(), keys(), era(ledger)?, earlier),
+                keys: keys(),
                 ordering: Arc::clone(ordering),
                 connections: Arc::clone(&peers.connections),
                 me: me.id,
@@ -151,6 +154,10 @@ impl Peers {
             let message = match message {
                 PeerMessage::Statement(statement) => {
                     peers.certificates.hear(from, statement);
+                    return true;
+                }
+                PeerMessage::Evidence(evidence) => {
+                    peers.certificates.show(from, evidence);
                     return true;
                 }
                 PeerMessage::Early(call) => {

@@ -32,7 +32,7 @@ class Governance:
 
     def follow(self, changes, proof):
         """After the block of a proof, with all changes up to it, as pairs of height and governing writes."""
-        height = STATEMENT.unpack(proof[0])[2]
+        height = STATEMENT.unpack(proof[0])[3]
         need(height >= self.height, "this is older than what is known")
         before = after = self
         for at, writes in sorted(changes):

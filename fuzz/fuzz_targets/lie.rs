@@ -1,13 +1,13 @@
-//! The proof of a lie or of a double vote is refused, or written as it was read; that of a lie proves nothing of a node that told none.
+//! A proof of misbehaviour is refused, or written as it was read; that of a lie proves nothing of a node that told none.
 #![no_main]
 
 use ledger_fuzz::{MSPS, TOLD};
-use ledger_light::{DoubleVote, Lie};
+use ledger_light::{Lie, Misbehaviour};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    if let Ok(votes) = DoubleVote::from_bytes(bytes) {
-        assert_eq!(&votes.to_bytes()[..], bytes);
+    if let Ok(proof) = Misbehaviour::from_bytes(bytes) {
+        assert_eq!(&proof.to_bytes()[..], bytes);
     }
     if let Ok(lie) = Lie::from_bytes(bytes) {
         assert_eq!(&lie.to_bytes()[..], bytes);

@@ -6,7 +6,8 @@ use ledger_base::units::{size, span};
 use std::collections::BTreeSet;
 
 /// Everything that is checked, in the order of the list.
-pub(crate) const CHECKS: [&str; 8] = ["log", "state", "quorum", "leader", "certificate", "disk", "clock", "proof"];
+pub(crate) const CHECKS: [&str; 9] =
+    ["log", "state", "quorum", "leader", "certificate", "disk", "clock", "proof", "fault"];
 
 /// The node is not ready.
 pub(crate) const CRITICAL: &str = "critical";
@@ -32,7 +33,7 @@ pub(crate) fn of(status: &StatusResponse, clock_doubt: &str) -> Vec<Attention> {
     let found = [log(status), state(status), quorum(status), leader(status)];
     let mut all: Vec<Attention> = found.into_iter().flatten().collect();
     all.extend(certificates(status));
-    all.extend([disk(status), clock(status, clock_doubt), proof(status)].into_iter().flatten());
+    all.extend([disk(status), clock(status, clock_doubt), proof(status), fault(status)].into_iter().flatten());
     all
 }
 
@@ -192,9 +193,16 @@ fn off(status: &StatusResponse) -> i64 {
     middle.into_iter().flatten().copied().min_by_key(|off| off.unsigned_abs()).unwrap_or_default()
 }
 
-/// Nodes that have signed contradicting statements.
+/// Members that have signed two different results of one block.
+fn fault(status: &StatusResponse) -> Option<Attention> {
+    let next = "on its machine: check memory and disk, then start it: it computes its state again from the blocks";
+    if status.faults.is_empty() { None } else { warning("fault", status.faults.clone(), next) }
+}
+
+/// Members that have signed two different things for one place.
 fn proof(status: &StatusResponse) -> Option<Attention> {
-    let next = "decide who of its organisation answers for it, then: ledgerctl network remove NODE";
+    let next = "read docs/security.md, \"A node that lies\", then: ledgerctl network remove NODE --proof FILE, with the file in \
+                certificates/ of this node's data directory";
     if status.lies.is_empty() { None } else { warning("proof", status.lies.clone(), next) }
 }
 
@@ -303,6 +311,7 @@ mod tests {
         only(&low, "disk", WARNING, "1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd");
         assert_eq!(found(|s| s.disk_free_bytes = 2 << 30), []);
         only(&found(|s| s.lies = "Org2/node2: 1 proof".into()), "proof", WARNING, "Org2/node2");
+        only(&found(|s| s.faults = "Org2/node2: 1 proof".into()), "fault", WARNING, "Org2/node2");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::ordering::orderer::Outlet;
 use crate::ordering::reads::ReadIndex;
 use crate::peers::Peers;
 use ledger::Refusal;
-use ledger_light::DoubleVote;
+use ledger_light::{DoubleVote, Misbehaviour};
 use ledger_raft::PeerMessage;
 use ledger_replica::Known;
 use std::sync::Arc;
@@ -34,6 +34,6 @@ impl Outlet for ToSubsystems {
     }
 
     fn voted_twice(&self, proof: Box<DoubleVote>) {
-        self.peers.certificates.voted_twice(proof);
+        self.peers.certificates.misbehaved(Misbehaviour::DoubleVote(*proof));
     }
 }

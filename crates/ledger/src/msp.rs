@@ -11,7 +11,7 @@
 //! | `attestations` | | array of [`AttestationRecord`] |
 //! | `revocations [{after?, most?}]` | | array or page of [`RevocationRecord`] |
 //! | `join_node {address, name?, replace?}` | a node, for itself | [`NodeRecord`] |
-//! | `set_node_role {id?, organisation?, name?, role}` ([`SetNodeRole`]) | an admin; see [`NodeRole`] | [`Decision`] |
+//! | `set_node_role {id?, organisation?, name?, role, proof?}` ([`SetNodeRole`]) | an admin; see [`NodeRole`] | [`Decision`] |
 //! | `invite_organisation {name, key, expires}` | an admin, with approval | [`Decision`] |
 //! | `join_organisation {...}` ([`JoinOrganisation`]) | any node, for the newcomer | [`Organisation`] |
 //! | `update_organisation {roots, intermediates}` | an admin, for their own | [`Organisation`] |
@@ -72,6 +72,7 @@ mod identities;
 mod invitations;
 mod join_node;
 mod joins;
+mod misbehaviour;
 mod node_roles;
 mod nodes;
 mod organisations;
@@ -111,7 +112,7 @@ pub use proposals::{
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, changes, invitation, members, nodes, organisations, revocation_lists, voters};
+pub use read::{attestations, changes, invitation, members, nodes, organisations, recoveries, revocation_lists, voters};
 pub use recovery::{REASON_BYTES_MAX, Recovery};
 pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};
 pub use revocation_lists::{

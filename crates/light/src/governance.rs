@@ -36,6 +36,7 @@ const MEMBERS: &[u8] = b"msp\0members";
 const NODES: &[u8] = b"msp\0node/";
 const ORGANISATIONS: &[u8] = b"msp\0organisation/";
 const REVOKED: &[u8] = b"msp\0revoked/";
+const RECOVERIES: &[u8] = b"msp\0recovery/";
 
 /// The governing writes of a block, with their values.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -197,7 +198,8 @@ impl Governance {
             let Node { id, name, organisation } = parse(key, value)?;
             nodes.insert(id, Voter { organisation, name });
         }
-        Ok(Voters { nodes, voters, outgoing })
+        let recoveries = self.under(RECOVERIES).count() as u64;
+        Ok(Voters { nodes, voters, outgoing, recoveries })
     }
 
     /// Goes on to the block of a proof, over the changes up to it; later ones are left alone.

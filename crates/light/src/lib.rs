@@ -18,7 +18,7 @@
 //! | [`governance`] | whom to believe at a height, followed from a pinned beginning |
 //! | [`way`] | from where a reader was to the newest proof that it believes |
 //! | [`codec`] | reading hostile bytes in one form |
-//! | [`lie`] | two statements of one node about one height, or two votes of one node in one term |
+//! | [`lie`] | proofs of misbehaviour: two signed things of one node for one place that differ |
 //!
 //! ```
 //! use ledger_base::hash::Hash;
@@ -55,7 +55,7 @@ pub mod way;
 pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
 pub use governance::{Change, Governance};
-pub use lie::{DoubleVote, Lie};
+pub use lie::{DoubleVote, Fault, Lie, Misbehaviour};
 pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
 pub use vote::Vote;

@@ -24,6 +24,8 @@ pub struct Voters {
     pub voters: BTreeSet<u64>,
     /// While they change: the voters before, of whom a majority is needed, too. Empty otherwise.
     pub outgoing: BTreeSet<u64>,
+    /// Number of forced recoveries: statements and votes of another number are for another place.
+    pub recoveries: u64,
 }
 
 impl Voters {
@@ -45,7 +47,8 @@ impl Voters {
                 .wanted(format!("a voter of block {}", statement.height))
                 .next("ask another node for it"));
         }
-        self.check_signer("a statement", &statement.to_bytes(), signature, identity)
+        self.check_place("a statement", statement.recoveries)?;
+        self.check_signer("a statement", &statement.signed_by(node), signature, identity)
     }
 
     /// Checks the signature of one vote: that this is the identity of the voter, and that it signed this. Whether the node
@@ -59,7 +62,18 @@ impl Voters {
                 .found(format!("node {}", signature.node))
                 .wanted(format!("node {}", vote.voter)));
         }
+        self.check_place("a vote", vote.recoveries)?;
         self.check_signer("a vote", &vote.to_bytes(), signature, identity)
+    }
+
+    fn check_place(&self, what: &str, recoveries: u64) -> Result<(), Rejection> {
+        if recoveries == self.recoveries {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::Untrusted, format!("{what} was signed before or after another forced recovery"))
+            .found(format!("forced recoveries: {recoveries}"))
+            .wanted(format!("forced recoveries: {}", self.recoveries))
+            .next("ask another node for it"))
     }
 
     fn check_signer(

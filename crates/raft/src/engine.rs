@@ -251,6 +251,7 @@ impl Engine {
             Input::ReadIndex { context } => self.read_index(context, out),
             Input::TransferLeadership { .. } | Input::ChangeMembership(_) => self.administer(input, out),
             Input::Campaign => self.campaign(),
+            Input::Exclude(nodes) => self.mandates.exclude(nodes),
             Input::Unreachable { peer } => self.raw.report_unreachable(peer),
         }
         if self.failed {
@@ -303,6 +304,9 @@ impl Engine {
         if let Some(heard) = self.heard.get_mut(&from) {
             *heard = self.ticks;
         }
+        if self.mandates.excludes(from, &message) {
+            return out.push(Output::Ignored { from, reason: "it has lied, by proof, and neither leads nor stands for election" });
+        }
         match message {
             PeerMessage::Raft(mut message) => {
                 match self.check_standing(from, &mut message, out) {
@@ -341,8 +345,8 @@ impl Engine {
             }
             PeerMessage::Mandate(mandate) => self.mandate_shown(from, &mandate, out),
             PeerMessage::MandateWanted(wanted) => self.mandate_wanted(from, wanted.term, out),
-            // The node gives the one to its certifier, and tells its readers of the other.
-            PeerMessage::Statement(_) | PeerMessage::Early(_) => {}
+            // The node gives these to its certifier and its readers.
+            PeerMessage::Statement(_) | PeerMessage::Evidence(_) | PeerMessage::Early(_) => {}
         }
     }
 

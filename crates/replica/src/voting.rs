@@ -23,20 +23,22 @@ impl<S: Signing> Voting<S> {
         Self { ledger, signing }
     }
 
-    fn vote(&self, ballot: Ballot) -> Vote {
+    fn vote(&self, ballot: Ballot, recoveries: u64) -> Vote {
         let Ballot { term, candidate, voter } = ballot;
-        Vote { network: self.ledger.network(), term, candidate, voter }
+        Vote { network: self.ledger.network(), recoveries, term, candidate, voter }
     }
 }
 
 impl<S: Signing + Send + Sync> Ballots for Voting<S> {
     fn sign(&self, ballot: Ballot) -> Result<Bytes, Rejection> {
-        self.signing.sign_vote(&self.vote(ballot)).map(|signature| signature.to_bytes())
+        let vote = self.vote(ballot, self.ledger.recoveries()?);
+        self.signing.sign_vote(&vote).map(|signature| signature.to_bytes())
     }
 
     fn check(&self, ballot: Ballot, signed: &[u8], now: u64) -> Result<(), Rejection> {
         let signature = Signature::from_bytes(signed)?;
         let identity = self.signing.identify(&self.ledger.msps(), &signature.certificate, now)?;
-        self.ledger.voters()?.check_vote(&self.vote(ballot), &signature, &identity)
+        let voters = self.ledger.voters()?;
+        voters.check_vote(&self.vote(ballot, voters.recoveries), &signature, &identity)
     }
 }

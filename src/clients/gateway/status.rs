@@ -117,6 +117,7 @@ impl Description {
             divergence: self.peers.monitor.describe(),
             certified: self.peers.certificates.certified(),
             lies: self.peers.certificates.lies(&self.ordering.directory),
+            faults: self.peers.certificates.faults(&self.ordering.directory),
             in_flight: self.shares.in_flight() as u64,
             in_flight_max: self.limits.in_flight_max,
             waiting_control: ordering.as_ref().map_or(0, |ordering| ordering.control.transactions as u64),

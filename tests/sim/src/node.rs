@@ -18,7 +18,7 @@ use bytes::Bytes;
 use ledger::{Ledger, Rules};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
-use ledger_light::{Certificate, Proof};
+use ledger_light::{Certificate, Proof, Statement};
 use ledger_raft::{Desired, Lane};
 use ledger_replica::catch_up::{Ballot, Holding, Look};
 use ledger_replica::certifier::Certifier;
@@ -74,6 +74,8 @@ pub struct Node {
     pub rules: SeenRules,
     /// The proofs of blocks that changed who governs, on its disk.
     pub governing: BTreeMap<u64, Proof>,
+    /// The newest statements that it has signed.
+    pub signed: VecDeque<Statement>,
 }
 
 /// The process of a node.
@@ -389,6 +391,7 @@ impl Node {
             speaks: Rules::NEWEST,
             rules: SeenRules::default(),
             governing: BTreeMap::new(),
+            signed: VecDeque::new(),
         }
     }
 }

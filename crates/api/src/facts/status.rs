@@ -91,9 +91,12 @@ pub struct StatusFacts {
     /// Report about nodes whose state digest differs; empty if all agree.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub divergence: String,
-    /// Nodes that have signed two different statements about one block; empty if there are none.
+    /// Members that have signed two different blocks of one height, or two votes in one term; empty if there are none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub lies: String,
+    /// Members that have signed two different results of one block; empty if there are none.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub faults: String,
     /// Address of its console; empty if it has none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub console: String,
@@ -215,6 +218,7 @@ impl From<v1::StatusResponse> for StatusFacts {
             attention: Some(status.attention.into_iter().map(AttentionFacts::from).collect()),
             divergence: status.divergence,
             lies: status.lies,
+            faults: status.faults,
             console: status.console,
         }
     }

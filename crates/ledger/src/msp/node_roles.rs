@@ -6,14 +6,15 @@ use super::nodes::{NodeRecord, NodeRole, RECORDS_MAX, REMOVED_MAX, all, desired,
 use super::own_call::own_call;
 use super::proposals::{Decision, decide};
 use super::store::{self, NODES, json, node_key};
-use super::{SET_NODE_ROLE, attestations, carriers, refusals, rules};
+use super::{SET_NODE_ROLE, attestations, carriers, misbehaviour, refusals, rules};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 
-/// `set_node_role {id | organisation, name; role}`: an organisation takes votes from its own nodes and removes them
-/// alone; everything else concerns all and needs their approval.
+/// `set_node_role {id | organisation, name; role; proof}`: an organisation takes votes from its own nodes and removes them
+/// alone; everything else concerns all and needs their approval. With the proof that the node has lied, its organisation need
+/// not approve that it votes no more.
 pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"id\": NUMBER, \"role\": \"voter\", \"learner\" or \"removed\"}, or organisation and name for id";
     let set: SetNodeRole = object("set_node_role", argument, wanted)?;
@@ -37,6 +38,9 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     };
     let Some(node) = node else { return Err(no_such_node(&nodes)) };
     check_change(ctx, &nodes, node, set.role)?;
+    if let Some(proof) = &set.proof {
+        misbehaviour::check(ctx, &nodes, (node, set.role), proof)?;
+    }
     let needs_approval = |caller: &&Identity| {
         node.role != set.role && (node.organisation != caller.organisation || set.role == NodeRole::Voter)
     };
@@ -44,13 +48,13 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
         put_role(ctx, node, set.role)?;
         return json(&Decision::done(None));
     };
-    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &wish(node, set.role))?)?)
+    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &wish(node, &set))?)?)
 }
 
 /// The wish for a role of this node, as a proposal has it.
-fn wish(node: &NodeRecord, role: NodeRole) -> SetNodeRole {
+fn wish(node: &NodeRecord, set: &SetNodeRole) -> SetNodeRole {
     let (organisation, name) = (Some(node.organisation.clone()), Some(node.name.clone()));
-    SetNodeRole { id: Some(node.id), organisation, name, role }
+    SetNodeRole { id: Some(node.id), organisation, name, role: set.role, proof: set.proof.clone() }
 }
 
 /// Removes the nodes of an organisation that leaves.

@@ -357,8 +357,8 @@ fn check_call(ctx: &mut Context<'_>, caller: &Identity, call: &Call) -> Result<(
 }
 
 fn waiting(ctx: &Context<'_>, proposal: Proposal) -> Result<Decision, Rejection> {
-    let organisations = organisations::names(ctx)?;
-    let (quorum, approved) = (quorums::of(ctx, &proposal.call)?, proposal.approved());
+    let (organisations, quorum) = quorums::electorate(ctx, &proposal.call)?;
+    let approved = proposal.approved();
     Ok(Decision {
         executed: false,
         missing: quorum.missing(&approved, &organisations),

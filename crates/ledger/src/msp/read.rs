@@ -6,7 +6,7 @@ use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
 use super::revocation_lists::{LISTS_MAX, ListRecord};
 use super::store::{
-    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS, ORGANISATIONS, change_key,
+    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS, ORGANISATIONS, RECOVERY_KEYS, change_key,
     invitation_key, json, list_state, parse, read_state,
 };
 use crate::members::Membership;
@@ -16,6 +16,9 @@ use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::{Change, Voter, Voters};
 use ledger_storage::state::{Overlay, StateRead};
+
+/// Most forced recoveries that are counted.
+const RECOVERIES_MAX: usize = 1 << 20;
 
 /// The records of the nodes in order of ids, removed ones among them: what the network wants (see
 /// [`super::desired`]).
@@ -84,7 +87,15 @@ pub fn voters(state: &dyn StateRead) -> Result<Voters, Rejection> {
         .into_iter()
         .map(|NodeRecord { id, organisation, name, .. }| (id, Voter { organisation, name }))
         .collect();
-    Ok(Voters { nodes, voters, outgoing })
+    Ok(Voters { nodes, voters, outgoing, recoveries: recoveries(state)? })
+}
+
+/// The number of forced recoveries: statements and votes name it.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn recoveries(state: &dyn StateRead) -> Result<u64, Rejection> {
+    Ok(state.range(RECOVERY_KEYS, None, RECOVERIES_MAX)?.len() as u64)
 }
 
 /// The changes of who governs after a height, oldest first, at most so many.

@@ -53,6 +53,9 @@ pub(crate) const LIST_KEYS: &[u8] = b"msp\0list/";
 /// Keys of what follows a list that has ended start with this.
 pub(crate) const STALE_KEYS: &[u8] = b"msp\0stale/";
 
+/// Keys of the records of forced recoveries start with this.
+pub(crate) const RECOVERY_KEYS: &[u8] = b"msp\0recovery/";
+
 /// The log of who governed.
 pub(crate) const CHANGE_KEYS: &[u8] = b"msp\0governed/";
 

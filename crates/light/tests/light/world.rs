@@ -44,7 +44,7 @@ impl World {
             let [organisation, name] = name(node).map(str::to_owned);
             (node, Voter { organisation, name })
         });
-        let voters = Voters { nodes: known.collect(), voters: [1, 2, 3].into(), outgoing: [].into() };
+        let voters = Voters { nodes: known.collect(), voters: [1, 2, 3].into(), outgoing: [].into(), recoveries: 0 };
         Self { cas, nodes, voters, msps }
     }
 
@@ -73,5 +73,5 @@ impl World {
 }
 
 pub(crate) fn statement(height: u64) -> Statement {
-    Statement { network: NETWORK, height, time: NOW, block: Hash([1; 32]), results: Hash([2; 32]) }
+    Statement { network: NETWORK, recoveries: 0, height, time: NOW, block: Hash([1; 32]), results: Hash([2; 32]) }
 }

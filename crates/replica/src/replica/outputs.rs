@@ -74,7 +74,8 @@ impl<W: Waiter> Replica<W> {
     fn proof(&self, now: Now, found: &VotedTwice) -> Result<DoubleVote, Rejection> {
         let [(one, first), (other, second)] = &found.votes;
         let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
-        Ok(DoubleVote { network: self.executor.ledger().network(), term: found.term, time: now.clock, votes })
+        let (ledger, term) = (self.executor.ledger(), found.term);
+        Ok(DoubleVote { network: ledger.network(), recoveries: ledger.recoveries()?, term, time: now.clock, votes })
     }
 
     /// There is no way to the leader now, so who waits for what was forwarded is told.

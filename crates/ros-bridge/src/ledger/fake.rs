@@ -297,7 +297,7 @@ impl Gateway for Fake {
         let ground = Fact::Ground { governing: known.chain(), control, digest, previous };
         let leaves = [ground.leaf()];
         let results = merkle::root(leaves.to_vec());
-        let statement = Statement { network, height, time: micros(), block: Hash::ZERO, results };
+        let statement = Statement { network, recoveries: 0, height, time: micros(), block: Hash::ZERO, results };
         let proof = Proof {
             certificate: Certificate { statement, signatures: Vec::new() },
             facts: vec![Shown::of(&ground, &leaves, 0).unwrap()],

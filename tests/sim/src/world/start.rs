@@ -106,7 +106,7 @@ impl World {
             said.note(&own.latest.attest);
             own.snapshot.iter().for_each(|snapshot| said.note(&snapshot.attest));
         }
-        let certifier = self.certifier(id, &ledger);
+        let certifier = self.certifier(id, &ledger, last);
         let (asked, election_time) = (self.asked_by(id, &ledger), self.plan.timing.election_time());
         let records = msp::nodes(&**ledger.state()).unwrap().into_iter();
         let voters = records.filter(|record| members.is_voter(record.id));

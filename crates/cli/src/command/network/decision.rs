@@ -88,8 +88,16 @@ fn added(add: &AddOrganisation) -> String {
 
 /// A proposed change of what a node shall be, if the call is one: its number, its name and the role.
 pub(super) fn node_role(call: &Call) -> Option<(u64, String, NodeRole)> {
-    let SetNodeRole { id, organisation, name, role } = argument(call, "set_node_role")?;
+    let SetNodeRole { id, organisation, name, role, .. } = argument(call, "set_node_role")?;
     Some((id?, format!("{}/{}", organisation?, name?), role))
+}
+
+/// The reason in a proposed change of what a node shall be.
+fn reason(call: &Call) -> &'static str {
+    match argument(call, "set_node_role") {
+        Some(SetNodeRole { proof: Some(_), .. }) => ", by the proof that it has lied",
+        _ => "",
+    }
 }
 
 /// The argument of a call of this function of `msp`.
@@ -103,8 +111,8 @@ fn argument<T: DeserializeOwned>(call: &Call, function: &str) -> Option<T> {
 fn in_words(call: &Call) -> Option<String> {
     if let Some((id, node, role)) = node_role(call) {
         return Some(match role {
-            NodeRole::Removed => format!("remove node {node} (id {id})"),
-            role => format!("make node {node} (id {id}) a {role}"),
+            NodeRole::Removed => format!("remove node {node} (id {id}){}", reason(call)),
+            role => format!("make node {node} (id {id}) a {role}{}", reason(call)),
         });
     }
     if let Some(InviteOrganisation { name, .. }) = argument(call, "invite_organisation") {

@@ -90,9 +90,12 @@ pub(crate) struct Node {
     pub(crate) divergence: String,
     /// Newest height for which it has a certificate.
     certified: Option<u64>,
-    /// Nodes that it has caught at a lie.
+    /// Members that have lied, by proof.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub(crate) lies: String,
+    /// Members that have signed two different results of one block.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    faults: String,
     /// How much of the log is on its disk, as the leader knows.
     matched: Option<u64>,
     /// Last height that it has attested.
@@ -222,6 +225,7 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
             divergence: said.map_or_else(String::new, |said| said.divergence.clone()),
             certified: said.map(|said| said.certified).filter(|height| *height > 0),
             lies: said.map_or_else(String::new, |said| said.lies.clone()),
+            faults: said.map_or_else(String::new, |said| said.faults.clone()),
             matched: match said {
                 Some(leader) if node.id == leader_id => Some(leader.last_index),
                 _ => matched.get(&node.id).copied().filter(|matched| *matched > 0),
@@ -272,6 +276,7 @@ impl Node {
             divergence: String::new(),
             certified: None,
             lies: String::new(),
+            faults: String::new(),
             matched: None,
             attested: None,
             disk: None,
