@@ -42,6 +42,7 @@ use question::Bootstrap;
 use quorum_certificates::{Certificates, Certifying, Keys, era};
 use reachability::Reachability;
 use service::PeerService;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use sync::{BlockSync, Source};
@@ -137,6 +138,7 @@ impl Peers {
                 certificates: Arc::clone(&peers.certificates),
                 certifier: Certifier::new(me.id, ledger.network(), keys(), era(ledger)?, earlier),
                 keys: keys(),
+                exchanged: BTreeSet::new(),
                 ordering: Arc::clone(ordering),
                 connections: Arc::clone(&peers.connections),
                 me: me.id,

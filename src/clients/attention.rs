@@ -201,7 +201,7 @@ fn fault(status: &StatusResponse) -> Option<Attention> {
 
 /// Members that have signed two different things for one place.
 fn proof(status: &StatusResponse) -> Option<Attention> {
-    let next = "read docs/security.md, \"A node that lies\", then: ledgerctl network remove NODE --proof FILE, with the file in \
+    let next = "read docs/security.md, \"A node that lies, with a vote\", then: ledgerctl network remove NODE --proof FILE, with the file in \
                 certificates/ of this node's data directory";
     if status.lies.is_empty() { None } else { warning("proof", status.lies.clone(), next) }
 }

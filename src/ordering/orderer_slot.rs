@@ -28,7 +28,12 @@ enum Phase {
 impl OrdererSlot {
     /// A place for an orderer that is to come.
     pub(crate) fn empty() -> Self {
-        Self { phase: RwLock::new(Phase::CatchingUp(0)), orderer: Mutex::default(), last: Mutex::default(), excluded: Mutex::default() }
+        Self {
+            phase: RwLock::new(Phase::CatchingUp(0)),
+            orderer: Mutex::default(),
+            last: Mutex::default(),
+            excluded: Mutex::default(),
+        }
     }
 
     /// Takes in an orderer; ends it at once if the node is stopping.

@@ -39,10 +39,11 @@ use ledger_replica::Observer;
 use ledger_replica::certifier::{Certifiable, Certifier, Effect, Era, Event, Signing};
 use passed::Passed;
 use recent::Recent;
+use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -53,6 +54,9 @@ const DISK_PAUSE: Duration = Duration::from_millis(2);
 const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// Time until the proofs of misbehaviour are sent to every member again: a member may have been away.
 const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
+
+/// Most old statements that are remembered because the signatures of a certificate were sent for them.
+const EXCHANGED_MAX: usize = 4096;
 
 /// The node tells the task.
 pub(crate) enum Told {
@@ -231,6 +235,8 @@ pub(crate) struct Certifying {
     pub connections: Arc<Connections>,
     /// This node's number.
     pub me: u64,
+    /// Heights and nodes for whose statements the signatures of a certificate were sent.
+    pub exchanged: BTreeSet<(u64, u64)>,
     /// Executed blocks and proofs.
     pub told: mpsc::UnboundedReceiver<Told>,
 }
@@ -243,7 +249,6 @@ impl Certifying {
         let (mut effects, mut written) = (Vec::new(), None);
         let mut again = interval(EVIDENCE_EVERY);
         again.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        self.ordering.slot.exclude(self.certificates.evidence.liars());
         loop {
             let event = tokio::select! {
                 told = self.told.recv() => match told {
@@ -269,6 +274,8 @@ impl Certifying {
                     continue;
                 }
                 _ = again.tick() => {
+                    // An engine with a full inbox has not taken it before.
+                    self.ordering.slot.exclude(self.certificates.evidence.liars());
                     for proof in self.certificates.evidence.about_members(&self.ordering.directory) {
                         self.send_proof(&proof, self.me);
                     }
@@ -292,7 +299,7 @@ impl Certifying {
             Effect::Tell(signed) => self.send_statement(&signed),
             Effect::Pass(signed) => {
                 let (node, height) = (self.ordering.directory.name(signed.signature.node), signed.statement.height);
-                tracing::warn!(node, height, "voters have signed different things about a block; passing it on");
+                tracing::debug!(node, height, "voters have signed different things about a block; passing it on");
                 self.send_statement(&signed);
             }
             Effect::Certified { certificate, governs } => {
@@ -346,13 +353,18 @@ impl Certifying {
 
     /// A node has signed something else about a block than this node's certificate says: the signatures in the certificate
     /// are exchanged for it. A block that the certifier still holds is its own matter.
-    async fn compare(&self, signed: &Signed) {
-        let height = signed.statement.height;
-        let Some(certificate) = self.certificates.recent.of(height).filter(|own| own.statement != signed.statement) else {
+    async fn compare(&mut self, signed: &Signed) {
+        let (height, node) = (signed.statement.height, signed.signature.node);
+        let Some(certificate) = self.certificates.recent.of(height).filter(|own| own.statement != signed.statement)
+        else {
             return;
         };
-        if self.certifier.holds(height) || self.check(signed).is_err() {
+        if self.certifier.holds(height) || self.exchanged.contains(&(height, node)) || self.check(signed).is_err() {
             return;
+        }
+        self.exchanged.insert((height, node));
+        if self.exchanged.len() > EXCHANGED_MAX {
+            self.exchanged.pop_first();
         }
         let Certificate { statement, signatures } = certificate;
         for signature in signatures {
@@ -407,7 +419,13 @@ impl Certifying {
             }
             Misbehaviour::DoubleVote(votes) => {
                 let [first, second] = votes.votes.each_ref().map(|(to, _)| self.ordering.directory.name(*to));
-                tracing::error!(node, term = votes.term, first, second, "a voter has voted for two nodes in one term; the proof is kept");
+                tracing::error!(
+                    node,
+                    term = votes.term,
+                    first,
+                    second,
+                    "a voter has voted for two nodes in one term; the proof is kept"
+                );
             }
             Misbehaviour::Fault(fault) => {
                 let (height, first, second) =

@@ -96,7 +96,8 @@ async fn a_voter_that_signs_two_blocks_each_for_one_node_is_named_by_both() {
     scene.both("both name the liar", |status| status.lies == named && status.faults.is_empty()).await;
     let shown = scene.fleet.ctl().run(&["network", "status"]);
     assert!(shown.contains(&named), "{shown}");
-    until("both keep the proof", || async { [0, 2].iter().all(|at| scene.proofs(*at, ".lie") == 1).then_some(()) }).await;
+    until("both keep the proof", || async { [0, 2].iter().all(|at| scene.proofs(*at, ".lie") == 1).then_some(()) })
+        .await;
     // A second lie adds nothing.
     let other = scene.signed(2, height, 10, 7).to_bytes();
     scene.send(&scene.fleet.nodes[0], STATEMENT, &other).await;
@@ -119,7 +120,9 @@ async fn two_results_of_one_block_are_a_fault_and_the_node_that_has_signed_them_
         scene.send(&scene.fleet.nodes[node], STATEMENT, &signed).await;
     }
     let named = format!("Org1/b has signed two different results of block {height}");
-    scene.both("both show the fault, and call nobody a liar", |status| status.faults == named && status.lies.is_empty()).await;
+    scene
+        .both("both show the fault, and call nobody a liar", |status| status.faults == named && status.lies.is_empty())
+        .await;
 
     // The proof that node c has a fault stops node c, and only once.
     let [first, second] = [8, 9].map(|results| scene.signed(3, height, 7, results));
@@ -127,7 +130,11 @@ async fn two_results_of_one_block_are_a_fault_and_the_node_that_has_signed_them_
     scene.send(&scene.fleet.nodes[2], EVIDENCE, &proof).await;
     let mut stopped = scene.nodes.pop().unwrap();
     assert!(!stopped.wait().success());
-    assert!(stopped.stderr().contains("this node has signed two different results of one block"), "{}", stopped.stderr());
+    assert!(
+        stopped.stderr().contains("this node has signed two different results of one block"),
+        "{}",
+        stopped.stderr()
+    );
     scene.nodes.push(scene.fleet.nodes[2].start());
     scene.both("node c is back, and a leader is there", |status| status.leader_id > 0).await;
     scene.send(&scene.fleet.nodes[2], EVIDENCE, &proof).await;

@@ -112,7 +112,9 @@ pub use proposals::{
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, changes, invitation, members, nodes, organisations, recoveries, revocation_lists, voters};
+pub use read::{
+    attestations, changes, invitation, members, nodes, organisations, recoveries, revocation_lists, voters,
+};
 pub use recovery::{REASON_BYTES_MAX, Recovery};
 pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};
 pub use revocation_lists::{

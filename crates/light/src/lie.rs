@@ -100,7 +100,10 @@ impl Lie {
     /// # Errors
     /// [`Code::Malformed`] if it proves nothing, [`Code::Untrusted`] if the signer is no node, [`Code::BadSignature`], or
     /// what `identify` says.
-    pub fn verify(&self, identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>) -> Result<Identity, Rejection> {
+    pub fn verify(
+        &self,
+        identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>,
+    ) -> Result<Identity, Rejection> {
         if self.first.statement.block == self.second.statement.block {
             return Err(nothing_proved(&self.first.statement, &self.second.statement));
         }
@@ -129,7 +132,10 @@ impl Fault {
     ///
     /// # Errors
     /// As [`Lie::verify`].
-    pub fn verify(&self, identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>) -> Result<Identity, Rejection> {
+    pub fn verify(
+        &self,
+        identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>,
+    ) -> Result<Identity, Rejection> {
         let (one, other) = (&self.first.statement, &self.second.statement);
         if one == other || one.block != other.block {
             return Err(nothing_proved(one, other));
@@ -316,7 +322,8 @@ fn pair_signer(
 }
 
 fn nothing_proved(one: &Statement, other: &Statement) -> Rejection {
-    let place = |of: &Statement| format!("block {} of height {} after {} recoveries", of.block, of.height, of.recoveries);
+    let place =
+        |of: &Statement| format!("block {} of height {} after {} recoveries", of.block, of.height, of.recoveries);
     Rejection::new(Code::Malformed, "two statements prove nothing")
         .found(format!("{}, and {}", place(one), place(other)))
         .wanted("two statements of one node for one place that differ as their kind of proof says")

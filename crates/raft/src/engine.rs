@@ -305,7 +305,10 @@ impl Engine {
             *heard = self.ticks;
         }
         if self.mandates.excludes(from, &message) {
-            return out.push(Output::Ignored { from, reason: "it has lied, by proof, and neither leads nor stands for election" });
+            return out.push(Output::Ignored {
+                from,
+                reason: "it has lied, by proof, and neither leads nor stands for election",
+            });
         }
         match message {
             PeerMessage::Raft(mut message) => {

@@ -367,7 +367,8 @@ impl<S: Signing> Certifier<S> {
         if agree || others().all(|(_, heard)| heard.passed) {
             return;
         }
-        let checked: Vec<_> = others().map(|(node, heard)| (*node, heard.good || self.is_good(&heard.signed))).collect();
+        let checked: Vec<_> =
+            others().map(|(node, heard)| (*node, heard.good || self.is_good(&heard.signed))).collect();
         let Some(entry) = self.heights.get_mut(&height) else { return };
         for (node, good) in checked {
             match entry.heard.get_mut(&node) {

@@ -97,7 +97,8 @@ mod tests {
     use ledger_light::Statement;
 
     fn certificate(height: u64) -> Certificate {
-        let statement = Statement { network: Hash::ZERO, recoveries: 0, height, time: 1, block: Hash::ZERO, results: Hash::ZERO };
+        let statement =
+            Statement { network: Hash::ZERO, recoveries: 0, height, time: 1, block: Hash::ZERO, results: Hash::ZERO };
         Certificate { statement, signatures: Vec::new() }
     }
 

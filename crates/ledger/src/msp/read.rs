@@ -6,8 +6,8 @@ use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
 use super::revocation_lists::{LISTS_MAX, ListRecord};
 use super::store::{
-    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS, ORGANISATIONS, RECOVERY_KEYS, change_key,
-    invitation_key, json, list_state, parse, read_state,
+    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS, ORGANISATIONS, RECOVERY_KEYS,
+    change_key, invitation_key, json, list_state, parse, read_state,
 };
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;

@@ -135,7 +135,8 @@ fn a_proof_counts_against_the_node_that_the_ledger_knows_by_the_number_and_the_n
     let code = |network: Hash, change: &dyn Fn(&mut std::collections::BTreeMap<u64, Voter>)| {
         let mut nodes = world.voters.nodes.clone();
         change(&mut nodes);
-        lie.verify(&network, &nodes, |der, time| world.identify(der, time)).map_or_else(|refused| refused.code, |_| Code::Ok)
+        lie.verify(&network, &nodes, |der, time| world.identify(der, time))
+            .map_or_else(|refused| refused.code, |_| Code::Ok)
     };
     assert_eq!(code(NETWORK, &|_| ()), Code::Ok);
     assert_eq!(code(Hash::ZERO, &|_| ()), Code::WrongNetwork);
@@ -146,7 +147,9 @@ fn a_proof_counts_against_the_node_that_the_ledger_knows_by_the_number_and_the_n
 #[test]
 fn two_votes_of_one_node_in_one_term_prove_a_lie_and_nothing_else_does() {
     let world = World::new();
-    let vote = |candidate, voter| (candidate, world.vote(&Vote { network: NETWORK, recoveries: 0, term: 7, candidate, voter }));
+    let vote = |candidate, voter| {
+        (candidate, world.vote(&Vote { network: NETWORK, recoveries: 0, term: 7, candidate, voter }))
+    };
     let proved = |votes| {
         let proof = DoubleVote { network: NETWORK, recoveries: 0, term: 7, time: NOW, votes };
         assert_eq!(DoubleVote::from_bytes(&proof.to_bytes()).unwrap(), proof);

@@ -97,7 +97,9 @@ fn signers(ways: &mut Ways, scene: &Scene) {
     }
     let vote = |voter: u64| {
         let User { key, certificate } = &scene.world.nodes[voter as usize - 1];
-        Vote { network: scene.network, recoveries: 0, term: 5, candidate: 1, voter }.sign(certificate.clone(), key).unwrap()
+        Vote { network: scene.network, recoveries: 0, term: 5, candidate: 1, voter }
+            .sign(certificate.clone(), key)
+            .unwrap()
     };
     let proof = block.proof(vec![vote(1), vote(3)]).to_bytes();
     let why = "votes are signed with other first bytes than statements";

@@ -85,7 +85,8 @@ pub(crate) fn votes(world: &World) -> Vec<Value> {
     votes[0]["signer"] = "Org2/node3".into();
     votes[1]["signer"] = "Org1/node2".into();
     let member = world.cas[1].user("node3", "member", KeyKind::P256);
-    let said = Statement { network: NETWORK, recoveries: 0, height: 7, time: NOW, block: Hash::ZERO, results: Hash::ZERO };
+    let said =
+        Statement { network: NETWORK, recoveries: 0, height: 7, time: NOW, block: Hash::ZERO, results: Hash::ZERO };
     let not_signed = "the vote is not the one that was signed";
     let bad = Code::BadSignature;
     for (name, vote, signature, code, why) in [
@@ -156,12 +157,7 @@ pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
         ("two networks", lie(&said, 3, &elsewhere, 3), Code::Malformed, same),
         ("before and after a forced recovery", lie(&said, 3, &recovered, 3), Code::Malformed, same),
         ("two results of one block", lie(&said, 3, &results, 3), Code::Malformed, "that is a fault and no lie"),
-        (
-            "another number of the node",
-            renumbered.to_bytes(),
-            Code::BadSignature,
-            "the number of the node is signed",
-        ),
+        ("another number of the node", renumbered.to_bytes(), Code::BadSignature, "the number of the node is signed"),
         (
             "a statement that was not signed",
             forged.to_bytes(),

@@ -332,10 +332,13 @@ fn two_certificates_of_one_height_are_exchanged_signature_by_signature() {
         step(node, Event::Durable(5));
         own.extend(step(node, Event::Executed { block, governs: false }));
     }
-    let own: Vec<Signed> = own.iter().filter_map(|effect| match effect {
-        Effect::Tell(signed) => Some(signed.clone()),
-        _ => None,
-    }).collect();
+    let own: Vec<Signed> = own
+        .iter()
+        .filter_map(|effect| match effect {
+            Effect::Tell(signed) => Some(signed.clone()),
+            _ => None,
+        })
+        .collect();
     for (node, block) in nodes.iter_mut().zip([1, 9]) {
         let signed = world.sign(forked(5, block), 3);
         assert_eq!(certificates(&step(node, Event::Heard { from: 3, signed })).len(), 1);

@@ -74,7 +74,8 @@ impl CertificatesAreTrue {
             identity(signer.map_or(1, |signature| signature.node))
         };
         let verified =
-            certificate.verify(&statement.network, &Voters { nodes, voters, outgoing, recoveries: 0 }, |der, _| Ok(by(der)));
+            certificate
+                .verify(&statement.network, &Voters { nodes, voters, outgoing, recoveries: 0 }, |der, _| Ok(by(der)));
         if let Err(refused) = verified {
             return Err(Violation::new(NAME, format!("a certificate of node {id} for block {height}: {refused}")));
         }

@@ -28,13 +28,23 @@ pub(super) fn chains(ways: &mut Ways, scene: &Scene) {
     for (name, recoveries, height, why) in [
         ("the block of a forced recovery", 0, 5, None),
         ("a block after a forced recovery", 1, 8, None),
-        ("a block after a forced recovery, signed as if there had been none", 0, 8, Some("the records count one forced recovery")),
-        ("a block after a forced recovery, signed as if there had been two", 2, 8, Some("the records count one forced recovery")),
+        (
+            "a block after a forced recovery, signed as if there had been none",
+            0,
+            8,
+            Some("the records count one forced recovery"),
+        ),
+        (
+            "a block after a forced recovery, signed as if there had been two",
+            2,
+            8,
+            Some("the records count one forced recovery"),
+        ),
     ] {
         let block = Block { recoveries, ..scene.block(height, &[&forced]) };
         let at_recovery = step(&[&forced], scene.proof(&scene.block(5, &[&forced]), &[1, 3]).to_bytes());
-        let proof = step(if height > 5 { &[] } else { &[&forced] }, scene.proof(&block, &[1, 3]).to_bytes());
-        let steps = if height > 5 { vec![at_recovery, proof] } else { vec![proof] };
+        let proof = scene.proof(&block, &[1, 3]).to_bytes();
+        let steps = if height > 5 { vec![at_recovery, step(&[], proof)] } else { vec![step(&[&forced], proof)] };
         match why {
             None => ways.good(name, "genesis", steps),
             Some(why) => ways.refused(name, (Code::Untrusted, why), "genesis", steps),
