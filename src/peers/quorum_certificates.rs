@@ -26,7 +26,6 @@ use crate::ordering::Ordering;
 use crate::ordering::directory::Directory;
 use crate::peers::connections::Connections;
 use crate::storage::files::DIVERGED_FILE;
-use bytes::Bytes;
 use evidence::Evidence;
 use inbox::Inbox;
 use kept::Kept;
