@@ -154,12 +154,14 @@ impl World {
         Some((own_admin(gone), Call::SetRole { id: gone, role: "removed" }))
     }
 
-    /// Does each node that is the only one of its organisation, once this one is gone, know the members? One that does not
-    /// would find too few of the voters that it knows, and nobody else that it may believe. So a careful operator removes nobody
-    /// meanwhile.
+    /// Does each wanted node that is the only one of its organisation, once this one is gone, know the members? One that does
+    /// not would find too few of the voters that it knows, and nobody else that it may believe. So a careful operator removes
+    /// nobody meanwhile. Nodes that go next may be switched off already, and are not waited for.
     fn nobody_is_left_behind_without(&self, gone: u64) -> bool {
         let present = self.records.iter().filter(|record| record.role != NodeRole::Removed);
-        let stay = |id: &u64| *id != gone && !self.nodes[id].lost;
+        let Desired { voters, learners } = &self.desired;
+        let wanted = |id: &u64| voters.contains(id) || learners.contains(id);
+        let stay = |id: &u64| *id != gone && wanted(id) && !self.nodes[id].lost;
         let present: Vec<u64> = present.map(|record| record.id).filter(stay).collect();
         let organisation = |id: &u64| organisation_of(*id, self.plan.organisations);
         let is_alone = |id: &u64| present.iter().filter(|other| organisation(other) == organisation(id)).count() == 1;
