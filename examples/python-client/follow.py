@@ -11,7 +11,7 @@ import struct
 import sys
 from pathlib import Path
 
-from verify import STATEMENT, need, read_proof, read_writes, sha256, signers
+from verify import STATEMENT, need, read_proof, read_writes, sha256, signers, strict_quorum
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +64,9 @@ def founded(network, genesis):
     for organisation in sorted(document["organisations"], key=lambda each: each["name"].encode()):
         fields = [field for field in ("name", "roots", "intermediates") if organisation.get(field)]
         records["organisation/" + organisation["name"]] = {field: organisation[field] for field in fields}
+    owners = [node["organisation"] for node in document["nodes"] if node["voter"]]
+    if owners and strict_quorum(len(owners), max(map(owners.count, owners))) < len(owners):
+        records["certificates"] = {"strict_since": 0}
     text = lambda record: json.dumps(record, ensure_ascii=False, separators=(",", ":")).encode()
     writes = {b"msp\0" + key.encode(): text(record) for key, record in records.items()}
     return Governance(network, 0, bytes(32), {}).changed(0, writes)

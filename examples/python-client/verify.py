@@ -101,6 +101,11 @@ def read_checkpoint(data):
     return records, proof
 
 
+def strict_quorum(voters, largest):
+    """The signatures of a strict certificate, of so many voters of whom the largest hand has `largest`."""
+    return min((voters + largest) // 2 + 1, voters)
+
+
 def signers(network, records, proof):
     """The voters who have signed, by these governing records. Refuses if they are too few."""
     statement, signatures, _ = proof
@@ -116,11 +121,17 @@ def signers(network, records, proof):
             good |= {node} & (voters | outgoing)
         except Exception as reason:  # A signature that is not good counts for nothing, and spoils nothing.
             reasons.append(f"; node {node}: {reason!r}")
-    owners = lambda group: {nodes[node]["organisation"] for node in group if node in nodes}
+    rule = json.loads(records.get(b"msp\0certificates", b"{}"))
+    shared = {name: min(hand) for hand in rule.get("hands", []) for name in hand}
+    hand = lambda organisation: shared.get(organisation, organisation)
+    hands = lambda group: [hand(nodes[node]["organisation"]) for node in group if node in nodes]
     for group in (voters, outgoing or voters):
-        signed = group & good
-        enough = 2 * len(signed) > len(group) and len(owners(signed)) >= min(2, len(owners(group)))
-        need(enough, f"nodes {signed} of {group} of {owners(group)} are too few" + "".join(reasons))
+        signed, all_hands = group & good, hands(group)
+        needed = len(group) // 2 + 1
+        if "strict_since" in rule:
+            needed = strict_quorum(len(group), max(map(all_hands.count, all_hands)))
+        enough = len(signed) >= needed and len(set(hands(signed))) >= min(2, len(set(all_hands)))
+        need(enough, f"nodes {signed} of {group} of {all_hands} are fewer than {needed}" + "".join(reasons))
     return sorted(f"{nodes[node]['organisation']}/{nodes[node]['name']}" for node in good)
 
 

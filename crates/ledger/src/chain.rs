@@ -88,7 +88,7 @@ pub struct Outcome {
     /// In the order in which they were emitted.
     pub events: Vec<EmittedEvent>,
     /// The hashes that its voters sign, if it is to be certified: blocks with control writes, and the first block of each window
-    /// of block time. None for a block that was executed long ago.
+    /// of block time. None for a change of members that the ledger does not want, and for a block that was executed long ago.
     pub certifiable: Option<Roots>,
     /// Does it change whom others trust: an organisation, a node, a member, a revocation, rules? Not known of a block that was
     /// executed long ago.
@@ -233,7 +233,8 @@ impl Ledger {
         };
         let execution = executor.execute(&previous, entry)?;
         execution.check(&previous);
-        let Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs } = execution;
+        let Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs, is_unwanted } =
+            execution;
         let wrote = |prefix: &'static [u8]| {
             let from = writes.range::<[u8], _>((Bound::Included(prefix), Bound::Unbounded));
             from.take(1).any(|(key, _)| key.starts_with(prefix))
@@ -261,6 +262,7 @@ impl Ledger {
             self.reload_rules()?;
         }
         let (results, events) = (result.results, result.events);
+        let certifiable = certifiable.filter(|_| !is_unwanted);
         Ok(Outcome { header, hash, digest, kind, transactions, ids, results, events, certifiable, governs })
     }
 

@@ -59,8 +59,10 @@ pub(crate) struct Execution {
     pub(crate) ids: Vec<Hash>,
     /// To the world state.
     pub(crate) writes: WriteSet,
-    /// For voters to sign, if it is to be certified.
+    /// Its place in the chains of certified blocks, if it is to be certified.
     pub(crate) certifiable: Option<Roots>,
+    /// A change of members that the ledger does not want: voters sign nothing of it.
+    pub(crate) is_unwanted: bool,
     /// It changes whom others trust.
     pub(crate) governs: bool,
 }
@@ -124,18 +126,30 @@ impl Executor<'_> {
             self.note_recovery(&header, &mut overlay, &mut events, &recovery);
         }
 
+        let mut is_wanted = Recovery::of(entry).is_none();
+        if kind == BlockKind::Membership {
+            let before = msp::members(&*self.state)?;
+            if let Some(members) = before.after(entry) {
+                is_wanted &= msp::leads_to_wanted(&before, &members, &msp::nodes(&*self.state)?);
+                overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
+                self.settle_certificate_rule(&header, &mut overlay, &mut events);
+            }
+        }
+
         // Many blocks are kept in memory for their readers.
         events.shrink_to_fit();
-
-        if kind == BlockKind::Membership
-            && let Some(members) = msp::members(&*self.state)?.after(entry)
-        {
-            overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
-        }
 
         let mut writes = overlay.finish()?;
         let control = ControlWrites::of(&writes, self.registry);
         let governs = control.govern();
+        // Nobody signs a change of members. So voters sign none that the ledger does not want, nor one by force: a leader that
+        // lies could leave itself as the only voter.
+        if !is_wanted {
+            tracing::error!(
+                height = header.height,
+                "a change of members is not what the ledger wants; it is not certified"
+            );
+        }
         let is_certified = is_certified(previous, &header, &control);
         if governs {
             log_change(&facts::change(header.height, &writes, self.registry), &mut writes);
@@ -155,7 +169,18 @@ impl Executor<'_> {
             roots: certifiable.as_ref().map_or_else(Bytes::new, Roots::to_bytes),
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
-        Ok(Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs })
+        Ok(Execution {
+            tip,
+            header,
+            result,
+            foretold,
+            transactions,
+            ids,
+            writes,
+            certifiable,
+            governs,
+            is_unwanted: !is_wanted,
+        })
     }
 
     fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
@@ -189,6 +214,17 @@ impl Executor<'_> {
             self.beside_transactions(header, msp, (overlay, events), |ctx| {
                 if let Err(fault) = msp::note_recovery(ctx, recovery) {
                     tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "a recovery by force is not noted");
+                }
+            });
+        }
+    }
+
+    /// Other voters may make certificates strict.
+    fn settle_certificate_rule(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
+        if let Ok(msp) = self.registry.find(msp::NAME) {
+            self.beside_transactions(header, msp, (overlay, events), |ctx| {
+                if let Err(fault) = msp::settle_certificate_rule(ctx) {
+                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "whether certificates are strict is not noted");
                 }
             });
         }

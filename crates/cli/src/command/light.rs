@@ -20,8 +20,8 @@ const TTL: Duration = Duration::from_secs(30);
 
 /// Show how a robot stands without believing the node that answers.
 ///
-/// The answer is executed as a transaction. It is shown only if a majority of the voters has signed it, of two organisations at
-/// least. The command follows from the genesis which nodes vote; the context pins the genesis by its hash.
+/// The answer is executed as a transaction. It is shown only if enough voters have signed it: a majority of two organisations at
+/// least, and more where certificates are strict. The command follows from the genesis which nodes vote; the context pins the genesis by its hash.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  ledgerctl light Turtlebot4\n  ledgerctl light Turtlebot4 --checkpoint fleet.checkpoint"
@@ -45,6 +45,8 @@ struct Shown {
     block: Hash,
     signed_by: Vec<String>,
     voters: usize,
+    /// Height of the block that made certificates strict; none if they are not.
+    strict_since: Option<u64>,
     began_at: u64,
     #[serde(skip)]
     now: u64,
@@ -110,6 +112,7 @@ impl Shown {
             block: statement.block,
             signed_by: signers.map(|voter| format!("{}/{}", voter.organisation, voter.name)).collect(),
             voters: voters.voters.len(),
+            strict_since: voters.rule.strict_since,
             began_at,
             now,
         })
@@ -132,6 +135,11 @@ impl Facts for Shown {
             "signed by",
             format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters),
         );
+        let strict = match self.strict_since {
+            Some(since) => format!("since block {since}: no organisation alone can certify something else since then"),
+            None => "no: one organisation that lies can have something else certified, too".to_owned(),
+        };
+        table.pair("strict", strict);
         let began = if self.began_at == 0 { "the genesis".to_owned() } else { format!("block {}", self.began_at) };
         table.pair("followed from", format!("{began} of network {}", self.network));
         table.write(out, 0)

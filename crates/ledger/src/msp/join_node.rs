@@ -2,7 +2,7 @@
 
 use super::address::check_address;
 use super::caller::{node, object};
-use super::node_roles::change_role;
+use super::node_roles::put_role;
 use super::nodes::{NodeRecord, NodeRole, all, write};
 use super::store::{self, NEXT_NODE, json};
 use super::{allowance, joins};
@@ -57,12 +57,14 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
             ctx.emit("moved", &node.full_name(), json(&node)?);
             return json(&node);
         }
-        Some(before) => change_role(ctx, &nodes, before, NodeRole::Removed)?,
+        Some(before) => put_role(ctx, before, NodeRole::Removed)?,
         None => check_room(ctx, caller, live())?,
     }
     joins::count(ctx, &caller.organisation)?;
+    // A vote stays with the node that comes back under another number: one joint change, and never a voter less in between.
+    let role = before.map_or(NodeRole::Learner, |before| before.role);
     let id = store::next_number(ctx, NEXT_NODE)?;
-    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, NodeRole::Learner);
+    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, role);
     write(ctx, &node)?;
     ctx.emit("joined", &node.full_name(), json(&node)?);
     json(&node)

@@ -87,6 +87,8 @@ impl Facts for Node {
             "certified",
             if facts.certified == 0 { "nothing yet".to_owned() } else { facts.certified.to_string() },
         );
+        table.pair("certificates", facts.certificate_rule.rule());
+        table.pair("survives", facts.certificate_rule.survives());
         table.pair("block hash", &facts.block_hash);
         table.pair("block time", time::moment(facts.block_time));
         table.pair("state digest", &facts.state_digest);
