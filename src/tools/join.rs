@@ -45,7 +45,7 @@ const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 /// The arguments of `ledgerd join`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct JoinOptions {
-    /// The word that ledgerctl network invite printed; @FILE for the first line of a file, - for standard input: other users of this machine
+    /// The word that ledgerctl network invite printed; @FILE for the first line of a file, - for standard input. Other users of this machine
     /// can read arguments, with --run as long as the node runs.
     #[arg(value_name = "TOKEN")]
     token: String,

@@ -1,7 +1,7 @@
 //! Sources of secrets: a file, the environment, standard input or the terminal. All users of a machine can read arguments.
 
 use ledger_base::rejection::{Code, Rejection};
-use std::io::{self, BufRead, IsTerminal, Read, Write};
+use std::io::{self, BufRead, IsTerminal, Write};
 use std::path::Path;
 
 /// Where a passphrase may stand.

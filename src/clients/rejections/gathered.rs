@@ -125,14 +125,13 @@ impl Gathered {
         }
     }
 
-    /// The group whose lines are folded for a line of `newcomer`: of the organisation with the most lines the identity with the most, or
-    /// the organisation where each identity has one. The newcomer's line counts, and of two groups its own is taken.
+    /// The group whose lines are folded for a line of `newcomer`: of the organisation with the most lines, the identity with the most.
+    /// Where each identity has one line, it is the organisation. The newcomer's line counts, and of two groups its own is taken.
     fn largest(&self, newcomer: &str) -> Group {
-        let (organisation, _) = self.most(newcomer, |who| Some(organisation(who)));
-        let within = |who| Some(who).filter(|who| self::organisation(who) == organisation);
-        match self.most(newcomer, within) {
+        let (crowd, _) = self.most(newcomer, |who| Some(organisation(who)));
+        match self.most(newcomer, |who| (organisation(who) == crowd).then_some(who)) {
             (identity, lines) if lines > 1 => Group::Identity(identity),
-            _ => Group::Organisation(organisation),
+            _ => Group::Organisation(crowd),
         }
     }
 
