@@ -95,6 +95,7 @@ impl Peers {
             organisation: me.organisation.clone(),
             identity: trust.identity.clone(),
             trust: Arc::clone(&trust.organisations),
+            rules: Arc::new(config.dial_rules()),
             paces: Arc::default(),
         };
         let monitor = Arc::new(ChainMonitor::new(ledger, &me.organisation, config.data.clone()));
