@@ -190,6 +190,12 @@ impl Ledger {
         self.identities.msps()
     }
 
+    /// The hash of the name of a creator's organisation, by the hash of the certificate, if it was verified before. It says
+    /// only whom to count something for.
+    pub fn organisation_of(&self, creator: &Hash) -> Option<Hash> {
+        self.identities.organisation(creator)
+    }
+
     /// The world state.
     pub fn state(&self) -> &Arc<State> {
         &self.state

@@ -17,7 +17,9 @@ use ledger::members::Membership;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::DoubleVote;
-use ledger_raft::{Ballots, ClockDoubt, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
+use ledger_raft::{
+    Ballots, ClockDoubt, Creators, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status,
+};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
@@ -205,6 +207,8 @@ impl<W: Waiter> Replica<W> {
         config.heartbeat_tick = settings.timing.heartbeat_ticks();
         config.data_wait_us = settings.timing.data_wait;
         config.secret = settings.secret;
+        let ledger = Arc::clone(executor.ledger());
+        config.creators = Creators::new(move |creator| ledger.organisation_of(creator));
         let engine =
             Engine::new(config, store, ballots).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();

@@ -44,7 +44,7 @@ impl World {
         match entered {
             Ok(arrived) => {
                 let lane = arrived.ticket.lane;
-                self.invariants.fair_share.takes(id, share.name(), share.in_flight(lane), PLACES)?;
+                self.invariants.fair_share.takes(id, share.name(), share.in_flight_of_organisation(lane), PLACES)?;
                 let new = || Stream { desk: Desk::default(), share, turn: None, reaching: None };
                 running.streams.entry(request.stream).or_insert_with(new).desk.take_in(arrived);
                 self.tend(id, request.stream)
@@ -95,7 +95,7 @@ impl World {
             return self.tend(id, number);
         }
         stream.reaching = None;
-        let who = stream.share.number();
+        let who = stream.share.applicant();
         let share = Arc::clone(&stream.share);
         let others = streams
             .values()
@@ -172,7 +172,7 @@ impl World {
         for other in streams.values_mut().filter_map(|stream| stream.turn.as_mut()) {
             other.passed += usize::from(!other.has && other.job.lane() == job.lane());
         }
-        self.invariants.fair_share.looks(id, &who, alone.then_some(passed), self.people.identities())?;
+        self.invariants.fair_share.looks(id, &who, alone.then_some(passed), self.people.turns_of_others(&who))?;
         self.schedule_timer(id, 1 + looks as u64 * LOOK_TIME, Timer::TurnOver(number));
         decisions.into_iter().try_for_each(|decision| self.decided(id, number, decision, judged))?;
         if asks {
