@@ -141,10 +141,10 @@ impl Identities {
         }
     }
 
-    /// The organisation of a certificate that was verified before; nothing is verified now.
-    pub(crate) fn organisation(&self, fingerprint: &Hash) -> Option<Hash> {
+    /// The identity of a certificate that was verified before; nothing is verified now.
+    pub(crate) fn known(&self, fingerprint: &Hash) -> Option<Arc<Identity>> {
         let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
-        trusted.known.get(fingerprint).map(|identity| Hash::of(&[identity.organisation.as_bytes()]))
+        trusted.known.get(fingerprint).map(Arc::clone)
     }
 
     fn remembered(&self, fingerprint: &Hash, at: u64) -> Option<Arc<Identity>> {

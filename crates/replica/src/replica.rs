@@ -14,6 +14,7 @@ use crate::timing::Timing;
 use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
+use ledger_base::hash::Hash;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::DoubleVote;
@@ -208,7 +209,10 @@ impl<W: Waiter> Replica<W> {
         config.data_wait_us = settings.timing.data_wait;
         config.secret = settings.secret;
         let ledger = Arc::clone(executor.ledger());
-        config.creators = Creators::new(move |creator| ledger.organisation_of(creator));
+        let organisation = move |creator: &Hash| {
+            ledger.counted_for(creator).map(|identity| Hash::of(&[identity.organisation.as_bytes()]))
+        };
+        config.creators = Creators::new(organisation);
         let engine =
             Engine::new(config, store, ballots).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
@@ -236,6 +240,10 @@ impl<W: Waiter> Replica<W> {
     /// Takes one event, and appends what the node must do to `out`.
     pub fn step(&mut self, now: Now, event: Event, out: &mut Vec<Effect>) {
         match event {
+            Event::Input(Input::Message { from, message: PeerMessage::Forward(forwarded) }) => {
+                let within = self.within_budgets(now, from, forwarded, out);
+                self.order(now, Input::Message { from, message: PeerMessage::Forward(within) }, out);
+            }
             Event::Input(input) => self.order(now, input, out),
             Event::Time { full } => self.time(now, full, out),
             Event::Written(result) => self.written(now, result, out),

@@ -147,7 +147,8 @@ impl World {
     /// A stream has a turn: it looks at some of what waits.
     fn look(&mut self, id: u64, number: u64) -> Check {
         let (now, wait_max) = (self.clocks(id), self.plan.timing.data_wait);
-        let Some(Running { streams, ledger, waiters, retries, judged: held, .. }) = self.running(id) else {
+        let Some(Running { streams, ledger, waiters, retries, executor, space, judged: held, .. }) = self.running(id)
+        else {
             return Ok(());
         };
         let tip = ledger.tip();
@@ -155,7 +156,8 @@ impl World {
         let Some(stream) = streams.get_mut(&number) else { return Ok(()) };
         let Some(Looking { job, alone, passed, .. }) = stream.turn else { return Ok(()) };
         let who = stream.share.name().to_owned();
-        let node = Admitting { ledger, waiters, retries, now, wait_max };
+        let (budgets, organisation_bytes) = (executor.budgets(), space.organisation_bytes());
+        let node = Admitting { ledger, waiters, retries, budgets, organisation_bytes, now, wait_max };
         let (mut decisions, mut looks) = (Vec::new(), 0);
         stream.desk.begin(job, &node, |decision| decisions.push(decision));
         stream.desk.work(job, &node, |looked| {
