@@ -188,7 +188,7 @@ impl Default for Config {
                 in_flight_max: 65_536,
                 subscribers_max: 1024,
             },
-            storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
+            storage: Storage { segment_mib: 64, retention: Retention::FOREVER, archive: PathBuf::new() },
             order: Order::default(),
             allow: Vec::new(),
             ca: Ca { certificate_days: CERTIFICATE_DAYS, secret_days: SECRET_DAYS },

@@ -11,7 +11,7 @@ pub use admission::{Admission, Ground, Refusal, Step};
 use certified::newest_roots;
 
 use crate::block::{Header, Payload, leaf};
-use crate::chaincode::{Context, Environment, Meter, Registry};
+use crate::chaincode::{Context, Environment, Meter, Registry, ServiceBudget};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
@@ -190,6 +190,12 @@ impl Ledger {
         self.identities.msps()
     }
 
+    /// The creator of transactions, by the hash of the certificate, if it was verified before. It says only whom to count
+    /// something for: it may have been revoked since.
+    pub fn counted_for(&self, creator: &Hash) -> Option<Arc<Identity>> {
+        self.identities.known(creator)
+    }
+
     /// The world state.
     pub fn state(&self) -> &Arc<State> {
         &self.state
@@ -342,6 +348,14 @@ impl Ledger {
             chaincode.next_deadline(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()))
         });
         deadlines.min()
+    }
+
+    /// The budget of a service of a chaincode by its owner, as of the state; none if there is no such service.
+    pub fn service_budget(&self, chaincode: &str, service: &str) -> Option<ServiceBudget> {
+        let (mut overlay, tip, meter) = (self.overlay(), self.tip(), Meter::of_query());
+        let chaincode = self.registry.find(chaincode).ok()?;
+        let environment = self.environment(None, &tip, tip.time, &meter);
+        chaincode.service_budget(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), service)
     }
 
     /// Where a transaction is and what became of it. Takes microseconds for those of the last seconds, and may take

@@ -25,7 +25,7 @@
 //! | `set_quorum {chaincode, function, quorum?}` ([`SetQuorum`]) | an admin, with approval | [`Decision`] |
 //! | `set_certificate_rule {strict?, hands?}` ([`SetCertificateRule`]) | an admin, with approval | [`Decision`] |
 //! | `quotas ORGANISATION` | | [`Quotas`] |
-//! | `set_quota {organisation, robots?, policies?, identities?}` ([`SetQuota`]) | an admin, with approval | [`Decision`] |
+//! | `set_quota {organisation, KIND: NUMBER, …}` ([`SetQuota`]) | an admin, with approval | [`Decision`] |
 //! | `propose {chaincode, function, args}` ([`crate::Call`]) | an admin | [`Decision`] |
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
@@ -114,7 +114,7 @@ pub use proposals::{
     Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
-pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
+pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached, quotas_of};
 pub use read::{
     attestations, certificate_rule, changes, invitation, members, nodes, organisations, revocation_lists, strict_hands,
     voters,
