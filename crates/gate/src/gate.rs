@@ -209,6 +209,9 @@ impl Gate {
         (self.height, self.asked) = (*height, self.asked.max(Some(asked)));
         self.rules = Some(self.rules_of(service));
         self.open_stops.settle(settled, *time);
+        if active(Mutation::ForgetAnOpenStop) {
+            self.open_stops = OpenStops::default();
+        }
         self.halted = (*stopped || !self.open_stops.is_empty()) && service.is_command();
         self.identities.replace(members);
         let grants = grants.iter().filter(|grant| grant.service == self.id);

@@ -145,7 +145,12 @@ impl Resume {
         // A node that has no stop without a verdict knows of none that could come later.
         let open = session.client.status().await?.open_stops;
         let named = open.iter().filter(|open| open.robot == robot || open.robot == "*" || robot == "*");
-        let named: Vec<_> = named.filter_map(|open| call(open)).take(NAMED_MAX).map(|call| call.to_string()).collect();
+        let named: Vec<_> = named
+            .inspect(|open| output.note(&format!("cancels the stop by {}, which has no verdict yet", open.by)))
+            .filter_map(call)
+            .take(NAMED_MAX)
+            .map(|call| call.to_string())
+            .collect();
         let reason = self.which.reason.clone().or_else(|| (!named.is_empty()).then(String::new));
         let args = std::iter::once(robot).chain(reason).chain(named).map(Bytes::from).collect();
         let done = session.call(ABAC, "resume", args).await.map_err(|refused| RESUME.told(refused))?;
