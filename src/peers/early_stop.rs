@@ -78,7 +78,12 @@ impl EarlyStops {
             }
             let leader = self.leader();
             for transaction in self.calls.tend(&self.ordering.storage.ledger, leader, self.ordering.clock.both()) {
-                if let Err(reason) = self.ordering.slot.input(Input::Submit { lane: Lane::Control, transaction }) {
+                // A node may not have been connected when the call came.
+                self.pass_on(&transaction);
+                let input = Input::Submit { lane: Lane::Control, transaction };
+                if leader.is_some()
+                    && let Err(reason) = self.ordering.slot.input(input)
+                {
                     tracing::debug!(code = reason.code.name(), %reason, "a stop cannot be ordered now");
                 }
             }
@@ -108,7 +113,12 @@ impl EarlyStops {
     pub(crate) fn announce(&self, foreseen: Arc<Foreseen>) {
         let transaction = foreseen.transaction.encoded().clone();
         self.tell(foreseen);
+        self.pass_on(&transaction);
+    }
+
+    fn pass_on(&self, transaction: &Bytes) {
         if transaction.len() <= EARLY_BYTES_MAX {
+            let transaction = transaction.clone();
             self.connections.send_to_all(&PeerMessage::Early(EarlyCall { transaction }));
         }
     }

@@ -40,7 +40,6 @@ mod tests;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use ledger::CallRef;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
@@ -420,16 +419,6 @@ impl Gate {
     /// Does anybody hold the service?
     pub fn is_held(&self) -> bool {
         !self.holders.is_empty()
-    }
-
-    /// The stops whose verdicts are to be asked for, and without which no standing ends them.
-    pub fn open_stops(&self) -> impl Iterator<Item = CallRef> {
-        self.open_stops.calls()
-    }
-
-    /// Does a stop without a verdict keep the robot stopped?
-    pub fn has_open_stops(&self) -> bool {
-        !self.open_stops.is_empty()
     }
 
     /// Has anybody moved the robot since its last stop?

@@ -82,8 +82,8 @@ impl Early {
         self.lock().open.calls()
     }
 
-    /// Forgets calls that have a verdict or are over. Answers with those to be given to this leader now, whatever their verdict will
-    /// be. To be called often.
+    /// Forgets calls that have a verdict or are over. Answers with those to be passed on, and given to this leader, now, whatever their
+    /// verdict will be. To be called often.
     pub fn tend(&self, ledger: &Ledger, leader: Option<u64>, now: Now) -> Vec<Bytes> {
         self.lock().open.tend(ledger, leader, now.elapsed)
     }
@@ -98,7 +98,11 @@ impl Early {
     /// # Errors
     /// [`Code::Corrupt`](ledger_base::rejection::Code::Corrupt).
     pub fn restore(&self, ledger: &Ledger, saved: &[u8]) -> Result<(), Rejection> {
-        self.lock().open.restore(saved, |transaction| organisation(ledger, transaction))
+        self.lock().open.restore(saved, |transaction| organisation(ledger, transaction))?;
+        for call in self.calls() {
+            self.is_first(call.id());
+        }
+        Ok(())
     }
 
     /// Takes a call that another node passes on; as [`Early::submitted`]. Nothing, if that node passes on too many.

@@ -108,6 +108,16 @@ impl Gate {
         is_command && !was_halted
     }
 
+    /// The stops whose verdicts are to be asked for, and without which no standing ends them.
+    pub fn open_stops(&self) -> impl Iterator<Item = CallRef> {
+        self.open_stops.calls()
+    }
+
+    /// Does a stop without a verdict keep the robot stopped?
+    pub fn has_open_stops(&self) -> bool {
+        !self.open_stops.is_empty()
+    }
+
     /// The name of a signed stop. Its signature is not checked: a node that can make one up can also withhold answers.
     fn stop_of(&self, signed: &Bytes) -> Option<CallRef> {
         let signed = self.decode(Delivered { block_time: 0, transaction: signed, certificate: &Bytes::new() }).ok()?;

@@ -67,7 +67,7 @@ impl Open {
         newest.map(|newest| self.calls.remove(newest)).is_some()
     }
 
-    /// Forgets those that have a verdict or are over. Answers with those that are to be given to this leader now.
+    /// Forgets those that have a verdict or are over. Answers with those that are to be passed on, and given to this leader, now.
     pub(super) fn tend(&mut self, ledger: &Ledger, leader: Option<u64>, elapsed: u64) -> Vec<Bytes> {
         let before = self.calls.len();
         self.calls.retain(|kept| !ledger.is_settled(&kept.transaction.call_ref()));
@@ -76,9 +76,8 @@ impl Open {
     }
 
     fn due(&mut self, leader: Option<u64>, elapsed: u64) -> Vec<Bytes> {
-        let Some(leads) = leader else { return Vec::new() };
         // What the one before was given may be lost with it.
-        let is_new = self.leader.replace(leads) != Some(leads);
+        let is_new = leader.is_some_and(|leads| self.leader.replace(leads) != Some(leads));
         let due = self.calls.iter_mut().filter(|kept| is_new || kept.due <= elapsed);
         due.map(|kept| {
             kept.due = elapsed.saturating_add(kept.pause);
@@ -163,18 +162,19 @@ mod tests {
     }
 
     #[test]
-    fn a_call_is_given_to_each_new_leader_at_once_and_to_the_same_one_less_and_less_often() {
+    fn a_call_is_given_to_each_new_leader_at_once_and_to_others_less_and_less_often() {
         let mut open = Open::default();
         open.keep(&call(1), "Org1", 0);
-        assert_eq!(open.due(None, 60_000_000), Vec::<Bytes>::new(), "nobody leads");
         let mut given = Vec::new();
-        for elapsed in (60_000_000..100_000_000).step_by(250_000) {
-            if !open.due(Some(2), elapsed).is_empty() {
-                given.push((elapsed - 60_000_000) / 1_000_000);
+        for elapsed in (0..30_000_000).step_by(250_000) {
+            if !open.due(None, elapsed).is_empty() {
+                given.push(elapsed / 1_000_000);
             }
         }
-        assert_eq!(given, [0, 1, 3, 7, 15, 23, 31, 39]);
-        assert_eq!(open.due(Some(3), 100_000_000), [call(1).encoded().clone()]);
+        assert_eq!(given, [1, 2, 4, 8, 16, 24], "to other nodes, while nobody leads");
+        for (leader, is_given) in [(Some(2), true), (Some(2), false), (None, false), (Some(2), false), (Some(3), true)] {
+            assert_eq!(!open.due(leader, 30_000_000).is_empty(), is_given, "{leader:?}");
+        }
     }
 
     #[test]
