@@ -75,6 +75,7 @@ pub(crate) struct Tasks {
     attesting: Attesting,
     asking: Asking,
     certifying: Certifying,
+    early_stops: Arc<EarlyStops>,
 }
 
 impl Peers {
@@ -105,7 +106,7 @@ impl Peers {
         connections.follow(&ordering.directory);
         let reachability = Reachability::new(me.id, ordering, &connections);
         let peers = Arc::new(Self {
-            early_stops: Arc::new(EarlyStops::new(ordering, &connections)),
+            early_stops: Arc::new(EarlyStops::open(me.id, &config.data, ordering, &connections)),
             receipts: ReceiptKey::new(me.id, &trust.receipt_secret(ledger.network())),
             ballot: Ballot::default(),
             dialer,
@@ -140,6 +141,7 @@ impl Peers {
                 me: me.id,
                 told,
             },
+            early_stops: Arc::clone(&peers.early_stops),
         };
         Ok((peers, tasks))
     }
@@ -193,11 +195,12 @@ impl Peers {
 
 impl Tasks {
     /// Starts them.
-    pub(crate) fn start(self) -> [JoinHandle<()>; 3] {
+    pub(crate) fn start(self) -> [JoinHandle<()>; 4] {
         [
             tokio::spawn(vital_task(self.attesting.run())),
             tokio::spawn(vital_task(self.asking.run())),
             tokio::spawn(vital_task(self.certifying.run())),
+            tokio::spawn(vital_task(self.early_stops.run())),
         ]
     }
 }

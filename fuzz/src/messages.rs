@@ -49,6 +49,7 @@ pub const ALL: &[(&str, Round)] = &[
     ("NodesResponse", round::<v1::NodesResponse>),
     ("OfferCaRequest", round::<v1::OfferCaRequest>),
     ("OfferCaResponse", round::<v1::OfferCaResponse>),
+    ("OpenStop", round::<v1::OpenStop>),
     ("Organisation", round::<v1::Organisation>),
     ("PeerClosed", round::<v1::PeerClosed>),
     ("PeerFrame", round::<v1::PeerFrame>),

@@ -344,7 +344,8 @@ impl Ledger {
         let tip = self.tip();
         let deadlines = self.registry.iter().filter_map(|chaincode| {
             let meter = Meter::of_query();
-            let environment = self.environment(None, &tip, tip.time, &meter);
+            let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+            let environment = self.environment(None, (&tip, tip.time), &executed, &meter);
             chaincode.next_deadline(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()))
         });
         deadlines.min()
@@ -463,7 +464,9 @@ impl Ledger {
             tip.height += 1;
             Meter::of_block()
         };
-        let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time, &meter) };
+        let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+        let environment = self.environment(Some(caller), (&tip, time), &executed, &meter);
+        let environment = Environment { transaction, ..environment };
         let answer = Registry::invoke(environment, &mut overlay, &mut events, chaincode, function, args);
         overlay.finish().and(answer).map(|answer| (answer, events))
     }
@@ -471,12 +474,17 @@ impl Ledger {
     fn environment<'a>(
         &'a self,
         submitter: Option<&'a Identity>,
-        tip: &Tip,
-        time: u64,
+        (tip, time): (&Tip, u64),
+        executed: &'a dyn Fn(&Hash, u64) -> bool,
         meter: &'a Meter,
     ) -> Environment<'a> {
-        let (registry, network, rules) = (&self.registry, self.network, self.rules());
-        Environment { registry, submitter, network, rules, height: tip.height, time, transaction: Hash::ZERO, meter }
+        let (registry, network, rules, transaction) = (&self.registry, self.network, self.rules(), Hash::ZERO);
+        Environment { registry, submitter, network, rules, height: tip.height, time, transaction, executed, meter }
+    }
+
+    /// Was this transaction executed? Known while block time has not passed its `not_after`.
+    fn was_executed(&self, id: &Hash, not_after: u64) -> bool {
+        self.window.read().unwrap_or_else(PoisonError::into_inner).find(id, not_after).is_some()
     }
 
     fn overlay(&self) -> Overlay {

@@ -107,8 +107,12 @@ impl Executor<'_> {
                     }
                 }
                 let body = transaction.body();
-                let environment =
-                    Environment { submitter: Some(&identity), transaction: id, ..self.environment(&header, &meter) };
+                let executed = |id: &Hash, not_after| taken.contains(id) || self.is_in_window(id, not_after);
+                let environment = Environment {
+                    submitter: Some(&identity),
+                    transaction: id,
+                    ..self.environment(&header, &executed, &meter)
+                };
                 let (chaincode, function, args) = (&body.chaincode, &body.function, &body.args);
                 let response = Registry::invoke(environment, &mut overlay, &mut emitted, chaincode, function, args)?;
                 let told = self.registry.foretell(chaincode, function, args);
@@ -183,7 +187,12 @@ impl Executor<'_> {
         })
     }
 
-    fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
+    fn environment<'a>(
+        &'a self,
+        header: &Header,
+        executed: &'a dyn Fn(&Hash, u64) -> bool,
+        meter: &'a Meter,
+    ) -> Environment<'a> {
         Environment {
             registry: self.registry,
             submitter: None,
@@ -192,8 +201,14 @@ impl Executor<'_> {
             height: header.height,
             time: header.time,
             transaction: Hash::ZERO,
+            executed,
             meter,
         }
+    }
+
+    /// Was this transaction executed before this block?
+    fn is_in_window(&self, id: &Hash, not_after: u64) -> bool {
+        self.window.read().unwrap_or_else(PoisonError::into_inner).find(id, not_after).is_some()
     }
 
     fn begin_block(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
@@ -240,7 +255,8 @@ impl Executor<'_> {
     ) {
         let mut emitted: Vec<Event> = Vec::new();
         let meter = Meter::of_block();
-        let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, body);
+        let executed = |id: &Hash, not_after| self.is_in_window(id, not_after);
+        let hook = Registry::hook(self.environment(header, &executed, &meter), chaincode, overlay, &mut emitted, body);
         if let Err(rejection) = hook {
             tracing::error!(height = header.height, chaincode = chaincode.name(), code = rejection.code.name(), reason = %rejection, "work beside the transactions was undone");
         }
@@ -288,8 +304,7 @@ impl Executor<'_> {
     /// are not asked for: they are refused as expired, whether or not the window still has them.
     fn check_first(&self, transaction: &Transaction, taken: &HashSet<Hash>, time: u64) -> Result<(), Rejection> {
         let (id, not_after) = (transaction.id(), transaction.body().not_after);
-        let window = self.window.read().unwrap_or_else(PoisonError::into_inner);
-        if taken.contains(&id) || (not_after >= time && window.find(&id, not_after).is_some()) {
+        if taken.contains(&id) || (not_after >= time && self.is_in_window(&id, not_after)) {
             return Err(Rejection::new(Code::Duplicate, format!("transaction {id} was executed before")));
         }
         Ok(())

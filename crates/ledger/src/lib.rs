@@ -43,6 +43,7 @@
 //! ```
 
 pub mod block;
+mod call_ref;
 mod chain;
 mod chaincode;
 pub mod evidence;
@@ -64,6 +65,7 @@ pub mod verify;
 mod window;
 pub mod writes;
 
+pub use call_ref::CallRef;
 pub use chain::{Admission, BlockHashes, Ground, Ledger, Outcome, Refusal, Step, TransactionRecord};
 pub use chaincode::{
     ADMINS_PER_ORGANISATION_MAX, ApprovedBy, BLOCK_BUDGET, CALL_BUDGET, Call, Chaincode, Context, Environment,

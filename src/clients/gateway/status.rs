@@ -137,6 +137,7 @@ impl Description {
             disk_total_bytes: self.ordering.storage.space.measured().total,
             disk_accepts: self.ordering.storage.space.accepts().word().into(),
             certificates: self.certificates(),
+            open_stops: self.peers.early_stops.status(),
             console: self.console.get().cloned().unwrap_or_default(),
             voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
             voters_connected: u32::try_from(voters().filter(|id| self.peers.reachability.is_connected(*id)).count())

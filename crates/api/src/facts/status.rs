@@ -97,6 +97,9 @@ pub struct StatusFacts {
     /// Nodes that have signed two different statements about one block; empty if there are none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub lies: String,
+    /// Signed stops without a verdict, as far as it knows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub open_stops: Vec<OpenStopFacts>,
     /// Address of its console; empty if it has none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub console: String,
@@ -115,6 +118,25 @@ pub struct CertificateRuleFacts {
     pub survives_lie: bool,
     /// One organisation may be silent with all its voters.
     pub survives_silence: bool,
+}
+
+/// A signed stop of which robots were notified, and that has no verdict yet.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct OpenStopFacts {
+    /// Id of its transaction.
+    pub transaction: String,
+    /// The robot, or `*`.
+    pub robot: String,
+    /// Its signer.
+    pub by: String,
+    /// Until when it may be executed.
+    pub not_after: u64,
+}
+
+impl From<v1::OpenStop> for OpenStopFacts {
+    fn from(stop: v1::OpenStop) -> Self {
+        Self { transaction: hex::encode(&stop.id), robot: stop.robot, by: stop.by, not_after: stop.not_after }
+    }
 }
 
 /// Another node, as this one sees it.
@@ -234,6 +256,7 @@ impl From<v1::StatusResponse> for StatusFacts {
             attention: Some(status.attention.into_iter().map(AttentionFacts::from).collect()),
             divergence: status.divergence,
             lies: status.lies,
+            open_stops: status.open_stops.into_iter().map(OpenStopFacts::from).collect(),
             console: status.console,
         }
     }

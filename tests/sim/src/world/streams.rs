@@ -233,6 +233,7 @@ impl World {
         let start = self.nodes.get(&id).map_or(0, |node| node.start);
         let call = Seen { stream: (id, start, stream), subject, lane: ticket.lane, number: client.number };
         self.invariants.in_order.ordered(call)?;
+        self.notify_robot(id, &transaction);
         let Some(running) = self.running(id) else { return Ok(()) };
         running.waiting.insert(client.reply, now);
         running.waiters.add(now, &transaction, ticket.lane, client);

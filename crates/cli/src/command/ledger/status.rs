@@ -104,6 +104,10 @@ impl Facts for Node {
         for certificate in &facts.certificates {
             table.pair("certificate", certificate_text(certificate, self.now));
         }
+        for stop in &facts.open_stops {
+            let until = time::moment(stop.not_after);
+            table.pair("stop without a verdict", format!("of {}, by {}, open until {until}", stop.robot, stop.by));
+        }
         table.pair("clock", time::moment(facts.clock));
         table.pair("running for", time::span(facts.uptime_ms.saturating_mul(1000)));
         table.write(out, 0)?;
