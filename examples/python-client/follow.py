@@ -11,7 +11,8 @@ import struct
 import sys
 from pathlib import Path
 
-from verify import STATEMENT, need, read_proof, read_writes, sha256, signers, strict_quorum
+from node_signature import strict_quorum
+from verify import STATEMENT, need, read_proof, read_writes, sha256, signers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +66,7 @@ def founded(network, genesis):
         fields = [field for field in ("name", "roots", "intermediates") if organisation.get(field)]
         records["organisation/" + organisation["name"]] = {field: organisation[field] for field in fields}
     owners = [node["organisation"] for node in document["nodes"] if node["voter"]]
-    if owners and strict_quorum(len(owners), max(map(owners.count, owners))) < len(owners):
+    if owners and strict_quorum(len(owners), owners) < len(owners):
         records["certificates"] = {"strict_since": 0}
     text = lambda record: json.dumps(record, ensure_ascii=False, separators=(",", ":")).encode()
     writes = {b"msp\0" + key.encode(): text(record) for key, record in records.items()}

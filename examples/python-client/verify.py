@@ -15,7 +15,7 @@ import struct
 import sys
 from pathlib import Path
 
-from node_signature import check_node, need, read_authorities
+from node_signature import check_node, hands_of, need, read_authorities, strict_quorum
 
 FACTS = {b"\1": "ground", b"\2": "verdict", b"\3": "event", b"\4": "control write"}
 STATEMENT = struct.Struct(">21s 32s Q Q 32s 32s")  # first bytes, network, height, block time, block, results root
@@ -101,11 +101,6 @@ def read_checkpoint(data):
     return records, proof
 
 
-def strict_quorum(voters, largest):
-    """The signatures of a strict certificate, of so many voters of whom the largest hand has `largest`."""
-    return min((voters + largest) // 2 + 1, voters)
-
-
 def signers(network, records, proof):
     """The voters who have signed, by these governing records. Refuses if they are too few."""
     statement, signatures, _ = proof
@@ -121,17 +116,12 @@ def signers(network, records, proof):
             good |= {node} & (voters | outgoing)
         except Exception as reason:  # A signature that is not good counts for nothing, and spoils nothing.
             reasons.append(f"; node {node}: {reason!r}")
-    rule = json.loads(records.get(b"msp\0certificates", b"{}"))
-    shared = {name: min(hand) for hand in rule.get("hands", []) for name in hand}
-    hand = lambda organisation: shared.get(organisation, organisation)
-    hands = lambda group: [hand(nodes[node]["organisation"]) for node in group if node in nodes]
+    hands, strict = hands_of(records, nodes)
     for group in (voters, outgoing or voters):
-        signed, all_hands = group & good, hands(group)
-        needed = len(group) // 2 + 1
-        if "strict_since" in rule:
-            needed = strict_quorum(len(group), max(map(all_hands.count, all_hands)))
-        enough = len(signed) >= needed and len(set(hands(signed))) >= min(2, len(set(all_hands)))
-        need(enough, f"nodes {signed} of {group} of {all_hands} are fewer than {needed}" + "".join(reasons))
+        signed, owners = group & good, [hands[node] for node in group if node in hands]
+        needed = strict_quorum(len(group), owners) if strict else len(group) // 2 + 1
+        enough = len(signed) >= needed and len({hands[node] for node in signed}) >= min(2, len(set(owners)))
+        need(enough, f"nodes {signed} of {group} of {owners} are fewer than {needed}" + "".join(reasons))
     return sorted(f"{nodes[node]['organisation']}/{nodes[node]['name']}" for node in good)
 
 

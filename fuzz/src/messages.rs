@@ -17,6 +17,7 @@ pub const ALL: &[(&str, Round)] = &[
     ("BlockEntries", round::<v1::BlockEntries>),
     ("BlockEntry", round::<v1::BlockEntry>),
     ("BlocksRequest", round::<v1::BlocksRequest>),
+    ("CertificateRule", round::<v1::CertificateRule>),
     ("CertificateStatus", round::<v1::CertificateStatus>),
     ("ChainRequest", round::<v1::ChainRequest>),
     ("ChainResponse", round::<v1::ChainResponse>),

@@ -116,7 +116,7 @@ impl Twice {
     /// Both users acquire the robot.
     async fn acquire(&self) {
         for (side, user) in self.sides.iter().zip(&self.users) {
-            side.does(user, &["acquire", "Turtlebot4/cmd_vel", "--lease", "10m"]).await;
+            side.does(user, &["acquire", "Turtlebot4/cmd_vel", "--for", "10m"]).await;
         }
     }
 }

@@ -221,13 +221,18 @@ impl Voters {
         let is_strict = self.rule.strict_since.is_some();
         // Without strict certificates the rest must be of two hands, too: more than the largest one has.
         let needed = if is_strict || largest == all { quorum } else { quorum.max(largest + 1) };
+        // Two certificates by the hand that lies need so many honest voters each, and those are not the same ones.
+        let others = usize::from(largest < all);
         let goes_on_without = |hand: &str| {
             let rest: BTreeSet<u64> = voters.iter().copied().filter(|node| self.hand_of(*node) != Some(hand)).collect();
             rest.len() * 2 > all && self.enough_of(voters, &rest).is_ok()
         };
         Survives {
             crashes: all.saturating_sub(needed.max(all / 2 + 1)),
-            lie: 2 * quorum > all + largest,
+            lie: self
+                .hands(voters)
+                .into_values()
+                .all(|liars| 2 * quorum.saturating_sub(liars).max(others) > all - liars),
             silence: self.hands(voters).keys().all(|hand| goes_on_without(hand)),
         }
     }

@@ -117,6 +117,7 @@ pub(super) fn play(it: &mut Printed) {
         ("network organisations", &[]),
         ("network proposals", &[]),
         ("network quorums", &[]),
+        ("network certificates", &[]),
         ("network rules", &[]),
     ] {
         it.run(&admin, name, rest);

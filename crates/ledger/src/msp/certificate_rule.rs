@@ -1,9 +1,9 @@
 //! How many signatures make a certificate, and which organisations are under one hand: a governing record.
 //!
 //! Certificates become strict ([`ledger_light::strict_quorum`]) by themselves, in the first block whose voters can lose any
-//! one of them and still have enough, or by a proposal. From then on no organisation makes them weaker alone: a change of
-//! roles after which no voter could be lost any more needs the approval of the organisations, and ends it. So does a proposal
-//! that clears it.
+//! one of them and still have enough, or by a proposal. From then on no organisation makes them weaker alone. A change of
+//! roles after which no voter could be lost needs the approval of the organisations, and ends it. So does a proposal that
+//! clears it.
 
 use super::SET_CERTIFICATE_RULE;
 use super::caller::{admin, object};

@@ -2,7 +2,7 @@
 
 use super::address::check_address;
 use super::caller::{node, object};
-use super::node_roles::put_role;
+use super::node_roles::change_role;
 use super::nodes::{NodeRecord, NodeRole, all, write};
 use super::store::{self, NEXT_NODE, json};
 use super::{allowance, joins};
@@ -57,7 +57,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
             ctx.emit("moved", &node.full_name(), json(&node)?);
             return json(&node);
         }
-        Some(before) => put_role(ctx, before, NodeRole::Removed)?,
+        Some(before) => change_role(ctx, &nodes, before, NodeRole::Removed)?,
         None => check_room(ctx, caller, live())?,
     }
     joins::count(ctx, &caller.organisation)?;

@@ -84,6 +84,17 @@ pub(super) fn remove_all_of(ctx: &mut Context<'_>, organisation: &str) -> Result
     Ok(())
 }
 
+/// Wants another role of a node, if that may be.
+pub(super) fn change_role(
+    ctx: &mut Context<'_>,
+    nodes: &[NodeRecord],
+    node: &NodeRecord,
+    role: NodeRole,
+) -> Result<(), Rejection> {
+    check_change(ctx, nodes, node, role)?;
+    put_role(ctx, node, role)
+}
+
 fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
     if node.role == NodeRole::Removed && role != NodeRole::Removed {
         return Err(Rejection::new(Code::NotAMember, format!("node {} ({}) was removed", node.id, node.full_name()))

@@ -2,7 +2,7 @@
 
 use crate::world::{Network, code, is_executed, json, waiting};
 use ledger::members::{Change, MembershipChange};
-use ledger::msp::{NodeRecord, NodeRole, Nodes, Recovery};
+use ledger::msp::{self, NodeRecord, NodeRole, Nodes, Recovery};
 use ledger_base::rejection::Code;
 use ledger_light::CertificateRule;
 
@@ -12,7 +12,7 @@ fn set(id: u64, role: &str) -> String {
 
 impl Network {
     fn rule(&self) -> CertificateRule {
-        self.query::<Nodes>("nodes", &[]).certificates
+        msp::certificate_rule(&**self.ledger.state()).unwrap()
     }
 
     fn strict_since(&self) -> Option<u64> {
@@ -35,7 +35,9 @@ impl Network {
 
 #[test]
 fn certificates_are_strict_from_the_block_on_whose_voters_can_lose_any_one() {
-    assert_eq!(Network::new(4, 4).strict_since(), Some(0), "by the genesis");
+    let founded = Network::new(4, 4);
+    assert_eq!(founded.strict_since(), Some(0), "by the genesis");
+    assert_eq!(founded.query::<Nodes>("nodes", &[]).certificates, founded.rule());
     let mut network = Network::new(4, 3);
     assert_eq!((network.strict_since(), network.quorum()), (None, 2), "three voters can lose none");
     network.all_agree("set_node_role", &set(4, "voter"));

@@ -79,9 +79,12 @@ impl ResultStore {
         };
         let mut recent = self.recent();
         if in_files || !recent.pending.is_empty() {
-            return Err(Rejection::new(Code::Corrupt, "there are results of blocks, and the world state after them is lost")
-                .found(format!("results up to height {}", recent.next.saturating_sub(1)))
-                .wanted("no results, as the world state begins with a snapshot"));
+            return Err(Rejection::new(
+                Code::Corrupt,
+                "there are results of blocks, and the world state after them is lost",
+            )
+            .found(format!("results up to height {}", recent.next.saturating_sub(1)))
+            .wanted("no results, as the world state begins with a snapshot"));
         }
         recent.next = height;
         Ok(())

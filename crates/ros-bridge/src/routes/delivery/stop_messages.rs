@@ -1,7 +1,7 @@
 //! Stop messages. Each is said three times, unless somebody drives on meanwhile: a reader that does not insist on every message
 //! may miss one. A bridge may come back to a robot that still follows what it heard last. So where the service was used before,
-//! the bridge says the stop to everybody who listens, until somebody drives. It says it for some seconds to a new listener: in
-//! DDS a writer knows of a reader before the reader knows of the writer, and what comes meanwhile is lost.
+//! the bridge says the stop to everybody who listens, until somebody drives. It says it for some seconds to a new listener. In
+//! DDS a writer knows of a reader before the reader knows of the writer: what comes meanwhile is lost.
 
 use std::time::{Duration, Instant};
 
