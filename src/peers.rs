@@ -76,6 +76,7 @@ pub(crate) struct Tasks {
     attesting: Attesting,
     asking: Asking,
     certifying: Certifying,
+    early_stops: Arc<EarlyStops>,
 }
 
 impl Peers {
@@ -96,6 +97,7 @@ impl Peers {
             organisation: me.organisation.clone(),
             identity: trust.identity.clone(),
             trust: Arc::clone(&trust.organisations),
+            rules: Arc::new(config.dial_rules()),
             paces: Arc::default(),
         };
         let monitor = Arc::new(ChainMonitor::new(ledger, &me.organisation, config.data.clone()));
@@ -105,7 +107,7 @@ impl Peers {
         connections.follow(&ordering.directory);
         let reachability = Reachability::new(me.id, ordering, &connections);
         let peers = Arc::new(Self {
-            early_stops: Arc::new(EarlyStops::new(ordering, &connections)),
+            early_stops: Arc::new(EarlyStops::open(me.id, &config.data, ordering, &connections)),
             receipts: ReceiptKey::new(me.id, &trust.receipt_secret(ledger.network())),
             ballot: Ballot::default(),
             dialer,
@@ -144,6 +146,7 @@ impl Peers {
                 me: me.id,
                 told,
             },
+            early_stops: Arc::clone(&peers.early_stops),
         };
         Ok((peers, tasks))
     }
@@ -201,11 +204,12 @@ impl Peers {
 
 impl Tasks {
     /// Starts them.
-    pub(crate) fn start(self) -> [JoinHandle<()>; 3] {
+    pub(crate) fn start(self) -> [JoinHandle<()>; 4] {
         [
             tokio::spawn(vital_task(self.attesting.run())),
             tokio::spawn(vital_task(self.asking.run())),
             tokio::spawn(vital_task(self.certifying.run())),
+            tokio::spawn(vital_task(self.early_stops.run())),
         ]
     }
 }

@@ -15,7 +15,7 @@ import struct
 import sys
 from pathlib import Path
 
-from node_signature import check_node, need, read_authorities
+from node_signature import check_node, hands_of, need, read_authorities, strict_quorum
 
 FACTS = {b"\1": "ground", b"\2": "verdict", b"\3": "event", b"\4": "control write"}
 # First bytes, network, forced recoveries, height, block time, block, results root.
@@ -104,24 +104,24 @@ def read_checkpoint(data):
 
 def signers(network, records, proof):
     """The voters who have signed, by these governing records. Refuses if they are too few."""
-    statement, signatures, _ = proof
-    _, of, recoveries, _, time, _, _ = STATEMENT.unpack(statement)
+    _, of, recoveries, _, time, _, _ = STATEMENT.unpack(proof[0])
     under = lambda kind: [json.loads(records[key]) for key in records if key.startswith(b"msp\0" + kind)]
     nodes, authorities = {node["id"]: node for node in under(b"node/")}, read_authorities(under(b"organisation/"))
     need((of, recoveries) == (network, len(under(b"recovery/"))), "this is of another network or forced recovery")
     members, good, reasons = json.loads(records[b"msp\0members"]), set(), []
     voters, outgoing = set(members["voters"]), set(members["outgoing"])
-    for node, certificate, signature in signatures:
+    for node, certificate, signature in proof[1]:
         try:
-            check_node(nodes[node], authorities, records, time, certificate, statement + node.to_bytes(8, "big"), signature)
+            check_node(nodes[node], authorities, records, time, certificate, proof[0] + node.to_bytes(8, "big"), signature)
             good |= {node} & (voters | outgoing)
         except Exception as reason:  # A signature that is not good counts for nothing, and spoils nothing.
             reasons.append(f"; node {node}: {reason!r}")
-    owners = lambda group: {nodes[node]["organisation"] for node in group if node in nodes}
+    hands, strict = hands_of(records, nodes)
     for group in (voters, outgoing or voters):
-        signed = group & good
-        enough = 2 * len(signed) > len(group) and len(owners(signed)) >= min(2, len(owners(group)))
-        need(enough, f"nodes {signed} of {group} of {owners(group)} are too few" + "".join(reasons))
+        signed, owners = group & good, [hands[node] for node in group if node in hands]
+        needed = strict_quorum(len(group), owners) if strict else len(group) // 2 + 1
+        enough = len(signed) >= needed and len({hands[node] for node in signed}) >= min(2, len(set(owners)))
+        need(enough, f"nodes {signed} of {group} of {owners} are fewer than {needed}" + "".join(reasons))
     return sorted(f"{nodes[node]['organisation']}/{nodes[node]['name']}" for node in good)
 
 

@@ -69,13 +69,23 @@ fn quorum(status: &StatusResponse) -> Option<Attention> {
         let next = "start the voters that are silent: systemctl start ledgerd";
         return critical("quorum", format!("{found}; {majority} are needed to order"), next);
     }
+    let rule = status.certificate_rule.unwrap_or_default();
+    if rule.strict_since.is_some() && *connected < rule.needed {
+        let needed = rule.needed;
+        let message = format!("{found}; {needed} must sign: no block is certified, and robots that move stop");
+        return critical("quorum", message, "start the voters that are silent: systemctl start ledgerd");
+    }
     if let Some((only, missing)) = uncertified(status) {
         let message = format!(
             "only voters of {only} are connected; without one of {missing} no block is certified, and robots that move stop"
         );
         return critical("quorum", message, format!("start a voter of {missing}: systemctl start ledgerd"));
     }
-    let left = if *connected == majority { ": one less and nothing is ordered" } else { "" };
+    let left = match *connected {
+        one if one == majority => ": one less and nothing is ordered",
+        one if rule.strict_since.is_some() && one == rule.needed => ": one less and robots that move stop",
+        _ => "",
+    };
     let next = "start the voters that are silent before another one fails: systemctl start ledgerd";
     if connected < voters { warning("quorum", found + left, next) } else { None }
 }
@@ -210,7 +220,7 @@ fn proof(status: &StatusResponse) -> Option<Attention> {
 #[expect(clippy::panic, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_api::v1::PeerStatus;
+    use ledger_api::v1::{CertificateRule, PeerStatus};
 
     const DAY: u64 = 86_400_000_000;
 
@@ -264,6 +274,19 @@ mod tests {
         let [(of, how, why)] = found else { panic!("{check}: {found:?}") };
         assert_eq!((&**of, &**how), (check, severity), "{why}");
         assert!(why.contains(message), "{why}");
+    }
+
+    #[test]
+    fn strict_certificates_need_more_voters_than_ordering_does() {
+        let strict = |needed| Some(CertificateRule { needed, strict_since: Some(7), ..CertificateRule::default() });
+        let few = found(|status| {
+            (status.voters, status.voters_connected, status.certificate_rule) = (5, 3, strict(4));
+        });
+        only(&few, "quorum", CRITICAL, "3 of 5 voters are connected; 4 must sign: no block is certified");
+        let last = found(|status| {
+            (status.voters, status.voters_connected, status.certificate_rule) = (5, 4, strict(4));
+        });
+        only(&last, "quorum", WARNING, "4 of 5 voters are connected: one less and robots that move stop");
     }
 
     #[test]

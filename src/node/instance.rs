@@ -95,7 +95,8 @@ impl Instance {
             Arc::new(Revocations::new(&members, &storage)),
             Arc::new(Traced(tracer)),
         ];
-        let executor = Arc::new(Executor::new(Arc::clone(&storage.ledger), observers));
+        let executor =
+            Arc::new(Executor::new(Arc::clone(&storage.ledger), observers).counting(Arc::clone(&ordering.budgets)));
         let keys = Keys::new(trust.me.id, trust.identity.clone(), Arc::clone(&storage.ledger));
         let ballots = Arc::new(Voting::new(Arc::clone(&storage.ledger), keys));
         let outlet = ToSubsystems {

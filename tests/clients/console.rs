@@ -100,6 +100,11 @@ fn a_message_is_shown_as_a_twist_only_where_it_is_one_and_an_envelope_as_encrypt
 }
 
 #[test]
+fn an_address_that_is_none_leads_to_the_start_page() {
+    ran(Command::new("node").current_dir(console()).arg("tests/route.mjs"));
+}
+
+#[test]
 fn the_types_of_the_console_are_right() {
     ran(Command::new("node").current_dir(console()).arg("node_modules/typescript/bin/tsc"));
 }

@@ -91,6 +91,13 @@ async fn an_address_that_never_answers_is_dialled_less_and_less_and_some_are_nev
         let refused = join(&puppet, address).await.unwrap_err();
         assert_eq!(refused.code, Code::BadArgument, "{address}: {refused}");
     }
+    // A privileged port is registered, and no node of another organisation dials it.
+    let guest = puppet(&fleet, "guest").await;
+    join(&guest, "127.0.0.1:22").await.unwrap();
+    until("a node of another organisation says why it does not dial", || async {
+        nodes.iter().any(|node| node.stderr().contains("127.0.0.1:22, a privileged port")).then_some(())
+    })
+    .await;
     // Somebody else's port: it takes every connection, and answers none.
     let victim = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = victim.local_addr().unwrap().to_string();

@@ -9,6 +9,7 @@
 //! | `liars` | is a member, or an admin, that abuses its rights |
 //! | `pretenders` | is a node that lies about the ordering protocol |
 //! | `equivocation` | is a voter that signs different things for one place |
+//! | `twice` | is an organisation that runs its voter twice |
 //! | `target` | the node that is attacked, and its people |
 //!
 //! A node that lies to its own robot is in `tests/interop`, as that needs a bridge.
@@ -22,5 +23,6 @@ mod liars;
 mod nonsense;
 mod pretenders;
 mod target;
+mod twice;
 
 use ledgerd_support as support;

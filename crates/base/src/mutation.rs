@@ -107,6 +107,8 @@ pub enum Mutation {
     KeepAnOldContentKey,
     /// A content key is taken that was wrapped for others than those who may read.
     ShareWithAnybody,
+    /// A stop that a robot was notified of ends with the next answer of the voters, whatever becomes of it.
+    ForgetAnOpenStop,
 }
 
 /// Are the switches in this build?

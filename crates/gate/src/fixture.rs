@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::{
+    collections::BTreeSet,
     sync::{Arc, OnceLock},
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
@@ -168,8 +169,16 @@ impl Network {
 
     /// How the robot stands after that block.
     pub fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
-        let (services, members) = (Vec::new(), self.members(&[]));
-        Standing { services, grants: grants.to_vec(), tasks: Vec::new(), stopped: false, members, height, time: NOW }
+        Standing {
+            services: Vec::new(),
+            grants: grants.to_vec(),
+            tasks: Vec::new(),
+            stopped: false,
+            settled: BTreeSet::new(),
+            members: self.members(&[]),
+            height,
+            time: NOW,
+        }
     }
 
     /// The members after the revocation of these.

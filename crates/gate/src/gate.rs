@@ -15,8 +15,9 @@
 //! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides. So it
 //! does where the node says that the next one goes on: the robot is not stopped until then.
 //!
-//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides; a node that tells of a stop is
-//! believed until the next answer.
+//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides. A node that sends a signed stop stops
+//! the robot until a standing settles that stop by its id: it has a verdict, a resume has cancelled it, or block time has passed its
+//! `not_after`. No other standing ends it.
 //!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!
@@ -28,6 +29,7 @@ mod ends;
 mod holding;
 mod identities;
 mod limits;
+mod open_stops;
 mod payloads;
 mod refused;
 mod sequences;
@@ -52,6 +54,7 @@ use self::{
     holding::Holding,
     identities::Identities,
     limits::Rates,
+    open_stops::OpenStops,
     sequences::Sequences,
 };
 pub use self::{clock::Now, refused::Refused};
@@ -124,6 +127,8 @@ pub struct Gate {
     clock: Clock,
     /// Is the robot stopped, so that no command passes?
     halted: bool,
+    /// Stops without a verdict.
+    open_stops: OpenStops,
     /// The newest epoch.
     epoch: u64,
     /// The holders of the service.
@@ -175,6 +180,7 @@ impl Gate {
             rates: Rates::default(),
             clock: Clock::default(),
             halted: false,
+            open_stops: OpenStops::default(),
             epoch: 0,
             holders: BTreeMap::new(),
             opened: now.steady,
@@ -192,7 +198,7 @@ impl Gate {
         if self.fault.is_some() || standing.height < self.height || asked < self.told {
             return None; // more is known
         }
-        let Standing { grants, stopped, members, height, time, .. } = standing;
+        let Standing { grants, stopped, settled, members, height, time, .. } = standing;
         self.clock.heard_signed(*time, now);
         if self.asked.is_none() {
             // By the network's time, which users sign by: it may be ahead of this machine's.
@@ -201,7 +207,11 @@ impl Gate {
         }
         (self.height, self.asked) = (*height, self.asked.max(Some(asked)));
         self.rules = Some(self.rules_of(service));
-        self.halted = *stopped && service.is_command();
+        self.open_stops.settle(settled, *time);
+        if active(Mutation::ForgetAnOpenStop) {
+            self.open_stops = OpenStops::default();
+        }
+        self.halted = (*stopped || !self.open_stops.is_empty()) && service.is_command();
         self.identities.replace(members);
         let grants = grants.iter().filter(|grant| grant.service == self.id);
         let before = self.epoch;

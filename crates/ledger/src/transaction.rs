@@ -5,6 +5,7 @@
 //! allows many) is still the same transaction. The creator signs the body, or the id of a long one.
 
 use crate::block::{PAYLOAD_BYTES_MAX, leaf};
+use crate::call_ref::CallRef;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -89,6 +90,11 @@ impl PartialEq for Transaction {
 }
 
 impl Transaction {
+    /// The name by which others ask for its verdict.
+    pub fn call_ref(&self) -> CallRef {
+        CallRef { id: self.id(), not_after: self.body().not_after }
+    }
+
     /// Signs a body whole, as every network understands it.
     ///
     /// # Errors

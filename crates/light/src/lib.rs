@@ -59,5 +59,5 @@ pub use lie::{DoubleVote, Fault, Lie, Misbehaviour};
 pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
 pub use vote::Vote;
-pub use voters::{Voter, Voters};
+pub use voters::{CertificateRule, Survives, Voter, Voters, strict_quorum};
 pub use way::Way;

@@ -195,7 +195,7 @@ impl Engine {
         let mut engine = Self {
             raw,
             store,
-            queues: Queues::new(),
+            queues: Queues::new(&config.creators),
             pending: VecDeque::new(),
             unpersisted_bytes: 0,
             held: BTreeMap::new(),

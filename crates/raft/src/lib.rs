@@ -49,7 +49,7 @@ pub use message::{
     SignedStatement, SignedVote, Transactions, VOTE_BYTES_MAX, WireEntry,
 };
 pub use queue::{
-    CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX, DATA_QUEUE_TRANSACTIONS_MAX,
-    QueueStatus,
+    CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, Creators, DATA_QUEUE_BYTES_MAX,
+    DATA_QUEUE_TRANSACTIONS_MAX, QueueStatus,
 };
 pub use reconcile::{Desired, PROMOTION_LAG_MAX, next_step, successor};

@@ -14,10 +14,13 @@ use crate::timing::Timing;
 use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
+use ledger_base::hash::Hash;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::DoubleVote;
-use ledger_raft::{Ballots, ClockDoubt, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
+use ledger_raft::{
+    Ballots, ClockDoubt, Creators, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status,
+};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
@@ -205,6 +208,11 @@ impl<W: Waiter> Replica<W> {
         config.heartbeat_tick = settings.timing.heartbeat_ticks();
         config.data_wait_us = settings.timing.data_wait;
         config.secret = settings.secret;
+        let ledger = Arc::clone(executor.ledger());
+        let organisation = move |creator: &Hash| {
+            ledger.counted_for(creator).map(|identity| Hash::of(&[identity.organisation.as_bytes()]))
+        };
+        config.creators = Creators::new(organisation);
         let engine =
             Engine::new(config, store, ballots).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
@@ -232,6 +240,10 @@ impl<W: Waiter> Replica<W> {
     /// Takes one event, and appends what the node must do to `out`.
     pub fn step(&mut self, now: Now, event: Event, out: &mut Vec<Effect>) {
         match event {
+            Event::Input(Input::Message { from, message: PeerMessage::Forward(forwarded) }) => {
+                let within = self.within_budgets(now, from, forwarded, out);
+                self.order(now, Input::Message { from, message: PeerMessage::Forward(within) }, out);
+            }
             Event::Input(input) => self.order(now, input, out),
             Event::Time { full } => self.time(now, full, out),
             Event::Written(result) => self.written(now, result, out),

@@ -66,6 +66,8 @@ impl Intake {
             ledger: &self.ordering.storage.ledger,
             waiters: &self.ordering.waiters,
             retries: &self.retries,
+            budgets: &self.ordering.budgets,
+            organisation_bytes: self.ordering.storage.space.organisation_bytes(),
             now: self.ordering.clock.both(),
             wait_max: self.wait_max,
         }

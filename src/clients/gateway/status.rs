@@ -9,9 +9,10 @@ use crate::peers::Peers;
 use crate::process::config::Limits;
 use ledger::msp;
 use ledger_api::tls::TlsIdentity;
-use ledger_api::v1::{CertificateStatus, PeerStatus, StatusResponse};
+use ledger_api::v1::{CertificateRule, CertificateStatus, PeerStatus, StatusResponse};
 use ledger_base::rejection::Rejection;
 use ledger_identity::certificate::Certificate;
+use ledger_light::Survives;
 use ledger_raft::{ClockDoubt, Role};
 use ledger_replica::gateway::Shares;
 use std::sync::{Arc, OnceLock};
@@ -83,6 +84,15 @@ impl Description {
         let now = self.ordering.clock.both();
         // Where several vote, the others judge the clock.
         let doubt = now.doubt.filter(|_| voters().eq([self.me.id])).map(ClockDoubt::refusal);
+        let rule = self.ordering.storage.ledger.voters()?;
+        let Survives { crashes, lie, silence } = rule.survives();
+        let rule = CertificateRule {
+            needed: u32::try_from(rule.quorum()).unwrap_or(u32::MAX),
+            strict_since: rule.rule.strict_since,
+            survives_crashes: u32::try_from(crashes).unwrap_or(u32::MAX),
+            survives_lie: lie,
+            survives_silence: silence,
+        };
         let mut status = StatusResponse {
             version: env!("CARGO_PKG_VERSION").into(),
             network: self.ordering.storage.ledger.network().0.to_vec().into(),
@@ -103,6 +113,7 @@ impl Description {
             clock: now.clock.max(tip.time),
             wall_clock: self.ordering.clock.wall(),
             attention: Vec::new(),
+            certificate_rule: Some(rule),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.ordering.storage.ledger.registry().names().into_iter().map(str::to_owned).collect(),
             refused: self.rejections.counts(),
@@ -127,6 +138,7 @@ impl Description {
             disk_total_bytes: self.ordering.storage.space.measured().total,
             disk_accepts: self.ordering.storage.space.accepts().word().into(),
             certificates: self.certificates(),
+            open_stops: self.peers.early_stops.status(),
             console: self.console.get().cloned().unwrap_or_default(),
             voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
             voters_connected: u32::try_from(voters().filter(|id| self.peers.reachability.is_connected(*id)).count())

@@ -185,6 +185,10 @@ struct Subscription {
 
 impl Subscription {
     async fn run(mut self, heartbeat: Option<Duration>) {
+        // Before any message of the stream: a robot takes none that a stop without a verdict forbids.
+        if !self.tell_early(None).await {
+            return;
+        }
         loop {
             let going_on = match self.catch_up().await {
                 Ok(true) => match self.check() {
@@ -210,7 +214,7 @@ impl Subscription {
                 biased;
                 () = self.deliveries.closed() => return,
                 foreseen = foreseen(&mut self.early) => {
-                    if !self.tell_early(&foreseen).await {
+                    if !self.tell_early(foreseen).await {
                         return;
                     }
                 }
@@ -232,7 +236,7 @@ impl Subscription {
             self.next = self.next.max(first);
             while self.next <= reached {
                 while let Some(foreseen) = foreseen(&mut self.early).now_or_never() {
-                    if !self.tell_early(&foreseen).await {
+                    if !self.tell_early(foreseen).await {
                         return Ok(false);
                     }
                 }
@@ -295,8 +299,22 @@ impl Subscription {
         there
     }
 
-    /// Tells of a call that is not ordered yet. False if the subscriber is gone.
-    async fn tell_early(&mut self, foreseen: &Foreseen) -> bool {
+    /// Tells of a call that is not ordered yet; of all of them, if it is not said which one. False if the subscriber is gone.
+    async fn tell_early(&mut self, foreseen: Option<Arc<Foreseen>>) -> bool {
+        let open = match foreseen {
+            Some(foreseen) => vec![foreseen],
+            None if self.early.is_some() => self.node.peers.early_stops.open_calls(),
+            None => Vec::new(),
+        };
+        for foreseen in open {
+            if !self.tell_of(&foreseen).await {
+                return false;
+            }
+        }
+        true
+    }
+
+    async fn tell_of(&mut self, foreseen: &Foreseen) -> bool {
         let wanted = foreseen.events.iter().filter(|event| self.wanted.admits(event));
         let readable = wanted.filter(|event| self.node.ordering.storage.ledger.may_read(&self.reader, event).is_ok());
         let mut transaction = foreseen.transaction.encoded().clone();
@@ -382,15 +400,13 @@ fn record(event: Event, (index, transaction): (u32, Bytes), certificate: Bytes) 
     EventRecord { chaincode, name, subject, payload, index, transaction, certificate }
 }
 
-/// The next call that is told before it is ordered; waits for ever where nobody asked for them. Cancelling it loses nothing.
-async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Arc<Foreseen> {
+/// The next call that is told before it is ordered; none if some were missed. Waits for ever where nobody asked for them. Cancelling
+/// it loses nothing.
+async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Option<Arc<Foreseen>> {
     let Some(calls) = early else { return pending().await };
-    loop {
-        match calls.recv().await {
-            Ok(foreseen) => return foreseen,
-            // Those that were missed come in their blocks.
-            Err(broadcast::error::RecvError::Lagged(_)) => {}
-            Err(broadcast::error::RecvError::Closed) => return pending().await,
-        }
+    match calls.recv().await {
+        Ok(foreseen) => Some(foreseen),
+        Err(broadcast::error::RecvError::Lagged(_)) => None,
+        Err(broadcast::error::RecvError::Closed) => pending().await,
     }
 }

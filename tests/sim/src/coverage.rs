@@ -196,6 +196,8 @@ pub struct Coverage {
     pub unbelieved: BTreeMap<Code, u64>,
     /// Bridges of robots that started anew.
     pub reopened: u64,
+    /// Stops that came to the robot before they were ordered.
+    pub early_stops: u64,
     /// Facts checked by the oracle.
     pub checks: u64,
 }
@@ -277,6 +279,7 @@ impl Coverage {
         self.questions += other.questions;
         self.believed += other.believed;
         self.reopened += other.reopened;
+        self.early_stops += other.early_stops;
         self.seeds += other.seeds;
         self.time += other.time;
         self.blocks += other.blocks;

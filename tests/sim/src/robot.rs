@@ -4,6 +4,7 @@ use crate::client::BRIDGE;
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::confidential;
 use bytes::Bytes;
+use ledger::CallRef;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_confidential::Keyring;
@@ -60,8 +61,8 @@ pub struct Robot {
     pub questions: u64,
     /// Services that wait for an answer to a question that was asked at that time or later.
     pub waiting: Vec<(usize, u64)>,
-    /// The newest answer, and when it was asked for.
-    pub answered: Option<(u64, Standing)>,
+    /// The newest answer, when it was asked for, and for which stops.
+    pub answered: Option<(u64, BTreeSet<CallRef>, Standing)>,
     /// When it looks after itself next.
     pub wakes_at: u64,
     /// The transactions that its node has told of, by the message in them.
@@ -116,6 +117,8 @@ pub struct Delivery {
     pub time: u64,
     /// The events.
     pub events: Vec<Told>,
+    /// Did they not happen yet?
+    pub early: bool,
 }
 
 /// An event as a node tells it.
@@ -148,6 +151,8 @@ pub struct Question {
     pub asked: u64,
     /// Its transaction.
     pub id: Hash,
+    /// The stops whose verdicts it asks for.
+    pub stops: BTreeSet<CallRef>,
     /// The answer of the function, when there is one.
     pub response: Option<Bytes>,
 }

@@ -16,7 +16,9 @@ use ledger_contract::{Direction, Emergency};
 const ALL: &str = "*";
 
 pub(crate) fn reason(args: Arguments<'_>) -> Result<String, Rejection> {
-    if args.has(1) { args.text(1, "REASON").map(str::to_owned) } else { Ok(String::new()) }
+    // A resume without a reason that names calls has an empty one before them.
+    let given = args.rest(1).first().is_some_and(|reason| args.rest(2).is_empty() || !reason.is_empty());
+    if given { args.text(1, "REASON").map(str::to_owned) } else { Ok(String::new()) }
 }
 
 /// The robots that are meant, all of which the caller may stop or resume.

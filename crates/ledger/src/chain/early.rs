@@ -1,6 +1,7 @@
 //! Calls that robots hear of before they are ordered: an emergency stop must not wait for a majority.
 
 use super::{Admission, Ledger};
+use crate::call_ref::CallRef;
 use crate::transaction::Transaction;
 use ledger_storage::result::Event;
 
@@ -9,6 +10,11 @@ impl Ledger {
     pub fn is_told_early(&self, transaction: &Transaction) -> bool {
         let body = transaction.body();
         self.registry.find(&body.chaincode).is_ok_and(|chaincode| chaincode.told_early(&body.function))
+    }
+
+    /// Has this call been executed, or can it never be, because block time has passed its `not_after`?
+    pub fn is_settled(&self, call: &CallRef) -> bool {
+        call.not_after < self.tip().time || self.was_executed(&call.id, call.not_after)
     }
 
     /// The events that such a call would have on the state as it is, at the node's time in microseconds. None for every other call,

@@ -61,8 +61,10 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         None => check_room(ctx, caller, live())?,
     }
     joins::count(ctx, &caller.organisation)?;
+    // A vote stays with the node that comes back under another number: one joint change, and never a voter less in between.
+    let role = before.map_or(NodeRole::Learner, |before| before.role);
     let id = store::next_number(ctx, NEXT_NODE)?;
-    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, NodeRole::Learner);
+    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, role);
     write(ctx, &node)?;
     ctx.emit("joined", &node.full_name(), json(&node)?);
     json(&node)

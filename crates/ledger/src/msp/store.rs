@@ -70,6 +70,7 @@ pub(super) const CARRIERS: &str = "carrier/";
 pub(super) const REVOKED: &[u8] = b"revoked/";
 pub(super) const LISTS: &str = "list/";
 pub(super) const ACTIVATIONS: &str = "rules";
+pub(super) const CERTIFICATE_RULE: &str = "certificates";
 pub(super) const NEXT_NODE: &str = "next/node";
 pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
 

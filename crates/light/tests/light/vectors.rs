@@ -11,7 +11,7 @@ use ledger_identity::msp::{Msp, Msps};
 use ledger_light::control::{self, Write};
 use ledger_light::fact::Fact;
 use ledger_light::merkle::{self, Path};
-use ledger_light::{Certificate, Change, Statement, Voter, Voters};
+use ledger_light::{Certificate, CertificateRule, Change, Statement, Voter, Voters};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -185,7 +185,16 @@ pub(crate) fn members(vectors: &Value) -> (Voters, Msps) {
         let none: [Vec<u8>; 0] = [];
         msps.insert(Msp::new(text(organisation, "name"), &[bytes(organisation, "root")], &none).unwrap()).unwrap();
     }
-    (Voters { nodes: nodes.collect(), voters: [1, 2, 3].into(), outgoing: [].into(), recoveries: 0 }, msps)
+    (
+        Voters {
+            nodes: nodes.collect(),
+            voters: [1, 2, 3].into(),
+            outgoing: [].into(),
+            rule: CertificateRule::default(),
+            recoveries: 0,
+        },
+        msps,
+    )
 }
 
 #[test]

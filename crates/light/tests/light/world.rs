@@ -6,7 +6,7 @@ use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
-use ledger_light::{Certificate, Signature, Signed, Statement, Vote, Voter, Voters};
+use ledger_light::{Certificate, CertificateRule, Signature, Signed, Statement, Vote, Voter, Voters};
 use testkit::{Ca, User};
 
 /// 2030-01-01, microseconds.
@@ -44,7 +44,13 @@ impl World {
             let [organisation, name] = name(node).map(str::to_owned);
             (node, Voter { organisation, name })
         });
-        let voters = Voters { nodes: known.collect(), voters: [1, 2, 3].into(), outgoing: [].into(), recoveries: 0 };
+        let voters = Voters {
+            nodes: known.collect(),
+            voters: [1, 2, 3].into(),
+            outgoing: [].into(),
+            rule: CertificateRule::default(),
+            recoveries: 0,
+        };
         Self { cas, nodes, voters, msps }
     }
 

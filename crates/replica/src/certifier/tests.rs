@@ -2,7 +2,7 @@ use super::*;
 use bytes::Bytes;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::Msp;
-use ledger_light::Voter;
+use ledger_light::{CertificateRule, Voter};
 use testkit::{Ca, User};
 
 const NETWORK: Hash = Hash([7; 32]);
@@ -46,7 +46,7 @@ impl World {
         let user = |node: u64| cas[organisation(node)].user(&format!("node{node}"), "node", KeyKind::Ed25519);
         let voter = |node: u64| Voter { organisation: names[organisation(node)].into(), name: format!("node{node}") };
         let nodes = (1..=4).map(|node| (node, voter(node))).collect();
-        let voters = Voters { nodes, voters: [1, 2, 3].into(), outgoing: [].into(), recoveries: 0 };
+        let voters = Voters { nodes, voters: [1, 2, 3].into(), outgoing: [].into(), rule: CertificateRule::default(), recoveries: 0 };
         Self { nodes: (1..=4).map(user).collect(), era: Era { from: 1, voters, msps: Arc::new(msps) } }
     }
 

@@ -8,7 +8,7 @@ use ledger::transaction::Transaction;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::{DoubleVote, Signature};
-use ledger_raft::{Input, Output, PeerMessage, Role, VotedTwice};
+use ledger_raft::{Input, Output, PeerMessage, Role, Transactions, VotedTwice};
 
 impl<W: Waiter> Replica<W> {
     /// Hands an input to the engine.
@@ -76,6 +76,21 @@ impl<W: Waiter> Replica<W> {
         let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
         let (ledger, term) = (self.executor.ledger(), found.term);
         Ok(DoubleVote { network: ledger.network(), recoveries: ledger.recoveries()?, term, time: now.clock, votes })
+    }
+
+    /// What another node forwards, without what is far beyond budgets, which it gets back.
+    pub(super) fn within_budgets(
+        &self,
+        now: Now,
+        from: u64,
+        mut forwarded: Transactions,
+        out: &mut Vec<Effect>,
+    ) -> Transactions {
+        let excess = self.executor.budgets().take_excess(self.executor.ledger(), &mut forwarded, now.clock);
+        if !(excess.control.is_empty() && excess.data.is_empty()) {
+            out.push(Effect::Send { to: from, message: PeerMessage::Returned(excess) });
+        }
+        forwarded
     }
 
     /// There is no way to the leader now, so who waits for what was forwarded is told.

@@ -3,19 +3,23 @@
 //! passes once, in order, and not too long after its signature. A robot that moves is driven by somebody who might, or goes on
 //! under a grant that follows theirs.
 //!
+//! A robot that was notified of a signed stop takes no command until that stop has a verdict or is over. A stop that was executed stops
+//! every gate for which the answer of before counts no longer, until the robot is resumed.
+//!
 //! Told by the events of the blocks, whatever nodes tell the robot.
 
 use super::{Check, Executed, Violation};
 use crate::lists;
 use crate::people::{People, Person};
 use bytes::Bytes;
+use ledger::CallRef;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_gate::gate::COMMAND_TTL;
 use serde::Deserialize;
 use serde_json::{Map, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 const NAME: &str = "gate";
@@ -46,6 +50,14 @@ pub struct GateKeepsTheRules {
     reached: BTreeMap<(u64, String, String, u64), u64>,
     /// The driver of each service: the certificate, and the epoch.
     drivers: BTreeMap<String, (Hash, u64)>,
+    /// Since when robots are stopped.
+    stopped: BTreeMap<String, u64>,
+    /// The stops of which the bridge was notified, in which opening, and that have no verdict.
+    open_stops: BTreeMap<CallRef, u64>,
+    /// Stops that were executed.
+    verdicts: BTreeSet<Hash>,
+    /// The newest block time.
+    time: u64,
 }
 
 /// A message that passed.
@@ -103,13 +115,25 @@ impl GateKeepsTheRules {
             passed: BTreeMap::new(),
             reached: BTreeMap::new(),
             drivers: BTreeMap::new(),
+            stopped: BTreeMap::new(),
+            open_stops: BTreeMap::new(),
+            verdicts: BTreeSet::new(),
+            time: 0,
         }
     }
 
     /// A block was executed for the first time.
     pub fn executed(&mut self, executed: &Executed<'_>, now: u64) {
+        self.time = executed.outcome.header.time;
+        let calls = executed.transactions.iter().flatten().filter(|call| call.body().function == "stop");
+        self.verdicts.extend(calls.map(Transaction::id));
         for emitted in &executed.outcome.events {
             let event = &emitted.event;
+            match (&*event.chaincode, &*event.name) {
+                ("abac", "stopped") => drop(self.stopped.entry(event.subject.clone()).or_insert(now)),
+                ("abac", "resumed") => drop(self.stopped.remove(&event.subject)),
+                _ => {}
+            }
             if event.chaincode != "abac" || !matches!(&*event.name, "granted" | "released") {
                 continue;
             }
@@ -138,6 +162,21 @@ impl GateKeepsTheRules {
                 _ => {}
             }
         }
+    }
+
+    /// The bridge was notified of these stops.
+    pub fn notified(&mut self, opening: u64, stops: impl Iterator<Item = CallRef>) {
+        self.open_stops.extend(stops.map(|stop| (stop, opening)));
+    }
+
+    /// Why no command of this robot may pass now, if a stop forbids it.
+    fn is_stopped(&mut self, robot: &str, opening: u64, now: u64) -> Option<String> {
+        let (verdicts, time) = (&self.verdicts, self.time);
+        self.open_stops.retain(|stop, _| stop.not_after >= time && !verdicts.contains(&stop.id));
+        let open = self.open_stops.iter().find(|(_, notified)| **notified == opening);
+        let since = self.stopped.get(robot).filter(|since| **since + self.stale_after + SLACK < now);
+        open.map(|(stop, _)| format!("the stop {stop} has no verdict"))
+            .or_else(|| since.map(|since| format!("it is stopped since {since}")))
     }
 
     fn described(&mut self, robot: &[u8], now: u64) {
@@ -180,6 +219,10 @@ impl GateKeepsTheRules {
         let number: u64 = argument(2)?.parse().map_err(|_| wrong("no number"))?;
         let id = transaction.id();
         let what = |why: &str| wrong(format!("{service}: {id}, epoch {epoch}, number {number}: {why}"));
+        let robot = service.split('/').next().unwrap_or_default();
+        if let Some(why) = self.is_stopped(robot, opening, now) {
+            return Err(what(&why));
+        }
         if argument(0)? != service || body.function != "set" || body.chaincode != "abac" {
             return Err(what("is another call"));
         }

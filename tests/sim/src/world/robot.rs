@@ -151,7 +151,9 @@ impl World {
     fn delivered(&mut self, robot: &mut Robot, stream: u64, delivery: &Delivery) -> Check {
         let Some(open) = robot.stream.as_mut().filter(|open| open.number == stream) else { return Ok(()) };
         open.heard = self.now;
-        robot.next = robot.next.max(delivery.height.saturating_add(1));
+        if !delivery.early {
+            robot.next = robot.next.max(delivery.height.saturating_add(1));
+        }
         let now = robot.clocks(self.now);
         for event in &delivery.events {
             // Whatever passes is one of these.
@@ -162,10 +164,17 @@ impl World {
                 robot.told.insert(message, transaction);
             }
         }
+        if delivery.early {
+            self.coverage.early_stops += 1;
+            let stops = delivery.events.iter().filter_map(|event| Transaction::decode(event.transaction.clone()).ok());
+            self.invariants.gate.notified(robot.openings, stops.map(|stop| stop.call_ref()));
+        }
         for at in 0..robot.watched.len() {
             let mut acts = Vec::new();
             let watched = &mut robot.watched[at];
-            watched.guard.heard(delivery.time, now);
+            if !delivery.early {
+                watched.guard.heard(delivery.time, now);
+            }
             let mut block = Block::new(delivery.height, delivery.time);
             let wanted = delivery
                 .events

@@ -308,7 +308,7 @@ fn stopped(ledger: &Ledger) -> BTreeSet<String> {
 /// The members that a ledger wants.
 pub(super) fn wanted(ledger: &Ledger) -> Desired {
     let (voters, learners) = msp::desired(&msp::nodes(&**ledger.state()).unwrap());
-    Desired { voters, learners }
+    Desired { voters, learners, strict_hands: msp::strict_hands(&**ledger.state()).unwrap() }
 }
 
 fn does_not_start(id: u64, fault: &Rejection) -> Violation {

@@ -117,9 +117,9 @@ impl World {
                     let height = certificate.statement.height as usize;
                     let block = self.blocks.get(height - 1).map(|block| &block.outcome);
                     // As of the block before: the first members are those of the genesis.
-                    let members = &self.members[height - 1];
+                    let voters = (&self.members[height - 1], self.strict[height - 1]);
                     let (people, organisations) = (&self.people, self.plan.organisations);
-                    self.invariants.certified.made(id, &certificate, block, members, &|node| {
+                    self.invariants.certified.made(id, &certificate, block, voters, &|node| {
                         people.node(node, organisations).identity.clone()
                     })?;
                 }

@@ -131,7 +131,7 @@ class StatusRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class StatusResponse(_message.Message):
-    __slots__ = ("version", "network", "network_label", "node_id", "node_name", "organisation", "role", "leader_id", "term", "height", "block_hash", "block_time", "state_digest", "committed", "last_index", "clock", "uptime_ms", "chaincodes", "refused", "executed", "peers", "subscribers", "payload_bytes_max", "resident_bytes", "first_height", "snapshot_height", "catching_up_to", "divergence", "in_flight", "in_flight_max", "waiting_control", "waiting_data", "data_directory", "disk_free_bytes", "disk_total_bytes", "disk_accepts", "certificates", "voters", "voters_connected", "certified", "lies", "console", "wall_clock", "attention", "faults")
+    __slots__ = ("version", "network", "network_label", "node_id", "node_name", "organisation", "role", "leader_id", "term", "height", "block_hash", "block_time", "state_digest", "committed", "last_index", "clock", "uptime_ms", "chaincodes", "refused", "executed", "peers", "subscribers", "payload_bytes_max", "resident_bytes", "first_height", "snapshot_height", "catching_up_to", "divergence", "in_flight", "in_flight_max", "waiting_control", "waiting_data", "data_directory", "disk_free_bytes", "disk_total_bytes", "disk_accepts", "certificates", "voters", "voters_connected", "certified", "lies", "console", "wall_clock", "attention", "certificate_rule", "open_stops", "faults")
     class RefusedEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -190,6 +190,8 @@ class StatusResponse(_message.Message):
     CONSOLE_FIELD_NUMBER: _ClassVar[int]
     WALL_CLOCK_FIELD_NUMBER: _ClassVar[int]
     ATTENTION_FIELD_NUMBER: _ClassVar[int]
+    CERTIFICATE_RULE_FIELD_NUMBER: _ClassVar[int]
+    OPEN_STOPS_FIELD_NUMBER: _ClassVar[int]
     FAULTS_FIELD_NUMBER: _ClassVar[int]
     version: str
     network: bytes
@@ -235,8 +237,36 @@ class StatusResponse(_message.Message):
     console: str
     wall_clock: int
     attention: _containers.RepeatedCompositeFieldContainer[Attention]
+    certificate_rule: CertificateRule
+    open_stops: _containers.RepeatedCompositeFieldContainer[OpenStop]
     faults: str
-    def __init__(self, version: _Optional[str] = ..., network: _Optional[bytes] = ..., network_label: _Optional[str] = ..., node_id: _Optional[int] = ..., node_name: _Optional[str] = ..., organisation: _Optional[str] = ..., role: _Optional[str] = ..., leader_id: _Optional[int] = ..., term: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., block_time: _Optional[int] = ..., state_digest: _Optional[bytes] = ..., committed: _Optional[int] = ..., last_index: _Optional[int] = ..., clock: _Optional[int] = ..., uptime_ms: _Optional[int] = ..., chaincodes: _Optional[_Iterable[str]] = ..., refused: _Optional[_Mapping[int, int]] = ..., executed: _Optional[_Mapping[int, int]] = ..., peers: _Optional[_Iterable[_Union[PeerStatus, _Mapping]]] = ..., subscribers: _Optional[int] = ..., payload_bytes_max: _Optional[int] = ..., resident_bytes: _Optional[int] = ..., first_height: _Optional[int] = ..., snapshot_height: _Optional[int] = ..., catching_up_to: _Optional[int] = ..., divergence: _Optional[str] = ..., in_flight: _Optional[int] = ..., in_flight_max: _Optional[int] = ..., waiting_control: _Optional[int] = ..., waiting_data: _Optional[int] = ..., data_directory: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., disk_total_bytes: _Optional[int] = ..., disk_accepts: _Optional[str] = ..., certificates: _Optional[_Iterable[_Union[CertificateStatus, _Mapping]]] = ..., voters: _Optional[int] = ..., voters_connected: _Optional[int] = ..., certified: _Optional[int] = ..., lies: _Optional[str] = ..., console: _Optional[str] = ..., wall_clock: _Optional[int] = ..., attention: _Optional[_Iterable[_Union[Attention, _Mapping]]] = ..., faults: _Optional[str] = ...) -> None: ...
+    def __init__(self, version: _Optional[str] = ..., network: _Optional[bytes] = ..., network_label: _Optional[str] = ..., node_id: _Optional[int] = ..., node_name: _Optional[str] = ..., organisation: _Optional[str] = ..., role: _Optional[str] = ..., leader_id: _Optional[int] = ..., term: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., block_time: _Optional[int] = ..., state_digest: _Optional[bytes] = ..., committed: _Optional[int] = ..., last_index: _Optional[int] = ..., clock: _Optional[int] = ..., uptime_ms: _Optional[int] = ..., chaincodes: _Optional[_Iterable[str]] = ..., refused: _Optional[_Mapping[int, int]] = ..., executed: _Optional[_Mapping[int, int]] = ..., peers: _Optional[_Iterable[_Union[PeerStatus, _Mapping]]] = ..., subscribers: _Optional[int] = ..., payload_bytes_max: _Optional[int] = ..., resident_bytes: _Optional[int] = ..., first_height: _Optional[int] = ..., snapshot_height: _Optional[int] = ..., catching_up_to: _Optional[int] = ..., divergence: _Optional[str] = ..., in_flight: _Optional[int] = ..., in_flight_max: _Optional[int] = ..., waiting_control: _Optional[int] = ..., waiting_data: _Optional[int] = ..., data_directory: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., disk_total_bytes: _Optional[int] = ..., disk_accepts: _Optional[str] = ..., certificates: _Optional[_Iterable[_Union[CertificateStatus, _Mapping]]] = ..., voters: _Optional[int] = ..., voters_connected: _Optional[int] = ..., certified: _Optional[int] = ..., lies: _Optional[str] = ..., console: _Optional[str] = ..., wall_clock: _Optional[int] = ..., attention: _Optional[_Iterable[_Union[Attention, _Mapping]]] = ..., certificate_rule: _Optional[_Union[CertificateRule, _Mapping]] = ..., open_stops: _Optional[_Iterable[_Union[OpenStop, _Mapping]]] = ..., faults: _Optional[str] = ...) -> None: ...
+
+class CertificateRule(_message.Message):
+    __slots__ = ("needed", "strict_since", "survives_crashes", "survives_lie", "survives_silence")
+    NEEDED_FIELD_NUMBER: _ClassVar[int]
+    STRICT_SINCE_FIELD_NUMBER: _ClassVar[int]
+    SURVIVES_CRASHES_FIELD_NUMBER: _ClassVar[int]
+    SURVIVES_LIE_FIELD_NUMBER: _ClassVar[int]
+    SURVIVES_SILENCE_FIELD_NUMBER: _ClassVar[int]
+    needed: int
+    strict_since: int
+    survives_crashes: int
+    survives_lie: bool
+    survives_silence: bool
+    def __init__(self, needed: _Optional[int] = ..., strict_since: _Optional[int] = ..., survives_crashes: _Optional[int] = ..., survives_lie: _Optional[bool] = ..., survives_silence: _Optional[bool] = ...) -> None: ...
+
+class OpenStop(_message.Message):
+    __slots__ = ("id", "robot", "by", "not_after")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    BY_FIELD_NUMBER: _ClassVar[int]
+    NOT_AFTER_FIELD_NUMBER: _ClassVar[int]
+    id: bytes
+    robot: str
+    by: str
+    not_after: int
+    def __init__(self, id: _Optional[bytes] = ..., robot: _Optional[str] = ..., by: _Optional[str] = ..., not_after: _Optional[int] = ...) -> None: ...
 
 class Attention(_message.Message):
     __slots__ = ("check", "severity", "message", "next")

@@ -251,7 +251,7 @@ impl FromLedger {
     /// Asks how the robot stands.
     fn ask(&mut self) {
         let since = self.clocks.instant(self.guard.ask(self.clocks.now()));
-        self.question.ask(since);
+        self.question.ask(since, self.guard.open_stops().collect());
     }
 
     /// Handles the events of a block in their order.
