@@ -172,7 +172,8 @@ mod tests {
             }
         }
         assert_eq!(given, [1, 2, 4, 8, 16, 24], "to other nodes, while nobody leads");
-        for (leader, is_given) in [(Some(2), true), (Some(2), false), (None, false), (Some(2), false), (Some(3), true)] {
+        for (leader, is_given) in [(Some(2), true), (Some(2), false), (None, false), (Some(2), false), (Some(3), true)]
+        {
             assert_eq!(!open.due(leader, 30_000_000).is_empty(), is_given, "{leader:?}");
         }
     }
