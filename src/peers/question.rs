@@ -3,7 +3,8 @@
 use super::receipt::from_wire;
 use crate::ordering::directory::Member;
 use crate::peers::connections::Dialer;
-use crate::process::clock::{Offset, wall};
+use crate::process::clock::wall;
+use ledger_replica::offsets::Offset;
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
 use futures::stream::FuturesUnordered;
@@ -147,7 +148,7 @@ impl Dialer {
                     let channel = self.channel(member).await?;
                     let (since, asked) = (Instant::now(), wall());
                     let chain = chain(&channel, request).await?;
-                    let clock = Offset::of(chain.clock, asked, since.elapsed());
+                    let clock = Offset::of(chain.clock, asked, u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX));
                     Ok::<_, String>((chain, clock))
                 };
                 let answer = timeout(Duration::from_micros(ASK_TIME_MAX), answer).await;

@@ -27,6 +27,7 @@ pub(crate) struct Records {
 
 impl Records {
     pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
+        self.peers.monitor.check_clock().map_err(|rejection| status(&rejection))?;
         // A current state has every height that any node has told.
         let reached = match request.may_be_stale {
             true => self.ordering.reads.reach_height(request.min_height).await,

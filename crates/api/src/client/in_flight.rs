@@ -253,7 +253,11 @@ impl InFlight {
                 if refused.code != Code::Overloaded {
                     table.resting.get_or_insert_with(|| Instant::now() + RETRY_AFTER);
                 }
-                let elsewhere = own || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
+                let elsewhere = own
+                    || matches!(
+                        refused.code,
+                        Code::NoLeader | Code::ShuttingDown | Code::Unreachable | Code::ClockOutOfBounds
+                    );
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
             if refused.code == Code::UnknownCreator && self.introduce(entry) {

@@ -138,7 +138,7 @@ impl Chaincode for Notes {
     }
 
     fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
-        ctx.get(b"alarm").map(|_| 42)
+        std::str::from_utf8(&ctx.get(b"alarm")?).ok()?.parse().ok()
     }
 
     fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {
