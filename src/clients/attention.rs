@@ -185,9 +185,7 @@ fn clock(status: &StatusResponse, doubt: &str) -> Option<Attention> {
 /// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind.
 fn off(status: &StatusResponse) -> i64 {
     let measured = status.peers.iter().filter(|peer| peer.voter && peer.clock_error_us > 0);
-    offsets::ahead_of_this(
-        measured.map(|peer| Offset { ahead: peer.clock_offset_us, error: peer.clock_error_us }),
-    )
+    offsets::ahead_of_this(measured.map(|peer| Offset { ahead: peer.clock_offset_us, error: peer.clock_error_us }))
 }
 
 /// Nodes that have signed contradicting statements.

@@ -60,7 +60,14 @@ impl ChainMonitor {
     pub(crate) fn new(ledger: &Arc<Ledger>, me: &Member, data: PathBuf) -> Self {
         let kept = Confirmed::of(data);
         let machine = Machine::new(Arc::clone(ledger), &me.organisation, kept.read());
-        Self { machine: Mutex::new(machine), cut_off: Mutex::default(), clocks: Mutex::default(), off: AtomicI64::new(0), me: me.full_name(), kept }
+        Self {
+            machine: Mutex::new(machine),
+            cut_off: Mutex::default(),
+            clocks: Mutex::default(),
+            off: AtomicI64::new(0),
+            me: me.full_name(),
+            kept,
+        }
     }
 
     /// A member told its chain.

@@ -28,6 +28,7 @@ pub(crate) use ledger_client::LedgerClient;
 pub(crate) use tries::Tries;
 
 use crate::ordering::directory::{Directory, Member};
+use crate::ordering::waiters::known_hash;
 use crate::process::caller::Caller;
 use crate::trust::ca::CertificateAuthority;
 use bytes::Bytes;
@@ -230,7 +231,7 @@ impl Shared {
     fn network(&self) -> v1::NetworkResponse {
         let ders = |ders: &mut dyn Iterator<Item = &[u8]>| ders.map(Bytes::copy_from_slice).collect();
         let msps = self.ledger.msps();
-        let members = self.own.directory.members();
+        let (members, tip) = (self.own.directory.members(), self.ledger.tip());
         let organisations = msps.iter().map(|msp| v1::Organisation {
             name: msp.organisation().to_owned(),
             roots: ders(&mut msp.roots()),
@@ -248,10 +249,12 @@ impl Shared {
             label: self.genesis.label.clone(),
             organisations: organisations.collect(),
             // Clients sign by it: by the clocks of most voters, also where this machine's is wrong.
-            clock: (self.clock)().saturating_add_signed((self.own.clock_off)()).max(self.ledger.tip().time),
+            clock: (self.clock)().saturating_add_signed((self.own.clock_off)()).max(tip.time),
             cut_off: (self.own.cut_off)(),
             carries: self.authorities.organisations(),
             rules: self.ledger.rules().number(),
+            height: tip.height,
+            block_hash: known_hash(&tip.hash),
         }
     }
 

@@ -415,8 +415,16 @@ mod tests {
     fn transaction(key: &SigningKey, nonce: u8) -> Transaction {
         let (id, nonce) = (Bytes::from(vec![1; 32]), Bytes::from(vec![nonce; NONCE_BYTES]));
         let (chaincode, function) = ("abac".to_owned(), "set".to_owned());
-        let body =
-            Body { network: id.clone(), creator: id, nonce, not_after: 1, chaincode, function, args: Vec::new() };
+        let body = Body {
+            network: id.clone(),
+            creator: id,
+            nonce,
+            not_after: 1,
+            chaincode,
+            function,
+            args: Vec::new(),
+            known_block: None,
+        };
         Transaction::sign(&body, key).unwrap()
     }
 

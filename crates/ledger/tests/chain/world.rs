@@ -43,6 +43,7 @@ impl Caller for User {
             chaincode: "notes".into(),
             function: function.into(),
             args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
+            known_block: None,
         }
     }
 
