@@ -166,8 +166,10 @@ impl World {
             };
             let events: Vec<_> = of_robot.map(told).collect();
             if !events.is_empty() {
-                let _lost = self
-                    .send_to_robot(&mut robot, Delivery { height: tip.height, time: tip.time, events, early: true, heads: Vec::new() });
+                let _lost = self.send_to_robot(
+                    &mut robot,
+                    Delivery { height: tip.height, time: tip.time, events, early: true, heads: Vec::new() },
+                );
             }
         }
         self.robot = Some(robot);

@@ -109,7 +109,13 @@ impl World {
         let Some(kind) = self.random.robot.pick(&Untruth::ABOUT_EVENTS).copied() else { return };
         let Some(newest) = self.blocks.last().map(|block| block.outcome.header.clone()) else { return };
         let Some(service) = self.random.robot.pick(&robot.watched).map(|watched| watched.id) else { return };
-        let own = |events: Vec<Told>| Delivery { height: newest.height, time: newest.time, events, early: false, heads: Vec::new() };
+        let own = |events: Vec<Told>| Delivery {
+            height: newest.height,
+            time: newest.time,
+            events,
+            early: false,
+            heads: Vec::new(),
+        };
         match kind {
             Untruth::Grant => {
                 batch.push(own(self.made_up_grant(service, newest.time)));
