@@ -100,7 +100,7 @@ impl Peers {
             rules: Arc::new(config.dial_rules()),
             paces: Arc::default(),
         };
-        let monitor = Arc::new(ChainMonitor::new(ledger, &me.organisation, config.data.clone()));
+        let monitor = Arc::new(ChainMonitor::new(ledger, me, config.data.clone()));
         let (certificates, told) = Certificates::open(&config.data)?;
         let (witness, seen) = Witness::new();
         let connections = Connections::new(dialer.clone());

@@ -80,6 +80,7 @@ pub const ALL: &[(&str, Round)] = &[
     ("TakeCaResponse", round::<v1::TakeCaResponse>),
     ("Transaction", round::<v1::Transaction>),
     ("TransactionBody", round::<v1::TransactionBody>),
+    ("KnownBlock", round::<v1::KnownBlock>),
     ("TransactionRecord", round::<v1::TransactionRecord>),
     ("TransferLeadershipRequest", round::<v1::TransferLeadershipRequest>),
     ("TransferLeadershipResponse", round::<v1::TransferLeadershipResponse>),

@@ -3,6 +3,7 @@
 
 use ledger_api::v1::{Attention, CertificateStatus, StatusResponse};
 use ledger_base::units::{size, span};
+use ledger_replica::offsets::{self, CLOCK_OFF_MAX, Offset};
 use std::collections::BTreeSet;
 
 /// Everything that is checked, in the order of the list.
@@ -14,8 +15,6 @@ pub(crate) const CRITICAL: &str = "critical";
 /// The node is ready, and may not stay so.
 pub(crate) const WARNING: &str = "warning";
 
-/// The machine's clock may be so far behind block time, and so far from the clocks of most voters, microseconds: what gates bear.
-const CLOCK_OFF_MAX_US: u64 = 5_000_000;
 /// A clock needs attention that is further from those of most voters, microseconds.
 const CLOCK_NEAR_US: u64 = 1_000_000;
 /// A disk needs attention when less than 1/N of it is free.
@@ -172,35 +171,22 @@ fn clock(status: &StatusResponse, doubt: &str) -> Option<Attention> {
         return critical("clock", doubt.to_owned(), next);
     }
     let late = status.block_time.saturating_sub(status.wall_clock);
-    if late >= CLOCK_OFF_MAX_US {
+    if late >= CLOCK_OFF_MAX {
         return critical("clock", format!("block time is {} ahead of the clock of its machine", span(late)), next);
     }
     let off = off(status);
-    let way = if off > 0 { "behind" } else { "ahead of" };
-    let far = off.unsigned_abs();
-    let message = || {
-        let (seconds, tenth) = (far / 1_000_000, far / 100_000 % 10);
-        format!("the clock of its machine is {seconds}.{tenth} s {way} those of most voters")
-    };
-    match far {
-        CLOCK_OFF_MAX_US.. => critical("clock", message(), next),
+    let message = || format!("the clock of its machine is {}", offsets::described(off));
+    match off.unsigned_abs() {
+        CLOCK_OFF_MAX.. => critical("clock", message() + "; it judges no calls but those that end control", next),
         CLOCK_NEAR_US.. => warning("clock", message(), next),
         _ => None,
     }
 }
 
-/// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind. Of two in the
-/// middle the nearer one counts: one other clock says nothing against this one.
+/// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind.
 fn off(status: &StatusResponse) -> i64 {
     let measured = status.peers.iter().filter(|peer| peer.voter && peer.clock_error_us > 0);
-    let others = measured.map(|peer| {
-        let sure = peer.clock_offset_us.unsigned_abs().saturating_sub(peer.clock_error_us);
-        i64::try_from(sure).unwrap_or(i64::MAX) * peer.clock_offset_us.signum()
-    });
-    let mut all: Vec<i64> = others.chain([0]).collect();
-    all.sort_unstable();
-    let middle = [all.get((all.len() - 1) / 2), all.get(all.len() / 2)];
-    middle.into_iter().flatten().copied().min_by_key(|off| off.unsigned_abs()).unwrap_or_default()
+    offsets::ahead_of_this(measured.map(|peer| Offset { ahead: peer.clock_offset_us, error: peer.clock_error_us }))
 }
 
 /// Members that have signed two different results of one block.

@@ -119,7 +119,16 @@ fn transactions() -> impl Strategy<Value = (v1::TransactionBody, v1::Transaction
         |((network, creator, nonce, not_after, chaincode, function, args), signature, certificate)| {
             let args = args.into_iter().map(Into::into).collect();
             let (network, creator, nonce) = (network.into(), creator.into(), nonce.into());
-            let body = v1::TransactionBody { network, creator, nonce, not_after, chaincode, function, args };
+            let body = v1::TransactionBody {
+                network,
+                creator,
+                nonce,
+                not_after,
+                chaincode,
+                function,
+                args,
+                known_block: None,
+            };
             let encoded = body.encode_to_vec().into();
             (body, v1::Transaction { body: encoded, signature: signature.into(), certificate: certificate.into() })
         },

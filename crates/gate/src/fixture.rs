@@ -8,7 +8,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use ledger::transaction::{Body, Transaction};
+use ledger::transaction::{Body, KnownBlock, Transaction};
 use ledger_base::hash::Hash;
 use ledger_contract::{Capabilities, Direction, Grant, Limits, Mode};
 use ledger_identity::key::{KeyKind, SigningKey};
@@ -41,6 +41,8 @@ pub struct User {
     pub certificate: Bytes,
     /// The call that is signed as `not_after`.
     pub not_after: u64,
+    /// The newest block that it knows, as it names it.
+    pub known_block: Option<KnownBlock>,
 }
 
 /// A network of two organisations.
@@ -78,6 +80,7 @@ impl Ca {
             key: Arc::new(key),
             certificate: Bytes::copy_from_slice(certificate.der()),
             not_after: NOW + 2 * SECOND,
+            known_block: None,
         }
     }
 
@@ -107,6 +110,7 @@ impl User {
             chaincode: chaincode.into(),
             function: function.into(),
             args,
+            known_block: self.known_block.clone(),
         };
         Transaction::sign(&body, &self.key).unwrap()
     }

@@ -2,7 +2,7 @@
 //!
 //! A node that lies can hold messages back. It cannot make one up: the user's signature, and the network's authorities
 //! vouch for it. It cannot bring one again or out of order, because of sequence numbers. It cannot bring one late:
-//! block time comes from the node, but `not_after` is signed, and bridges sign for two seconds.
+//! its signer names the newest block that it knew, and the gate has known that block for so long ([`age`]).
 //!
 //! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the network
 //! that was not revoked. Where the service's rule asks for them, it comes under a grant of its signer and in the newest
@@ -23,9 +23,11 @@
 //!
 //! The gate does no IO and reads no clock: all of it is arguments.
 
+mod age;
 mod call;
 mod clock;
 mod ends;
+mod heads;
 mod holding;
 mod identities;
 mod limits;
@@ -40,7 +42,7 @@ mod tests;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
@@ -48,9 +50,11 @@ use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_identity::Identity;
 
 use self::{
+    age::check_signed_for,
     call::Call,
     clock::{Bound, Clock},
     ends::Driver,
+    heads::Heads,
     holding::Holding,
     identities::Identities,
     limits::Rates,
@@ -103,7 +107,7 @@ pub struct Passed {
     pub samples: Vec<Sample>,
     /// How many of them asked for more speed than the grant allows, and ask for less now.
     pub clamped: usize,
-    /// Microseconds since it was signed, by the clocks of signer and gate. None if it was kept for those who come late.
+    /// Microseconds since it was signed, as the gate measures them. None if it was kept for those who come late.
     pub age_us: Option<u64>,
 }
 
@@ -125,6 +129,8 @@ pub struct Gate {
     sequences: Sequences,
     rates: Rates,
     clock: Clock,
+    /// The blocks that the node has reported.
+    heads: Heads,
     /// Is the robot stopped, so that no command passes?
     halted: bool,
     /// Stops without a verdict.
@@ -140,6 +146,8 @@ pub struct Gate {
     signed_since: Bound,
     /// Nothing from before this block time passes.
     not_before: Bound,
+    /// Block time of the last end that stopped the robot. Nothing from an earlier block passes.
+    ended: u64,
     /// The last driver of the robot since its last stop.
     driver: Option<Driver>,
     /// The content keys of a confidential service, if this gate reads one.
@@ -179,6 +187,7 @@ impl Gate {
             sequences: Sequences::default(),
             rates: Rates::default(),
             clock: Clock::default(),
+            heads: Heads::default(),
             halted: false,
             open_stops: OpenStops::default(),
             epoch: 0,
@@ -186,6 +195,7 @@ impl Gate {
             opened: now.steady,
             signed_since,
             not_before: Bound::default(),
+            ended: 0,
             driver: None,
             keyring: None,
             fault: None,
@@ -200,6 +210,7 @@ impl Gate {
         }
         let Standing { grants, stopped, settled, members, height, time, .. } = standing;
         self.clock.heard_signed(*time, now);
+        self.heads.answered(*height, asked, service.is_command(), now.steady);
         if self.asked.is_none() {
             // By the network's time, which users sign by: it may be ahead of this machine's.
             let open_for = now.steady.saturating_sub(self.opened);
@@ -268,6 +279,18 @@ impl Gate {
         self.rules.is_none()
     }
 
+    /// Adds blocks that the node reports, up to this height: the first [`ledger::transaction::KNOWN_HASH_BYTES`] bytes of
+    /// their hashes, one after the other. To be called before the events of these blocks are judged.
+    pub fn heads(&mut self, height: u64, hashes: &[u8], now: Now) {
+        let is_command = self.rules.as_ref().is_some_and(|rules| rules.publisher.is_none());
+        self.heads.reported(height, hashes, is_command, now.steady);
+    }
+
+    /// Is a question to be asked, because the node was silent for a while? Until it is answered, messages count as older than they are.
+    pub fn was_silent(&self) -> bool {
+        self.heads.was_silent()
+    }
+
     /// Takes note of a sign of life with its block time.
     pub fn heard(&mut self, block_time: u64, now: Now) {
         self.clock.heard(block_time, now);
@@ -322,11 +345,12 @@ impl Gate {
         if !self.clock.heard(delivered.block_time, now) {
             return Err(Refused::FromFuture);
         }
-        if is_latched {
+        let age_us = if is_latched {
             check_signed_for(&transaction, delivered.block_time)?;
+            None
         } else {
-            self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
-        }
+            Some(self.check_time(&transaction, delivered.block_time, max_age_us, now)?)
+        };
         if call.epoch > self.epoch {
             return Err(Refused::UnknownEpoch);
         }
@@ -360,10 +384,9 @@ impl Gate {
         if confidential {
             samples = self.open_samples(&name, &call)?;
         }
-        let age_us = (!is_latched).then(|| self.age_us(&transaction, delivered.block_time, now));
         let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us.unwrap_or_default(), now)?;
-        let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
-        if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
+        let left = transaction.body().not_after.saturating_sub(self.clock.now(now)).max(max_age_us);
+        if !self.sequences.note(&name, (call.epoch, call.last_seq), left, now.steady) {
             return Err(Refused::TooManyPublishers);
         }
         let reached = self.sequences.reached(&name);
@@ -460,36 +483,4 @@ impl Gate {
             Err(Refused::WrongNetwork)
         }
     }
-
-    fn check_time(&self, signed: &Transaction, block_time: u64, max_age_us: u64, now: Now) -> Result<(), Refused> {
-        let not_after = signed.body().not_after;
-        check_signed_for(signed, block_time)?;
-        if not_after < self.clock.now(now) {
-            return Err(Refused::Expired);
-        }
-        if self.age_us(signed, block_time, now) > max_age_us {
-            return Err(Refused::TooOld);
-        }
-        let signed_before = not_after < self.signed_since.at(now).saturating_add(ttl_us());
-        if signed_before || block_time < self.not_before.at(now) { Err(Refused::BeforeStop) } else { Ok(()) }
-    }
-
-    /// The age of a message in microseconds, from its signature on. Bridges sign for so long; one that is signed for longer is as old
-    /// as its block.
-    fn age_us(&self, signed: &Transaction, block_time: u64, now: Now) -> u64 {
-        let signed_at = signed.body().not_after.saturating_sub(ttl_us()).min(block_time);
-        self.clock.now(now).saturating_sub(signed_at)
-    }
-}
-
-/// May a block of this time have the transaction?
-fn check_signed_for(signed: &Transaction, block_time: u64) -> Result<(), Refused> {
-    let not_after = signed.body().not_after;
-    let fits = (block_time..=block_time.saturating_add(NOT_AFTER_AHEAD_MAX)).contains(&not_after);
-    if fits { Ok(()) } else { Err(Refused::Expired) }
-}
-
-/// [`COMMAND_TTL`] in microseconds.
-fn ttl_us() -> u64 {
-    u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX)
 }

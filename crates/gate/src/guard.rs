@@ -112,6 +112,15 @@ impl Guard {
         self.gate.open_stops()
     }
 
+    /// The node reports blocks: see [`Gate::heads`].
+    pub fn heads(&mut self, height: u64, hashes: &[u8], now: Now) {
+        let was_silent = self.gate.was_silent();
+        self.gate.heads(height, hashes, now);
+        if self.gate.was_silent() && !was_silent {
+            self.questions.changed(now.steady);
+        }
+    }
+
     /// The node gives a sign of life, with its block time.
     pub fn heard(&mut self, block_time: u64, now: Now) {
         self.heard = now.steady;

@@ -291,8 +291,19 @@ impl Ledger {
         verified.into_iter().for_each(|leaf| self.verified.insert(leaf));
     }
 
-    /// Calls a function on the committed state and throws its writes away. Answers with the height of that state.
-    /// `now` as in [`Ledger::admit`].
+    /// The time at which a question is judged that comes at `now` by the clock of the node: no earlier than block time, and before the
+    /// next moment at which something ends by itself, e.g. a lease. What ends by time ends with a block, never by one node's clock.
+    pub fn judged_at(&self, now: u64) -> u64 {
+        let block_time = self.tip().time;
+        if now <= block_time {
+            return block_time;
+        }
+        let before_the_next_end = self.next_deadline().map_or(u64::MAX, |due| due.saturating_sub(1));
+        now.min(before_the_next_end).max(block_time)
+    }
+
+    /// Calls a function on the committed state, at the time of [`Ledger::judged_at`], and throws its writes away. Answers with the
+    /// height of that state. `now` as in [`Ledger::admit`].
     ///
     /// # Errors
     /// The rejection of the chaincode; [`Code::Revoked`] for a revoked caller.
@@ -312,7 +323,7 @@ impl Ledger {
         let mut retries = 0;
         loop {
             let tip = self.tip();
-            let answer = self.call(caller, now.max(tip.time), Hash::ZERO, chaincode, function, args);
+            let answer = self.call(caller, self.judged_at(now), Hash::ZERO, chaincode, function, args);
             // Blocks that were committed in between may have been seen by one half of the reads only.
             if self.tip().height == tip.height || retries == QUERY_RETRIES {
                 return answer.map(|(response, _)| (response, tip.height));
@@ -355,7 +366,8 @@ impl Ledger {
     pub fn service_budget(&self, chaincode: &str, service: &str) -> Option<ServiceBudget> {
         let (mut overlay, tip, meter) = (self.overlay(), self.tip(), Meter::of_query());
         let chaincode = self.registry.find(chaincode).ok()?;
-        let environment = self.environment(None, &tip, tip.time, &meter);
+        let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+        let environment = self.environment(None, (&tip, tip.time), &executed, &meter);
         chaincode.service_budget(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), service)
     }
 

@@ -63,6 +63,7 @@ mod early;
 mod executor;
 pub mod gateway;
 mod in_place;
+pub mod offsets;
 pub mod opening;
 mod reads;
 mod replica;

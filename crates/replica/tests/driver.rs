@@ -203,6 +203,7 @@ impl Node {
             chaincode: "notes".into(),
             function: function.into(),
             args: Vec::new(),
+            known_block: None,
         };
         Transaction::sign(&body, &self.key).unwrap().with_certificate(self.certificate.clone()).unwrap()
     }

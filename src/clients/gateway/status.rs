@@ -110,7 +110,7 @@ impl Description {
             // Ordering reports now and then; what is executed is committed in any case.
             committed: ordering.as_ref().map_or(0, |ordering| ordering.commit).max(tip.height),
             last_index: ordering.as_ref().map_or(0, |ordering| ordering.last).max(tip.height),
-            clock: now.clock.max(tip.time),
+            clock: now.clock.saturating_add_signed(self.peers.monitor.clock_off()).max(tip.time),
             wall_clock: self.ordering.clock.wall(),
             attention: Vec::new(),
             certificate_rule: Some(rule),

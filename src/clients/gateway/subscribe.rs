@@ -7,6 +7,7 @@ use super::audience::Listener;
 use super::{Audience, Questions, check, status};
 use crate::clients::rejections::Rejections;
 use crate::ordering::Ordering;
+use crate::ordering::waiters::known_hash;
 use crate::peers::Peers;
 use crate::storage::blocks::Interest;
 use bytes::Bytes;
@@ -37,6 +38,8 @@ const HEARTBEAT_MIN: Duration = Duration::from_millis(50);
 const FILTER_MAX: usize = 1024;
 /// After this many blocks without a matching event, a subscriber that catches up is told how far it is.
 const BLOCKS_PER_PROGRESS: u64 = 1024;
+/// Most blocks whose hashes come with one delivery.
+const HEADS_MAX: u64 = 1024;
 /// A subscriber to whom nothing is sent learns at the latest after this that it may read no more.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 
@@ -68,7 +71,7 @@ impl Subscriptions {
                     .wanted(format!("at most {FILTER_MAX} of each")),
             ));
         }
-        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early, proofs } = request;
+        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early, proofs, heads } = request;
         let wanted = Wanted::new(chaincode, subjects, names);
         if let Err(refused) = self.may_follow(&reader, &wanted).await {
             return Err(self.refuse_reader(&reader, &wanted, &refused));
@@ -96,6 +99,7 @@ impl Subscriptions {
             interest,
             early,
             proofs,
+            heads: heads.then(|| next.saturating_sub(1)),
             next,
             deliveries,
             sent,
@@ -169,6 +173,8 @@ struct Subscription {
     early: Option<broadcast::Receiver<Arc<Foreseen>>>,
     /// It wants proofs.
     proofs: bool,
+    /// The height up to which it was told the hashes of blocks, if it wants them.
+    heads: Option<u64>,
     /// The next height to look at.
     next: u64,
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
@@ -290,13 +296,34 @@ impl Subscription {
     async fn progress(&mut self) -> bool {
         // Who waits for a height that is yet to come has not seen what is before it.
         let height = self.next.saturating_sub(1).min(self.node.ordering.storage.blocks.height());
-        self.send(Delivery { height, time: self.node.ordering.storage.ledger.tip().time, ..Delivery::default() }).await
+        let tip = self.node.ordering.storage.ledger.tip();
+        let block_hash = if tip.height == height { tip.hash.0.to_vec().into() } else { Bytes::new() };
+        self.send(Delivery { height, time: tip.time, block_hash, ..Delivery::default() }).await
     }
 
-    async fn send(&mut self, delivery: Delivery) -> bool {
+    async fn send(&mut self, mut delivery: Delivery) -> bool {
+        if !delivery.early {
+            delivery.heads = self.heads_until(delivery.height);
+        }
         let there = self.deliveries.send(Ok(delivery)).await.is_ok();
         self.sent = Instant::now();
         there
+    }
+
+    /// The hashes of the blocks since the last delivery, as far as they are at hand.
+    fn heads_until(&mut self, height: u64) -> Bytes {
+        let Some(told) = &mut self.heads else { return Bytes::new() };
+        let from = told.saturating_add(1).max(height.saturating_sub(HEADS_MAX - 1)).max(1);
+        *told = height.max(*told);
+        let mut heads = Vec::new();
+        for outcome in (from..=height).map(|height| self.node.ordering.storage.blocks.recent(height)) {
+            match outcome {
+                Some(outcome) => heads.extend_from_slice(&known_hash(&outcome.hash)),
+                // Only those behind it are without a gap.
+                None => heads.clear(),
+            }
+        }
+        heads.into()
     }
 
     /// Tells of a call that is not ordered yet; of all of them, if it is not said which one. False if the subscriber is gone.
@@ -357,6 +384,7 @@ impl Subscription {
             block_hash: outcome.hash.0.to_vec().into(),
             early: false,
             proof: Bytes::new(),
+            heads: Bytes::new(),
         })
     }
 

@@ -53,6 +53,7 @@ impl Chain {
             chaincode: "msp".into(),
             function: function.into(),
             args: vec![argument.clone()],
+            known_block: None,
         };
         let signed = Transaction::sign(&body, &by.key).unwrap().with_certificate(by.certificate.clone()).unwrap();
         let data = Payload { time, transactions: vec![signed.encoded().clone()] }.to_bytes();
@@ -100,7 +101,8 @@ fn service(chain: &Arc<Chain>, document: &Bytes, data: &Path, id: u64) -> Enrolm
     let authorities = Arc::new(Authorities::open(data, (365, 7)).unwrap());
     let genesis = (Genesis::from_bytes(document).unwrap().0, document.clone());
     let directory = Arc::new(Directory::read(&chain.ledger));
-    let surroundings = OwnNode { me: member, identity: tls, directory, cut_off: Box::new(|| false) };
+    let surroundings =
+        OwnNode { me: member, identity: tls, directory, cut_off: Box::new(|| false), clock_off: Box::new(|| 0) };
     EnrolmentService::new(authorities, Arc::clone(&chain.ledger), surroundings, genesis, client, || NOW)
 }
 

@@ -216,9 +216,9 @@ impl Waiter for Client {
     fn answer(self, answer: &Told<'_>) {
         let (transaction, answer) = match answer {
             Told::Executed(told) => {
-                let (height, index) = (told.height, told.index);
+                let (height, index, block) = (told.height, told.index, told.block);
                 let (code, response) = (told.result.code(), told.result.response.clone());
-                (told.id, Answer::Verdict { height, index, code, response })
+                (told.id, Answer::Verdict { height, index, block, code, response })
             }
             Told::Refused { id, reason } => (*id, Answer::Refused(Refused::unordered(reason.code))),
         };
@@ -305,6 +305,8 @@ pub enum Answer {
         height: u64,
         /// See `height`.
         index: u32,
+        /// The hash of the block, if it was executed just now.
+        block: Option<Hash>,
         /// The verdict.
         code: Code,
         /// The response.

@@ -73,6 +73,10 @@ pub struct Robot {
     pub old: Vec<(Bytes, Proof)>,
     /// Deliveries that the liar holds back.
     pub held_back: Vec<Delivery>,
+    /// The height of the first block of whose hash it was told since its start.
+    pub first_head: Option<u64>,
+    /// Since when nothing goes wrong any more.
+    pub calm_since: Option<u64>,
 }
 
 /// A service of the robot.
@@ -94,6 +98,8 @@ pub struct Stream {
     pub start: u64,
     /// The next height that the node looks at.
     pub next: u64,
+    /// The height up to which it has told the hashes of blocks.
+    pub heads: u64,
     /// Creators whose certificate it has shown, by the subject of the events.
     pub shown: BTreeSet<(String, Hash)>,
     /// When it was opened.
@@ -119,6 +125,8 @@ pub struct Delivery {
     pub events: Vec<Told>,
     /// Did they not happen yet?
     pub early: bool,
+    /// The first bytes of the hashes of the blocks since the last delivery.
+    pub heads: Vec<u8>,
 }
 
 /// An event as a node tells it.
@@ -198,6 +206,8 @@ impl Robot {
             passed: BTreeSet::new(),
             old: Vec::new(),
             held_back: Vec::new(),
+            first_head: None,
+            calm_since: None,
         };
         robot.open(services, &governance, 0);
         robot
@@ -224,6 +234,7 @@ impl Robot {
         self.members = Members::of(founded).unwrap();
         (self.stream, self.question, self.answered) = (None, None, None);
         (self.next, self.waiting) = (0, Vec::new());
+        self.first_head = None;
     }
 
     /// Its clocks.

@@ -95,7 +95,10 @@ class Client:
         session = self._session
         context, not_after = session.context, self.now() + int(ttl * 1_000_000)
         own = context.chain[0]
-        transaction = prepare(call, network=context.network, certificate=own, key=context.key, not_after=not_after)
+        known = session.known_block()
+        transaction = prepare(
+            call, network=context.network, certificate=own, key=context.key, not_after=not_after, known_block=known
+        )
         if session.in_flight.introduced != own:
             transaction = transaction.introduced(own)
         return await session.in_flight.add(transaction, own, session.deadline)

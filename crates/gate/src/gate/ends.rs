@@ -86,7 +86,9 @@ impl Gate {
         if stops {
             self.driver = None;
             // A block of tomorrow closes nothing until then.
-            self.not_before.hear(block_time.min(self.clock.now(now)));
+            let ended = block_time.min(self.clock.now(now));
+            self.not_before.hear(ended);
+            self.ended = self.ended.max(ended);
         }
         self.check_epochs(self.epoch);
         stops

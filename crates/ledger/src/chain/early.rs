@@ -22,11 +22,12 @@ impl Ledger {
     ///
     /// It promises nothing. The call may be refused when it is ordered, or never be ordered.
     pub fn foresee(&self, transaction: &Transaction, now: u64) -> Option<Vec<Event>> {
-        if !self.is_told_early(transaction) {
+        let time = now.max(self.tip().time);
+        // A block may still execute a late one, but robots are not to be notified of old stops.
+        if !self.is_told_early(transaction) || transaction.check_time(time).is_err() {
             return None;
         }
         let Ok(Admission::New(transaction)) = self.admit_decoded(transaction.clone(), now) else { return None };
-        let time = now.max(self.tip().time);
         let (caller, _) = self.authenticate(&transaction, time).ok()?;
         let body = transaction.body();
         let called = self.call(&caller, time, transaction.id(), &body.chaincode, &body.function, &body.args);

@@ -194,6 +194,7 @@ impl Network {
             chaincode: chaincode.into(),
             function: function.into(),
             args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
+            known_block: None,
         };
         Transaction::sign(&body, &by.key).unwrap().with_certificate(by.certificate.clone()).unwrap()
     }

@@ -16,7 +16,7 @@ use ledger::CallRef;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
-use ledger_gate::gate::COMMAND_TTL;
+use ledger_gate::gate::{COMMAND_TTL, Refused};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,6 +25,8 @@ use std::sync::Arc;
 const NAME: &str = "gate";
 /// How long a service takes messages from their signature, microseconds: the default of the ledger.
 const MAX_AGE: u64 = 1_000_000;
+/// So much older may a message seem that nothing has delayed, microseconds: a sign of life, and the way of a question and of the news.
+const ALLOWANCE: u64 = 500_000;
 /// The most that rounding may take, microseconds.
 const SLACK: u64 = 2_000;
 
@@ -48,6 +50,8 @@ pub struct GateKeepsTheRules {
     passed: BTreeMap<Hash, (u64, u64)>,
     /// The last number by opening, service, publisher and epoch.
     reached: BTreeMap<(u64, String, String, u64), u64>,
+    /// When messages were signed, by virtual time.
+    signed: BTreeMap<Hash, u64>,
     /// The driver of each service: the certificate, and the epoch.
     drivers: BTreeMap<String, (Hash, u64)>,
     /// Since when robots are stopped.
@@ -73,6 +77,8 @@ pub struct Passed<'a> {
     pub now: u64,
     /// The robot's wall clock.
     pub wall: u64,
+    /// Does the gate measure its age by the block that it names?
+    pub by_block: bool,
 }
 
 #[derive(Deserialize)]
@@ -114,6 +120,7 @@ impl GateKeepsTheRules {
             revoked: BTreeMap::new(),
             passed: BTreeMap::new(),
             reached: BTreeMap::new(),
+            signed: BTreeMap::new(),
             drivers: BTreeMap::new(),
             stopped: BTreeMap::new(),
             open_stops: BTreeMap::new(),
@@ -209,7 +216,7 @@ impl GateKeepsTheRules {
     /// # Errors
     /// The certified state does not allow it, it passed before, or it is out of order or too old.
     pub fn passed(&mut self, passed: &Passed<'_>) -> Check {
-        let Passed { opening, service, transaction, now, wall } = *passed;
+        let Passed { opening, service, transaction, now, wall, by_block } = *passed;
         let body = transaction.body();
         let argument = |at: usize| {
             let text = body.args.get(at).and_then(|text| std::str::from_utf8(text).ok());
@@ -232,7 +239,13 @@ impl GateKeepsTheRules {
             return Err(what("is not signed by its creator"));
         }
         let signed_at = body.not_after.saturating_sub(micros(COMMAND_TTL));
-        if wall > signed_at.saturating_add(MAX_AGE + SLACK) {
+        // A node that holds blocks back may make it younger, for as long as answers count.
+        let longest = MAX_AGE + 2 * self.stale_after + SLACK;
+        let is_too_old = match self.signed.get(&transaction.id()) {
+            Some(signed) if by_block => now > signed + longest,
+            _ => wall > signed_at.saturating_add(MAX_AGE + SLACK),
+        };
+        if is_too_old {
             return Err(what("is too old"));
         }
         if !self.is_permitted(creator, service, (&creator.id(), epoch), now) {
@@ -249,6 +262,25 @@ impl GateKeepsTheRules {
         }
         self.drivers.insert(service.to_owned(), (transaction.creator(), epoch));
         Ok(())
+    }
+
+    /// A client has signed a message.
+    pub fn signed(&mut self, id: Hash, now: u64) {
+        self.signed.insert(id, now);
+    }
+
+    /// The gate has rejected a message whose age it measures by the block that it names. Nothing has delayed messages for a while.
+    ///
+    /// # Errors
+    /// It was rejected for its age, and is not that old.
+    pub fn refused(&self, service: &str, transaction: &Transaction, refused: Refused, now: u64) -> Check {
+        let for_its_age = matches!(refused, Refused::TooOld | Refused::Expired | Refused::UnknownBlock);
+        let Some(signed) = self.signed.get(&transaction.id()).filter(|_| for_its_age) else { return Ok(()) };
+        if now > signed + MAX_AGE - ALLOWANCE {
+            return Ok(());
+        }
+        let id = transaction.id();
+        Err(wrong(format!("{service}: {id} is {} us old and rejected: {}", now - signed, refused.name())))
     }
 
     /// A robot is moving, by what its gate says.

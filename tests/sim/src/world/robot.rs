@@ -8,7 +8,7 @@ pub use untruth::Untruth;
 
 use super::{Event, World};
 use crate::client::{BRIDGE, Client};
-use crate::clock::{MILLISECOND, SECOND};
+use crate::clock::SECOND;
 use crate::confidential::{SERVICE, pair};
 use crate::invariant::{Check, Passed, Violation};
 use crate::robot::{ANSWER_MAX, CONFIDENTIAL, Delivery, IDENTITY, QUIET_MAX, ROBOTS, Robot, Step};
@@ -23,6 +23,9 @@ use testkit::Random;
 
 /// For how long a gate believes a block time that its node has made up, microseconds.
 const WRONG_TIME_MAX: u64 = 10 * SECOND;
+
+/// After so long without faults no delay of before counts any more, microseconds.
+const CALM: u64 = 5 * SECOND;
 
 /// Something that happens to a robot, or at a node for it.
 pub(crate) enum Happening {
@@ -52,7 +55,7 @@ impl World {
             let robot = if self.plan.confidential { CONFIDENTIAL } else { robot };
             let client = self.clients.len();
             self.clients.push(Client::for_robot(IDENTITY));
-            let offset = random.below(100 * MILLISECOND) as i64 - 50 * MILLISECOND as i64;
+            let offset = random.below(2 * SECOND) as i64 - SECOND as i64;
             let mut robot = Robot::new(robot, client, offset, governance);
             robot.liar = random.percent(70).then(|| 1 + random.below(self.plan.voters + self.plan.learners));
             self.robot = Some(Box::new(robot));
@@ -155,6 +158,14 @@ impl World {
             robot.next = robot.next.max(delivery.height.saturating_add(1));
         }
         let now = robot.clocks(self.now);
+        if let Some(first) =
+            delivery.height.checked_sub(delivery.heads.len() as u64 / 8).filter(|_| !delivery.heads.is_empty())
+        {
+            robot.first_head.get_or_insert(first + 1);
+        }
+        if !self.chaos {
+            robot.calm_since.get_or_insert(self.now);
+        }
         for event in &delivery.events {
             // Whatever passes is one of these.
             if let Ok(transaction) = Transaction::decode(event.transaction.clone())
@@ -174,6 +185,7 @@ impl World {
             let watched = &mut robot.watched[at];
             if !delivery.early {
                 watched.guard.heard(delivery.time, now);
+                watched.guard.heads(delivery.height, &delivery.heads, now);
             }
             let mut block = Block::new(delivery.height, delivery.time);
             let wanted = delivery
@@ -189,7 +201,15 @@ impl World {
                     transaction: &event.transaction,
                     certificate: &event.certificate,
                 };
-                acts.extend(watched.guard.told(&mut block, &told, now));
+                let act = watched.guard.told(&mut block, &told, now);
+                if let Some(Act::Refused { refused, .. }) = &act
+                    && let Ok(transaction) = Transaction::decode(event.transaction.clone())
+                    && robot.calm_since.is_some_and(|calm| self.now >= calm + CALM)
+                    && is_by_block(robot.first_head, &transaction)
+                {
+                    self.invariants.gate.refused(watched.id, &transaction, *refused, self.now)?;
+                }
+                acts.extend(act);
             }
             self.act(robot, at, acts)?;
         }
@@ -228,7 +248,8 @@ impl World {
                         let id = transaction.id();
                         self.trace.note(self.now, format_args!("robot: {service} lets {id} of {who} pass"));
                         let (opening, now) = (robot.openings, self.now);
-                        self.invariants.gate.passed(&Passed { opening, service, transaction, now, wall })?;
+                        let by_block = is_by_block(robot.first_head, transaction);
+                        self.invariants.gate.passed(&Passed { opening, service, transaction, now, wall, by_block })?;
                         if !self.chaos {
                             robot.passed.insert((service.to_owned(), who));
                         }
@@ -309,4 +330,10 @@ fn waited(robot: &mut Robot, asked: u64) -> Vec<(usize, u64)> {
     let (served, waiting) = std::mem::take(&mut robot.waiting).into_iter().partition(|(_, since)| *since <= asked);
     robot.waiting = waiting;
     served
+}
+
+/// Does the gate measure the age of the message by the block that it names? `first`: the first block that it was told of.
+fn is_by_block(first: Option<u64>, transaction: &Transaction) -> bool {
+    let named = transaction.body().known_block.as_ref();
+    first.zip(named).is_some_and(|(first, named)| named.height >= first)
 }

@@ -189,9 +189,9 @@ impl World {
             Decision::Order(arrived) => self.order(id, stream, arrived),
             Decision::Known { client, id: transaction, record } => {
                 self.acknowledge(id, &transaction, record.height)?;
-                let Executed { height, index, result, .. } = Executed::recorded(transaction, &record);
+                let Executed { height, index, block, result, .. } = Executed::recorded(transaction, &record);
                 let (code, response) = (result.code(), result.response.clone());
-                self.reply(id, client.reply, Answer::Verdict { height, index, code, response });
+                self.reply(id, client.reply, Answer::Verdict { height, index, block, code, response });
                 Ok(())
             }
             Decision::Hold(_) => Ok(()),

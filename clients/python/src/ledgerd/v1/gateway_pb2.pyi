@@ -31,20 +31,22 @@ class SubmitRequest(_message.Message):
     def __init__(self, transaction: _Optional[bytes] = ..., min_height: _Optional[int] = ..., first_attempt: _Optional[bool] = ...) -> None: ...
 
 class SubmitResponse(_message.Message):
-    __slots__ = ("id", "verdict", "height", "index", "time", "response")
+    __slots__ = ("id", "verdict", "height", "index", "time", "response", "block_hash")
     ID_FIELD_NUMBER: _ClassVar[int]
     VERDICT_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     INDEX_FIELD_NUMBER: _ClassVar[int]
     TIME_FIELD_NUMBER: _ClassVar[int]
     RESPONSE_FIELD_NUMBER: _ClassVar[int]
+    BLOCK_HASH_FIELD_NUMBER: _ClassVar[int]
     id: bytes
     verdict: Verdict
     height: int
     index: int
     time: int
     response: bytes
-    def __init__(self, id: _Optional[bytes] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., response: _Optional[bytes] = ...) -> None: ...
+    block_hash: bytes
+    def __init__(self, id: _Optional[bytes] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., response: _Optional[bytes] = ..., block_hash: _Optional[bytes] = ...) -> None: ...
 
 class QueryRequest(_message.Message):
     __slots__ = ("chaincode", "function", "args", "min_height", "may_be_stale")
@@ -75,7 +77,7 @@ class QueryResponse(_message.Message):
     def __init__(self, verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., height: _Optional[int] = ..., time: _Optional[int] = ..., stale_for: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("from_height", "chaincode", "subjects", "names", "heartbeat_ms", "early", "proofs")
+    __slots__ = ("from_height", "chaincode", "subjects", "names", "heartbeat_ms", "early", "proofs", "heads")
     FROM_HEIGHT_FIELD_NUMBER: _ClassVar[int]
     CHAINCODE_FIELD_NUMBER: _ClassVar[int]
     SUBJECTS_FIELD_NUMBER: _ClassVar[int]
@@ -83,6 +85,7 @@ class SubscribeRequest(_message.Message):
     HEARTBEAT_MS_FIELD_NUMBER: _ClassVar[int]
     EARLY_FIELD_NUMBER: _ClassVar[int]
     PROOFS_FIELD_NUMBER: _ClassVar[int]
+    HEADS_FIELD_NUMBER: _ClassVar[int]
     from_height: int
     chaincode: str
     subjects: _containers.RepeatedScalarFieldContainer[str]
@@ -90,23 +93,26 @@ class SubscribeRequest(_message.Message):
     heartbeat_ms: int
     early: bool
     proofs: bool
-    def __init__(self, from_height: _Optional[int] = ..., chaincode: _Optional[str] = ..., subjects: _Optional[_Iterable[str]] = ..., names: _Optional[_Iterable[str]] = ..., heartbeat_ms: _Optional[int] = ..., early: _Optional[bool] = ..., proofs: _Optional[bool] = ...) -> None: ...
+    heads: bool
+    def __init__(self, from_height: _Optional[int] = ..., chaincode: _Optional[str] = ..., subjects: _Optional[_Iterable[str]] = ..., names: _Optional[_Iterable[str]] = ..., heartbeat_ms: _Optional[int] = ..., early: _Optional[bool] = ..., proofs: _Optional[bool] = ..., heads: _Optional[bool] = ...) -> None: ...
 
 class Delivery(_message.Message):
-    __slots__ = ("height", "time", "block_hash", "events", "early", "proof")
+    __slots__ = ("height", "time", "block_hash", "events", "early", "proof", "heads")
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     TIME_FIELD_NUMBER: _ClassVar[int]
     BLOCK_HASH_FIELD_NUMBER: _ClassVar[int]
     EVENTS_FIELD_NUMBER: _ClassVar[int]
     EARLY_FIELD_NUMBER: _ClassVar[int]
     PROOF_FIELD_NUMBER: _ClassVar[int]
+    HEADS_FIELD_NUMBER: _ClassVar[int]
     height: int
     time: int
     block_hash: bytes
     events: _containers.RepeatedCompositeFieldContainer[EventRecord]
     early: bool
     proof: bytes
-    def __init__(self, height: _Optional[int] = ..., time: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., early: _Optional[bool] = ..., proof: _Optional[bytes] = ...) -> None: ...
+    heads: bytes
+    def __init__(self, height: _Optional[int] = ..., time: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., early: _Optional[bool] = ..., proof: _Optional[bytes] = ..., heads: _Optional[bytes] = ...) -> None: ...
 
 class EventRecord(_message.Message):
     __slots__ = ("chaincode", "name", "subject", "payload", "index", "transaction", "certificate")

@@ -223,7 +223,9 @@ impl FromLedger {
                     if let Ok(delivery) = &delivery && !delivery.early {
                         self.counters.lock().live.heard = Some(Instant::now());
                         self.next_height = self.next_height.max(delivery.height.saturating_add(1));
-                        self.guard.heard(delivery.time, self.clocks.now());
+                        let now = self.clocks.now();
+                        self.guard.heard(delivery.time, now);
+                        self.guard.heads(delivery.height, &delivery.heads, now);
                     }
                     let known = self.count_of(Refused::UnknownCreator);
                     self.handle_all(delivery).await;

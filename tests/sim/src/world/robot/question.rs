@@ -90,7 +90,7 @@ impl World {
         };
         robot.ahead = clock.saturating_sub(self.now).max(EPOCH);
         match answer {
-            Answer::Verdict { height, index, code: Code::Ok, response } => {
+            Answer::Verdict { height, index, code: Code::Ok, response, .. } => {
                 question.response = Some(self.made_up_answer(robot, &response));
                 let until = self.now + CERTIFICATE_WAIT;
                 if let Some(at) = self.links.client(self.now, &mut self.random.robot, &mut self.coverage) {

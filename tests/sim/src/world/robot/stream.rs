@@ -3,8 +3,8 @@
 use super::Happening;
 use crate::clock::MILLISECOND;
 use crate::robot::{Delivery, Robot, Stream, Told};
-use crate::world::{Awake, Event as Happens, World};
-use ledger::transaction::Transaction;
+use crate::world::{Awake, Block, Event as Happens, World};
+use ledger::transaction::{KnownBlock, Transaction};
 use ledger_storage::result::Event;
 use std::collections::BTreeSet;
 
@@ -40,6 +40,7 @@ impl World {
             node,
             start,
             next,
+            heads: next - 1,
             shown: BTreeSet::new(),
             opened: now,
             sent: now,
@@ -125,13 +126,15 @@ impl World {
                 events.push(told);
             }
             if !events.is_empty() {
-                batch.push(Delivery { height, time: outcome.header.time, events, early: false });
+                let heads = heads(&self.blocks, &mut stream.heads, height);
+                batch.push(Delivery { height, time: outcome.header.time, events, early: false, heads });
             }
         }
         if batch.is_empty() && now >= stream.sent + HEARTBEAT {
             let height = stream.next.saturating_sub(1).min(tip);
             let time = self.blocks.get((height as usize).wrapping_sub(1)).map_or(0, |block| block.outcome.header.time);
-            batch.push(Delivery { height, time, events: Vec::new(), early: false });
+            let heads = heads(&self.blocks, &mut stream.heads, height);
+            batch.push(Delivery { height, time, events: Vec::new(), early: false, heads });
         }
         if now < stream.silent_until {
             batch.clear();
@@ -163,8 +166,10 @@ impl World {
             };
             let events: Vec<_> = of_robot.map(told).collect();
             if !events.is_empty() {
-                let _lost = self
-                    .send_to_robot(&mut robot, Delivery { height: tip.height, time: tip.time, events, early: true });
+                let _lost = self.send_to_robot(
+                    &mut robot,
+                    Delivery { height: tip.height, time: tip.time, events, early: true, heads: Vec::new() },
+                );
             }
         }
         self.robot = Some(robot);
@@ -179,4 +184,11 @@ impl World {
         self.schedule_at(at, Happens::Robot(Happening::Delivered { stream: number, delivery }));
         true
     }
+}
+
+/// The hashes of the blocks that were not told yet, up to this height.
+fn heads(blocks: &[Block], told: &mut u64, height: u64) -> Vec<u8> {
+    let from = std::mem::replace(told, height.max(*told)) as usize;
+    let hashes = blocks.iter().take(height as usize).skip(from).map(|block| block.outcome.hash);
+    hashes.filter_map(|hash| KnownBlock::prefix(&hash.0)).flatten().collect()
 }
