@@ -46,7 +46,13 @@ impl World {
         let user = |node: u64| cas[organisation(node)].user(&format!("node{node}"), "node", KeyKind::Ed25519);
         let voter = |node: u64| Voter { organisation: names[organisation(node)].into(), name: format!("node{node}") };
         let nodes = (1..=4).map(|node| (node, voter(node))).collect();
-        let voters = Voters { nodes, voters: [1, 2, 3].into(), outgoing: [].into(), rule: CertificateRule::default(), recoveries: 0 };
+        let voters = Voters {
+            nodes,
+            voters: [1, 2, 3].into(),
+            outgoing: [].into(),
+            rule: CertificateRule::default(),
+            recoveries: 0,
+        };
         Self { nodes: (1..=4).map(user).collect(), era: Era { from: 1, voters, msps: Arc::new(msps) } }
     }
 
