@@ -91,7 +91,7 @@ pub struct Certifiable {
     pub results: Hash,
 }
 
-/// What a node finds on its disk when it starts.
+/// The state of a node's disk at its start.
 #[derive(Clone, Debug, Default)]
 pub struct Earlier {
     /// The end of its log.
@@ -161,7 +161,7 @@ pub struct Certifier<S> {
     /// Newest own statement, and when it is told again: the moment, and the pause before it.
     newest: Option<(Signed, u64, u64)>,
     earlier: Earlier,
-    /// What peers have passed on in the second that began then.
+    /// The number of statements of others that each peer has passed on in the second that began then.
     passed: BTreeMap<u64, (u64, u32)>,
 }
 
