@@ -366,7 +366,8 @@ impl Ledger {
     pub fn service_budget(&self, chaincode: &str, service: &str) -> Option<ServiceBudget> {
         let (mut overlay, tip, meter) = (self.overlay(), self.tip(), Meter::of_query());
         let chaincode = self.registry.find(chaincode).ok()?;
-        let environment = self.environment(None, &tip, tip.time, &meter);
+        let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+        let environment = self.environment(None, (&tip, tip.time), &executed, &meter);
         chaincode.service_budget(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), service)
     }
 
