@@ -40,7 +40,7 @@ pub fn eprint_line(text: &str) {
 }
 
 /// Shows lines on standard error and asks on the terminal; none if standard input is no terminal.
-pub fn asked(lines: &[String], question: &str) -> Option<bool> {
+pub(crate) fn asked(lines: &[String], question: &str) -> Option<bool> {
     use std::io::{BufRead, IsTerminal, Write, stderr, stdin};
     if !stdin().is_terminal() {
         return None;

@@ -1,10 +1,10 @@
 //! `declare`: the state of a robot, certified by the voters.
 
 use crate::arguments::Arguments;
-use crate::calls::views;
+use crate::calls::{emergency, views};
 use crate::lifecycle::holders;
 use crate::policy::decider::Decider;
-use crate::records::cancelled::{self, NAMED_MAX};
+use crate::records::cancelled;
 use crate::records::target::Target;
 use crate::records::task::Kept;
 use crate::records::{robot, store, task};
@@ -17,8 +17,8 @@ use ledger_contract::{Declaration, Grant, NEXT_MAX, RunningTask, Task};
 /// reader that trusts no single node learns the robot's state. Of the stops that it names (`ID:NOT_AFTER`), the answer lists those
 /// that are settled.
 pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let args = Arguments::new("declare ROBOT [CALL...]", args, 1, 1 + NAMED_MAX)?;
-    let named = cancelled::named(args, 1)?;
+    let args = Arguments::new("declare ROBOT [CALL...]", args, 1, 1 + emergency::NAMED_MAX)?;
+    let named = emergency::named(args, 1)?;
     let robot = robot::find(ctx, args.text(0, "ROBOT")?)?;
     store::write(ctx, &store::robot_key(&robot.name), &robot)?;
     let mut grants = Vec::new();

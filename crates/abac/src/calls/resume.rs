@@ -5,7 +5,7 @@ use crate::calls::emergency;
 use crate::lifecycle::{capacity, looks};
 use crate::policy::action::RobotAction;
 use crate::policy::decider::Decider;
-use crate::records::cancelled::{self, NAMED_MAX};
+use crate::records::cancelled;
 use crate::records::{stopped, store};
 use bytes::Bytes;
 use ledger::Context;
@@ -15,9 +15,9 @@ use ledger_contract::EmergencyAnswer;
 /// `resume ROBOT|* [REASON [CALL...]]`: it may be commanded again. Nobody has it then but whose turn it is in line. The stops that it
 /// names (`ID:NOT_AFTER`) have no effect on these robots if they are ordered later.
 pub(crate) fn resume(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let args = Arguments::new("resume ROBOT|* [REASON [CALL...]]", args, 1, 2 + NAMED_MAX)?;
+    let args = Arguments::new("resume ROBOT|* [REASON [CALL...]]", args, 1, 2 + emergency::NAMED_MAX)?;
     let reason = emergency::reason(args)?;
-    let named = cancelled::named(args, 2)?;
+    let named = emergency::named(args, 2)?;
     let by = ctx.submitter()?.id();
     let (mut robots, mut unchanged) = (Vec::new(), Vec::new());
     for robot in emergency::chosen(ctx, decider, args, RobotAction::Resume)? {

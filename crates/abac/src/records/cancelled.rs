@@ -1,15 +1,12 @@
 //! Stops that a `resume` has cancelled before they were ordered.
 
 use super::store;
-use crate::arguments::Arguments;
 use ledger::transaction::NOT_AFTER_AHEAD_MAX;
 use ledger::{CallRef, Context};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
-/// Most calls that one call names.
-pub(crate) const NAMED_MAX: usize = 64;
 /// Most cancelled stops of a robot that are remembered at a time.
 const CANCELLED_MAX: usize = 256;
 
@@ -19,20 +16,6 @@ struct Cancelled {
     id: Hash,
     /// Microseconds since the UNIX epoch.
     not_after: u64,
-}
-
-/// The calls that the arguments name, from this index on.
-///
-/// # Errors
-/// [`Code::BadArgument`].
-pub(crate) fn named(args: Arguments<'_>, index: usize) -> Result<Vec<CallRef>, Rejection> {
-    let named = index..index.saturating_add(args.rest(index).len());
-    named
-        .map(|at| {
-            let text = args.text(at, "CALL")?;
-            text.parse().map_err(|wrong: Rejection| args.bad(at, "CALL", wrong.found, &wrong.wanted))
-        })
-        .collect()
 }
 
 /// Was this stop of the robot cancelled?
