@@ -132,7 +132,7 @@ async fn long_lists_come_in_pages_and_no_answer_is_large() {
 async fn a_member_that_floods_a_service_is_limited_and_those_of_other_organisations_go_on() {
     let fleet = Fleet::found(1);
     let dora = fleet.issue("Org2", "Dora", Role::Member, &["Husky"]);
-    let mut target = Target::start_on(fleet).await;
+    let target = Target::start_on(fleet).await;
     let (boss, owner) = (connect(&target.admin).await, connect(&target.fleet.owner()).await);
     let quota: Vec<Bytes> = vec![r#"{"organisation":"Org1","bytes_per_s":2000,"identity_bytes_per_s":1000}"#.into()];
     for admin in [&boss, &owner] {

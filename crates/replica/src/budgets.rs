@@ -64,7 +64,7 @@ struct Named {
 }
 
 impl Budgets {
-    /// Counts an executed block. Transactions whose signature was not valid are counted for nobody.
+    /// Counts an executed block. Transactions without a valid signature are not counted.
     pub fn executed(&self, outcome: &Outcome, ledger: &Ledger) {
         let time = outcome.header.time;
         let mut accounts = self.lock();

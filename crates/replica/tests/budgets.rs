@@ -99,11 +99,13 @@ fn what_other_gateways_have_let_in_counts_as_soon_as_it_is_in_a_block() {
 
 /// Has so many bytes of Salma's ordered, past every gateway.
 fn flood(cluster: &mut Cluster, leader: u64, bytes: u64) {
-    let part = "x".repeat(usize::try_from(2 * MIB).unwrap());
-    for nth in 0..bytes.div_ceil(2 * MIB) {
-        let text = format!("{nth} {part}");
-        cluster.submit(leader, Lane::Data, &text);
-        cluster.until("a part of the flood is executed", 100, |cluster| cluster.has_executed(leader, &text));
+    // The answer has the same bytes, and may have 512 KiB.
+    let part = "x".repeat(400 * 1024);
+    for nth in 0..bytes.div_ceil(8 * 400 * 1024) {
+        let texts = (0..8).map(|number| format!("{nth} {number} {part}"));
+        texts.for_each(|text| cluster.submit(leader, Lane::Data, &text));
+        let last = format!("{nth} 7 {part}");
+        cluster.until("a part of the flood is executed", 100, |cluster| cluster.has_executed(leader, &last));
     }
 }
 
@@ -113,7 +115,7 @@ fn a_leader_gives_back_what_a_gateway_forwards_far_beyond_a_budget_and_takes_con
     let leader = cluster.elect();
     let other = if leader == 1 { 2 } else { 1 };
     let burst = QUOTAS.identity_bytes_per_s * (BURST / 1_000_000);
-    flood(&mut cluster, leader, 2 * burst + 16 * MIB);
+    flood(&mut cluster, leader, 2 * burst + 32 * MIB);
     let control = vec![cluster.awaited(other, Lane::Control, "stop").unwrap()];
     let data = vec![cluster.awaited(other, Lane::Data, "more").unwrap()];
     let sent = Transactions { control, data, code: 0 };

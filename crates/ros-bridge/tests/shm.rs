@@ -172,7 +172,7 @@ async fn a_dropped_subscriber_leaves_the_service() {
     let topic = topic("leave");
     let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let publisher = here.publisher(&topic).await.unwrap();
-    for _ in 0..3 * ros_bridge::shm::SUBSCRIBERS_MAX {
+    for _ in 0..3 * shm::SUBSCRIBERS_MAX {
         let subscriber = there.subscriber(&topic, Limits::default()).await.unwrap();
         drop(subscriber);
     }
@@ -190,7 +190,7 @@ async fn a_killed_process_does_not_stand_in_the_way_of_the_next() {
     let node = Node::open(0, "here", [1; 16]).await.unwrap();
     let mut subscriber = node.subscriber(&topic, Limits::default()).await.unwrap();
     // More often than there are places for publishers, so that the dead ones must have been removed.
-    for _ in 0..ros_bridge::shm::PUBLISHERS_MAX + 2 {
+    for _ in 0..shm::PUBLISHERS_MAX + 2 {
         let mut child = start_child(&topic);
         let before = next(&mut subscriber).await;
         assert_eq!(before.sample, sample(9, 52));
@@ -254,7 +254,7 @@ async fn killed_subscribers_take_nothing_from_another_one_and_leave_no_node_behi
         Node::open(0, "there", [2; 16]).await.unwrap().subscriber(&topic, Limits::default()).await.unwrap();
     let mut killed = Vec::new();
     // More often than there are places for subscribers.
-    for number in 0..u8::try_from(ros_bridge::shm::SUBSCRIBERS_MAX + 2).unwrap() {
+    for number in 0..u8::try_from(shm::SUBSCRIBERS_MAX + 2).unwrap() {
         let mut child = start(&topic, "child_listens_until_it_is_killed");
         let mut pause = tokio::time::interval(Duration::from_millis(5));
         let both = async {

@@ -73,8 +73,8 @@ pub struct Robot {
     pub old: Vec<(Bytes, Proof)>,
     /// Deliveries that the liar holds back.
     pub held_back: Vec<Delivery>,
-    /// The height of the first block of whose hash it was told since its start.
-    pub first_head: Option<u64>,
+    /// The heights of the first and the last block of whose hashes it was told since its start, without a gap.
+    pub heads: Option<(u64, u64)>,
     /// Since when nothing goes wrong any more.
     pub calm_since: Option<u64>,
 }
@@ -206,7 +206,7 @@ impl Robot {
             passed: BTreeSet::new(),
             old: Vec::new(),
             held_back: Vec::new(),
-            first_head: None,
+            heads: None,
             calm_since: None,
         };
         robot.open(services, &governance, 0);
@@ -234,7 +234,7 @@ impl Robot {
         self.members = Members::of(founded).unwrap();
         (self.stream, self.question, self.answered) = (None, None, None);
         (self.next, self.waiting) = (0, Vec::new());
-        self.first_head = None;
+        self.heads = None;
     }
 
     /// Its clocks.

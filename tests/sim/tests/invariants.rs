@@ -245,6 +245,44 @@ fn a_task_past_a_line_is_noticed_and_whoever_holds_the_service_is_passed_over() 
 }
 
 #[test]
+fn an_interrupted_task_keeps_its_priority() {
+    let people = Arc::new(People::new());
+    let terms =
+        Terms { mode: "exclusive", sharing: r#"{"on_conflict":"preempt","priority":"attribute:rank","queue_max":3}"# };
+    let submit = Call::Submit { service: "R/cmd_vel".into(), task: "{}".into() };
+    let task = |id: u64, who: &str, state: &str, reason: &str| {
+        format!(r#"{{"id":{id},"submitter":"{who}","state":"{state}","reason":"{reason}"}}"#)
+    };
+    let turn = |who: &str, id: Option<u64>| {
+        let mut overtaken = NobodyIsOvertaken::new(Arc::clone(&people));
+        let mut height = 0;
+        let mut execute = |who: &str, call: &Call, events: &[(&str, String)]| {
+            height += 1;
+            let (outcome, transactions) = with(call, people.index(who, 0).unwrap(), &people, height);
+            let outcome = events.iter().fold(outcome, |outcome, (name, payload)| event(outcome, name, payload));
+            overtaken.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
+        };
+        execute("Org2/admin", &Call::Configure { service: "R/cmd_vel".into(), terms }, &[]);
+        execute("Org1/admin", &submit, &[("task", task(1, "Org1/admin", "running", ""))]);
+        // Priority 1 takes the place of priority 0.
+        let interrupted = ("task", task(1, "Org1/admin", "waiting", "preempted"));
+        execute("Org1/Farhad", &submit, &[interrupted, ("task", task(2, "Org1/Farhad", "running", ""))]);
+        execute(
+            "Org1/Farhad",
+            &Call::Acquire { service: "R/cmd_vel".into(), lease_ms: None },
+            &[("queued", place("Org1/Farhad", 1))],
+        );
+        let id = id.map(|id| format!(r#","task":{id}"#)).unwrap_or_default();
+        let granted = format!(r#"{{"holder":"{who}","epoch":3,"mode":"exclusive"{id}}}"#);
+        let mut outcome = event(block(5, Hash::ZERO), "granted", &granted);
+        outcome.events[0].index = None;
+        overtaken.executed(&at(1, &outcome))
+    };
+    turn("Org1/Farhad", None).unwrap();
+    turn("Org1/admin", Some(1)).unwrap_err();
+}
+
+#[test]
 fn one_reader_more_than_the_owner_allows_is_noticed() {
     let people = People::new();
     let terms = Terms { mode: "limited", sharing: r#"{"subscribers":1}"# };

@@ -173,6 +173,7 @@ mod tests {
             block: Hash::ZERO,
             signed_by: vec!["Org1/node1".to_owned()],
             voters: 1,
+            strict_since: None,
             began_at: 0,
             now: 11_000_000,
         }

@@ -33,8 +33,10 @@ pub(super) struct Heads {
 #[derive(Clone, Copy, Debug)]
 struct Head {
     hash: [u8; KNOWN_HASH_BYTES],
-    /// By the steady clock, microseconds.
+    /// When the gate could have known it at the latest, by the steady clock (microseconds).
     since: u64,
+    /// When it arrived, by the steady clock (microseconds).
+    arrived: u64,
 }
 
 /// An answer of the voters. Times are by the steady clock, microseconds.
@@ -86,7 +88,7 @@ impl Heads {
         };
         let since = self.silence.map_or(now, |silence| silence.since);
         for (height, hash) in (from..).zip(hashes) {
-            self.add(height, *hash, since);
+            self.add(height, *hash, (since, now));
         }
     }
 
@@ -95,7 +97,7 @@ impl Heads {
         self.silence.is_some()
     }
 
-    fn add(&mut self, height: u64, hash: [u8; KNOWN_HASH_BYTES], now: u64) {
+    fn add(&mut self, height: u64, hash: [u8; KNOWN_HASH_BYTES], (since, arrived): (u64, u64)) {
         if self.known.is_empty() || height > self.end() {
             self.known.clear();
             self.first = height;
@@ -107,7 +109,8 @@ impl Heads {
         // The node before it had another block there, and all behind that one: one of them lies, and this one may not.
         self.known.truncate(place);
         let answered = self.answer_above(height.saturating_sub(1));
-        self.known.push_back(Head { hash, since: answered.map_or(now, |answered| answered.min(now)) });
+        let since = answered.map_or(since, |answered| answered.min(since));
+        self.known.push_back(Head { hash, since, arrived });
         if self.known.len() > HEADS_MAX {
             self.known.pop_front();
             self.first = self.first.saturating_add(1);
@@ -117,7 +120,7 @@ impl Heads {
     /// The voters have signed the block of that height with a question that was asked at that moment. A block that was
     /// reported before has a lower height; another one is made up. Where the gate asks often, blocks come as late as that one.
     pub(super) fn answered(&mut self, height: u64, asked: u64, asks_often: bool, now: u64) {
-        let real = |(at, head): (u64, &Head)| at < height || head.since > asked;
+        let real = |(at, head): (u64, &Head)| at < height || head.arrived > asked;
         let kept = (self.first..).zip(&self.known).take_while(|(at, head)| real((*at, head))).count();
         self.known.truncate(kept);
         let known = self.since(height).map_or(now, |head| head.since);
@@ -135,7 +138,7 @@ impl Heads {
             return Found::Older;
         }
         match self.since(named.height) {
-            Some(Head { hash, since }) if hash[..] == named.hash[..] => {
+            Some(Head { hash, since, .. }) if hash[..] == named.hash[..] => {
                 let signed = since.saturating_add(named.known_us).min(now);
                 let next = named.height.checked_add(1).and_then(|next| self.since(next));
                 let next = next.map(|next| next.since).into_iter().chain(self.answer_above(named.height)).min();
@@ -289,6 +292,15 @@ mod tests {
         feed.answered(7, 0, false, 900 * MS);
         assert!(!feed.was_silent(), "a feed asks nobody");
         assert_eq!(age(&feed, &named(1, 6, 10 * MS), 950 * MS), Some(50 * MS), "nor does a slow answer count for ever");
+    }
+
+    #[test]
+    fn blocks_that_arrive_after_a_question_are_not_made_up_though_a_silence_makes_them_older() {
+        let mut heads = Heads::default();
+        tell(&mut heads, (1, 5, 5), 0);
+        tell(&mut heads, (1, 6, 9), 700 * MS);
+        heads.answered(7, 400 * MS, true, 710 * MS);
+        assert_eq!((heads.first, heads.known.len()), (5, 5));
     }
 
     #[test]

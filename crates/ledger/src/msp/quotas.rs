@@ -188,7 +188,7 @@ pub fn quota_reached(organisation: &str, kind: &str, quota: u64, free: &str) -> 
 fn check(ctx: &Context<'_>, set: &SetQuota) -> Result<(), Rejection> {
     check_organisation(ctx, &set.organisation)?;
     for (kind, quota, most) in set.kinds() {
-        // Nobody could send the proposal that raises a rate of nothing.
+        // With a rate of 0 no proposal to raise it could be sent.
         let least = u64::from(kind.ends_with("_per_s"));
         if let Some(quota) = quota.filter(|quota| !(least..=most).contains(quota)) {
             return Err(Rejection::new(Code::BadArgument, format!("a quota of {kind} is out of range"))

@@ -114,7 +114,8 @@ impl Queue {
                 (begins > own).then_some(last)?
             }
         };
-        self.remove(&most.clone(), last)
+        let most = *most;
+        self.remove(&most, last)
     }
 
     /// Takes the first `count`.

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_owes_more_than_a_minute() {
+    fn an_account_owes_a_minute_at_most() {
         let mut level = Level::default();
         let nothing = Rate { bytes: 1, messages: 1 };
         level.count(nothing, 0, Counted { bytes: 1 << 40, messages: 1 });

@@ -157,8 +157,9 @@ mod tests {
         let (network, nonce) = (Bytes::from(vec![1; 32]), Bytes::from(vec![nonce; NONCE_BYTES]));
         let (chaincode, function) = ("abac".to_owned(), "stop".to_owned());
         let creator = network.clone();
-        Transaction::sign(&Body { network, creator, nonce, not_after: 9, chaincode, function, args: Vec::new() }, key)
-            .unwrap()
+        let known_block = None;
+        let body = Body { network, creator, nonce, not_after: 9, chaincode, function, args: Vec::new(), known_block };
+        Transaction::sign(&body, key).unwrap()
     }
 
     #[test]

@@ -158,10 +158,10 @@ impl World {
             robot.next = robot.next.max(delivery.height.saturating_add(1));
         }
         let now = robot.clocks(self.now);
-        if let Some(first) =
-            delivery.height.checked_sub(delivery.heads.len() as u64 / 8).filter(|_| !delivery.heads.is_empty())
-        {
-            robot.first_head.get_or_insert(first + 1);
+        if !delivery.heads.is_empty() {
+            let (from, to) = (delivery.height + 1 - delivery.heads.len() as u64 / 8, delivery.height);
+            let before = robot.heads.filter(|(_, last)| from <= last + 1);
+            robot.heads = Some(before.map_or((from, to), |(first, last)| (first, last.max(to))));
         }
         if !self.chaos {
             robot.calm_since.get_or_insert(self.now);
@@ -205,7 +205,7 @@ impl World {
                 if let Some(Act::Refused { refused, .. }) = &act
                     && let Ok(transaction) = Transaction::decode(event.transaction.clone())
                     && robot.calm_since.is_some_and(|calm| self.now >= calm + CALM)
-                    && is_by_block(robot.first_head, &transaction)
+                    && is_by_block(robot.heads, &transaction)
                 {
                     self.invariants.gate.refused(watched.id, &transaction, *refused, self.now)?;
                 }
@@ -248,7 +248,7 @@ impl World {
                         let id = transaction.id();
                         self.trace.note(self.now, format_args!("robot: {service} lets {id} of {who} pass"));
                         let (opening, now) = (robot.openings, self.now);
-                        let by_block = is_by_block(robot.first_head, transaction);
+                        let by_block = is_by_block(robot.heads, transaction);
                         self.invariants.gate.passed(&Passed { opening, service, transaction, now, wall, by_block })?;
                         if !self.chaos {
                             robot.passed.insert((service.to_owned(), who));
@@ -332,8 +332,8 @@ fn waited(robot: &mut Robot, asked: u64) -> Vec<(usize, u64)> {
     served
 }
 
-/// Does the gate measure the age of the message by the block that it names? `first`: the first block that it was told of.
-fn is_by_block(first: Option<u64>, transaction: &Transaction) -> bool {
+/// Does the gate measure the age of the message by the block that it names? `heads`: the blocks of which it was told.
+fn is_by_block(heads: Option<(u64, u64)>, transaction: &Transaction) -> bool {
     let named = transaction.body().known_block.as_ref();
-    first.zip(named).is_some_and(|(first, named)| named.height >= first)
+    heads.zip(named).is_some_and(|((first, _), named)| named.height >= first)
 }
