@@ -118,7 +118,7 @@ impl Open {
     ) -> Result<(), Rejection> {
         let corrupt = || {
             Rejection::new(Code::Corrupt, "the kept stops cannot be read")
-                .wanted("what this version has written")
+                .wanted("a file that this version has written")
                 .next("delete the file, and repeat the stops")
         };
         let mut rest = bytes.strip_prefix(DOMAIN).ok_or_else(corrupt)?;

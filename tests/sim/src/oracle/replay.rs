@@ -164,7 +164,11 @@ fn claims(world: &World) -> Vec<(u64, u64, Claim<'_>)> {
     for operation in &world.history.operations {
         match (&operation.kind, &operation.result) {
             (Kind::Submit { encoded, .. }, Outcome::Refused { code, judged: Some((height, time)), .. }) => {
-                claims.push((*height, *time, Claim::Refusal { encoded, code: *code }));
+                // A call that is late by the node's clock only is judged by block time.
+                let is_late = Transaction::decode(encoded.clone()).is_ok_and(|call| call.body().not_after < *time);
+                let block = height.checked_sub(1).and_then(|index| world.blocks.get(usize::try_from(index).ok()?));
+                let time = block.filter(|_| is_late).map_or(*time, |block| block.outcome.header.time);
+                claims.push((*height, time, Claim::Refusal { encoded, code: *code }));
             }
             (Kind::Read { asks, service, person, .. }, Outcome::Read { height, judged_at, code, response }) => {
                 let claim = Claim::Read { asks: *asks, service, code: *code, response, person: *person };

@@ -1,4 +1,4 @@
-//! What waits of one organisation, fair between its creators.
+//! The waiting transactions of one organisation, fair between its creators.
 //!
 //! Everything gets a tag when it comes: where its creator's previous transaction ends in virtual time, but not before what is
 //! taken now. Tags give the order. So the transactions of one creator stay in their order, and those who send little pass
