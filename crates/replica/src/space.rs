@@ -27,7 +27,7 @@ pub const RESERVE_BYTES: u64 = 16 << 20;
 /// is, and needs 12 minutes for half of what is left.
 const ORGANISATION_PART: u64 = 1024;
 /// It has so many bytes a second in any case, while messages are accepted: robots are driven and report with less.
-const ORGANISATION_BYTES_MIN: u64 = 64 << 10;
+const ORGANISATION_BYTES_MIN: u64 = 1 << 20;
 /// The warning begins below one part in so many of the disk.
 const LOW_PART: u64 = 10;
 /// The warning ends when so much of the disk more than that is free, one part in so many: it does not come and go.
