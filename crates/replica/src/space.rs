@@ -366,8 +366,8 @@ mod tests {
     fn an_organisation_has_less_the_fuller_the_disk_is_and_something_while_messages_are_accepted() {
         let share =
             |free| Space::of(String::new(), &mut Disk { free, reserve: Reserve::Impossible }).organisation_bytes();
-        assert_eq!(share(GIB), (GIB - MESSAGES_FREE_BYTES_MIN) / ORGANISATION_PART);
-        assert!(share(GIB / 2) < share(GIB) && share(GIB / 4) < share(GIB / 2));
+        assert_eq!(share(8 * GIB), (8 * GIB - MESSAGES_FREE_BYTES_MIN) / ORGANISATION_PART);
+        assert!(share(4 * GIB) < share(8 * GIB) && share(2 * GIB) < share(4 * GIB));
         assert_eq!(share(MESSAGES_FREE_BYTES_MIN), ORGANISATION_BYTES_MIN);
     }
 }
