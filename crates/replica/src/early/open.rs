@@ -92,7 +92,7 @@ impl Open {
         self.calls.iter().map(|kept| kept.transaction.clone()).collect()
     }
 
-    /// What is to be saved, if that has changed since it was asked for last.
+    /// The bytes to be saved, if they have changed since they were asked for last.
     pub(super) fn changed(&mut self) -> Option<Vec<u8>> {
         std::mem::take(&mut self.changed).then(|| self.to_bytes())
     }

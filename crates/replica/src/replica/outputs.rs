@@ -77,7 +77,7 @@ impl<W: Waiter> Replica<W> {
         Ok(DoubleVote { network: self.executor.ledger().network(), term: found.term, time: now.clock, votes })
     }
 
-    /// What another node forwards, without what is far beyond budgets, which it gets back.
+    /// The transactions that another node forwards, without those far beyond budgets, which it gets back.
     pub(super) fn within_budgets(
         &self,
         now: Now,
