@@ -12,7 +12,7 @@ pub use admission::{Admission, Ground, Refusal, Step};
 use certified::newest_roots;
 
 use crate::block::{Header, Payload, leaf};
-use crate::chaincode::{Context, Environment, Meter, Registry, ServiceBudget};
+use crate::chaincode::{Context, Environment, Meter, Registry};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};

@@ -121,7 +121,7 @@ impl fmt::Display for Retention {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let shown = |number: u64, units: [(&str, u64); 3]| {
             // The smallest unit, if none divides it: no such value is ever read.
-            let fits = units.iter().find(|(_, factor)| number % factor == 0).or(units.last());
+            let fits = units.iter().find(|(_, factor)| number.is_multiple_of(*factor)).or(units.last());
             let (unit, factor) = fits.copied().unwrap_or(("", 1));
             format!("{}{unit}", number / factor)
         };
