@@ -243,7 +243,7 @@ fn a_snapshot_that_one_organisation_attests_is_noticed_when_it_is_taken() {
 
 #[test]
 fn blocks_that_nobody_confirms_are_noticed_when_they_are_taken() {
-    caught(Mutation::TakeUnconfirmedBlocks, 0, &["committed is immutable", "chain agreement", "log matching"]);
+    caught(Mutation::TakeUnconfirmedBlocks, 3, &["committed is immutable", "chain agreement", "log matching"]);
 }
 
 #[test]
@@ -258,7 +258,7 @@ fn a_removed_member_that_keeps_its_vote_is_noticed() {
 
 #[test]
 fn a_block_that_is_executed_twice_after_a_snapshot_is_noticed() {
-    caught(Mutation::ApplyTwiceAfterASnapshot, 0, &["a node ends only for a reason"]);
+    caught(Mutation::ApplyTwiceAfterASnapshot, 2, &["a node ends only for a reason"]);
 }
 
 #[test]
@@ -273,12 +273,12 @@ fn a_call_that_overtakes_one_that_is_held_is_noticed() {
 
 #[test]
 fn an_identity_that_uses_a_gateway_alone_is_noticed() {
-    caught(Mutation::IgnoreTheShare, 0, &["nobody is kept out"]);
+    caught(Mutation::IgnoreTheShare, 1, &["nobody is kept out"]);
 }
 
 #[test]
 fn a_deadline_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetADeadline, 10, &["everybody is answered"]);
+    caught(Mutation::ForgetADeadline, 25, &["everybody is answered"]);
 }
 
 #[test]
@@ -328,7 +328,7 @@ fn a_robot_that_compares_no_epochs_is_noticed() {
 
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
-    caught(Mutation::IgnoreStaleness, 222, &["gate"]);
+    caught(Mutation::IgnoreStaleness, 31, &["gate"]);
 }
 
 #[test]
