@@ -238,7 +238,7 @@ fn a_read_that_no_majority_confirms_is_noticed() {
 
 #[test]
 fn a_snapshot_that_one_organisation_attests_is_noticed_when_it_is_taken() {
-    caught(Mutation::BelieveOneOrganisation, 2, &["snapshots are attested"]);
+    caught(Mutation::BelieveOneOrganisation, 82, &["snapshots are attested"]);
 }
 
 #[test]
