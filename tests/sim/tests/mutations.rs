@@ -143,7 +143,7 @@ fn a_grant_that_is_passed_on_without_a_new_epoch_is_noticed() {
 
 #[test]
 fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
-    caught(Mutation::CountTheRequester, 63, &["the oracle agrees"]);
+    caught(Mutation::CountTheRequester, 45, &["the oracle agrees"]);
 }
 
 #[test]
