@@ -83,17 +83,20 @@ def check(key, message, signature):
     return key.verify(signature, message, ec.ECDSA(hashes.SHA256()))
 
 
-def hands_of(records, nodes):
-    """The hand of each node, which is its organisation or the first of those under one, and whether certificates are strict."""
-    rule = json.loads(records.get(b"msp\0certificates", b"{}"))
-    shared = {name: min(hand) for hand in rule.get("hands", []) for name in hand}
-    owners = {id: node["organisation"] for id, node in nodes.items()}
-    return {id: shared.get(owner, owner) for id, owner in owners.items()}, "strict_since" in rule
-
-
 def strict_quorum(voters, owners):
     """The signatures of a strict certificate: more than half of the voters and those of the largest hand, never more than all."""
     return min((voters + max(map(owners.count, owners))) // 2 + 1, voters)
+
+
+def quorum(records, nodes, group):
+    """How many of a group of voters must sign, of how many hands, and the hand of each: its organisation, or the first of those
+    under one hand."""
+    rule = json.loads(records.get(b"msp\0certificates", b"{}"))
+    shared = {name: min(hand) for hand in rule.get("hands", []) for name in hand}
+    owners = {node: nodes[node]["organisation"] for node in group if node in nodes}
+    hands = {node: shared.get(owner, owner) for node, owner in owners.items()}
+    needed = strict_quorum(len(group), list(hands.values())) if "strict_since" in rule else len(group) // 2 + 1
+    return needed, min(2, len(set(hands.values()))), hands
 
 
 def read_authorities(organisations):

@@ -15,7 +15,7 @@ import struct
 import sys
 from pathlib import Path
 
-from node_signature import check_node, hands_of, need, read_authorities, strict_quorum
+from node_signature import check_node, need, quorum, read_authorities
 
 FACTS = {b"\1": "ground", b"\2": "verdict", b"\3": "event", b"\4": "control write"}
 # First bytes, network, forced recoveries, height, block time, block, results root.
@@ -116,12 +116,10 @@ def signers(network, records, proof):
             good |= {node} & (voters | outgoing)
         except Exception as reason:  # A signature that is not good counts for nothing, and spoils nothing.
             reasons.append(f"; node {node}: {reason!r}")
-    hands, strict = hands_of(records, nodes)
     for group in (voters, outgoing or voters):
-        signed, owners = group & good, [hands[node] for node in group if node in hands]
-        needed = strict_quorum(len(group), owners) if strict else len(group) // 2 + 1
-        enough = len(signed) >= needed and len({hands[node] for node in signed}) >= min(2, len(set(owners)))
-        need(enough, f"nodes {signed} of {group} of {owners} are fewer than {needed}" + "".join(reasons))
+        signed, (needed, of, hands) = group & good, quorum(records, nodes, group)
+        enough = len(signed) >= needed and len({hands[node] for node in signed}) >= of
+        need(enough, f"nodes {signed} of {group}, of {hands}, are fewer than {needed}" + "".join(reasons))
     return sorted(f"{nodes[node]['organisation']}/{nodes[node]['name']}" for node in good)
 
 

@@ -15,9 +15,9 @@
 //! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides. So it
 //! does where the node says that the next one goes on: the robot is not stopped until then.
 //!
-//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides. A node that sends a signed stop stops
-//! the robot until a standing settles that stop by its id: it has a verdict, a resume has cancelled it, or block time has passed its
-//! `not_after`. No other standing ends it.
+//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides. A signed stop lasts until a
+//! standing settles it by its id, and no other standing ends it. It is settled once it has a verdict, a resume has cancelled it, or
+//! block time has passed its `not_after`.
 //!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!

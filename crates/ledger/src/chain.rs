@@ -2,6 +2,7 @@
 
 mod admission;
 mod certified;
+mod deadlines;
 mod early;
 mod readers;
 mod rules;
@@ -11,7 +12,7 @@ pub use admission::{Admission, Ground, Refusal, Step};
 use certified::newest_roots;
 
 use crate::block::{Header, Payload, leaf};
-use crate::chaincode::{Context, Environment, Meter, Registry, ServiceBudget};
+use crate::chaincode::{Context, Environment, Meter, Registry};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
@@ -291,17 +292,6 @@ impl Ledger {
         verified.into_iter().for_each(|leaf| self.verified.insert(leaf));
     }
 
-    /// The time at which a question is judged that comes at `now` by the clock of the node: no earlier than block time, and before the
-    /// next moment at which something ends by itself, e.g. a lease. What ends by time ends with a block, never by one node's clock.
-    pub fn judged_at(&self, now: u64) -> u64 {
-        let block_time = self.tip().time;
-        if now <= block_time {
-            return block_time;
-        }
-        let before_the_next_end = self.next_deadline().map_or(u64::MAX, |due| due.saturating_sub(1));
-        now.min(before_the_next_end).max(block_time)
-    }
-
     /// Calls a function on the committed state, at the time of [`Ledger::judged_at`], and throws its writes away. Answers with the
     /// height of that state. `now` as in [`Ledger::admit`].
     ///
@@ -347,28 +337,6 @@ impl Ledger {
     /// A fault of the store.
     pub fn is_revoked(&self, issuer: &Hash, serial: &[u8]) -> Result<bool, Rejection> {
         Ok(self.state.get(&revoked_key(&[&issuer.0, serial].concat()))?.is_some())
-    }
-
-    /// The earliest block time at which a chaincode has something to do without being called, microseconds.
-    pub fn next_deadline(&self) -> Option<u64> {
-        let mut overlay = self.overlay();
-        let tip = self.tip();
-        let deadlines = self.registry.iter().filter_map(|chaincode| {
-            let meter = Meter::of_query();
-            let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
-            let environment = self.environment(None, (&tip, tip.time), &executed, &meter);
-            chaincode.next_deadline(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()))
-        });
-        deadlines.min()
-    }
-
-    /// The budget of a service of a chaincode by its owner, as of the state; none if there is no such service.
-    pub fn service_budget(&self, chaincode: &str, service: &str) -> Option<ServiceBudget> {
-        let (mut overlay, tip, meter) = (self.overlay(), self.tip(), Meter::of_query());
-        let chaincode = self.registry.find(chaincode).ok()?;
-        let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
-        let environment = self.environment(None, (&tip, tip.time), &executed, &meter);
-        chaincode.service_budget(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), service)
     }
 
     /// Where a transaction is and what became of it. Takes microseconds for those of the last seconds, and may take

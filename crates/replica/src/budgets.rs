@@ -6,7 +6,7 @@
 //! never waits.
 //!
 //! The leader looks at what other gateways forward, and returns the data of those that are far beyond a limit. An honest
-//! gateway forwards none of it. What a gateway that lies gets ordered before the count has it is a debt, which is paid in time.
+//! gateway forwards none of it. A gateway that lies may get more ordered before the count has it: that is a debt, which is paid in time.
 
 mod account;
 
@@ -202,7 +202,7 @@ impl Accounts {
         }
     }
 
-    /// The quotas of an organisation, which has an account from now on. What cannot be read now stays what it was.
+    /// The quotas of an organisation, which has an account from now on. A limit that cannot be read now stays as it was.
     fn quotas(&mut self, ledger: &Ledger, name: &str, time: u64) -> Quotas {
         if let Some(known) = self.organisations.get(name)
             && known.read.abs_diff(time) < READ_AGAIN

@@ -88,7 +88,7 @@ impl Early {
         self.lock().open.tend(ledger, leader, now.elapsed)
     }
 
-    /// What is to be saved, at most [`Early::SAVED_BYTES_MAX`] bytes, if that has changed since it was asked for last.
+    /// The bytes to be saved, at most [`Early::SAVED_BYTES_MAX`] bytes, if that has changed since it was asked for last.
     pub fn changed(&self) -> Option<Vec<u8>> {
         self.lock().open.changed()
     }

@@ -23,11 +23,11 @@ pub const MESSAGES_FREE_BYTES_MIN: u64 = 16 << 20;
 pub const ENDS_FREE_BYTES_MIN: u64 = 1 << 20;
 /// Size of the reserve: the largest block fits twice, with what follows it.
 pub const RESERVE_BYTES: u64 = 16 << 20;
-/// An organisation has one part in so many of what is free for messages written in a second: it has less the fuller the disk
+/// An organisation has one part in so many of what is free for messages written in a second. It has less the fuller the disk
 /// is, and needs 12 minutes for half of what is left.
 const ORGANISATION_PART: u64 = 1024;
 /// It has so many bytes a second in any case, while messages are accepted: robots are driven and report with less.
-const ORGANISATION_BYTES_MIN: u64 = 64 << 10;
+const ORGANISATION_BYTES_MIN: u64 = 1 << 20;
 /// The warning begins below one part in so many of the disk.
 const LOW_PART: u64 = 10;
 /// The warning ends when so much of the disk more than that is free, one part in so many: it does not come and go.
@@ -366,8 +366,8 @@ mod tests {
     fn an_organisation_has_less_the_fuller_the_disk_is_and_something_while_messages_are_accepted() {
         let share =
             |free| Space::of(String::new(), &mut Disk { free, reserve: Reserve::Impossible }).organisation_bytes();
-        assert_eq!(share(GIB), (GIB - MESSAGES_FREE_BYTES_MIN) / ORGANISATION_PART);
-        assert!(share(GIB / 2) < share(GIB) && share(GIB / 4) < share(GIB / 2));
+        assert_eq!(share(8 * GIB), (8 * GIB - MESSAGES_FREE_BYTES_MIN) / ORGANISATION_PART);
+        assert!(share(4 * GIB) < share(8 * GIB) && share(2 * GIB) < share(4 * GIB));
         assert_eq!(share(MESSAGES_FREE_BYTES_MIN), ORGANISATION_BYTES_MIN);
     }
 }

@@ -12,8 +12,7 @@ use std::str::FromStr;
 /// Shortest age that can be set, microseconds.
 pub const AGE_MIN_US: u64 = 10 * 60 * 1_000_000;
 
-/// Blocks of this time are kept in any case while they are not [`SIZE_PARTS_MAX`] times as large as the size that is set,
-/// microseconds: twice as long as a transaction may be repeated, and its verdict asked for.
+/// Blocks of this time are kept in any case while they are not [`SIZE_PARTS_MAX`] times as large as the size that is set, microseconds. It is twice as long as a transaction may be repeated, and its verdict asked for.
 pub const KEPT_MIN_US: u64 = 4 * 60 * 1_000_000;
 
 const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
@@ -25,7 +24,7 @@ pub const SIZE_PARTS_MAX: u64 = 2;
 pub const SIZE_MIN_BYTES: u64 = 64 << 20;
 
 /// A setting of the node. Reads and prints as `forever`, an age like `30d` or `12h`, a size like `20GiB` or `500MiB`, or both
-/// like `30d,20GiB`: then blocks are dropped that are beyond one of them.
+/// like `30d,20GiB`. Then blocks are dropped that are beyond one of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Retention {
@@ -122,7 +121,7 @@ impl fmt::Display for Retention {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let shown = |number: u64, units: [(&str, u64); 3]| {
             // The smallest unit, if none divides it: no such value is ever read.
-            let fits = units.iter().find(|(_, factor)| number % factor == 0).or(units.last());
+            let fits = units.iter().find(|(_, factor)| number.is_multiple_of(*factor)).or(units.last());
             let (unit, factor) = fits.copied().unwrap_or(("", 1));
             format!("{}{unit}", number / factor)
         };

@@ -1,7 +1,6 @@
 //! Refusals that are not on the ledger yet: one line for each identity, function, service and code.
 //!
-//! A report has a bounded number of lines. When they are used up, those of the organisation with the most lines are folded, and within it
-//! those of the identity with the most: into one line of that identity, then into one line of that organisation. So many different
+//! A report has a bounded number of lines. When they are used up, those of the organisation with the most lines are folded, and within it those of the identity with the most. They become one line of that identity, then one line of that organisation. So many different
 //! refusals of one identity hide no refusal of another organisation, and none of another identity while that has fewer lines.
 
 use ledger::msp::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSED_TEXT_MAX, Refused, TellRefusals};

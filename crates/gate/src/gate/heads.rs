@@ -171,7 +171,6 @@ impl Heads {
 }
 
 #[cfg(test)]
-#[expect(clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
     use bytes::Bytes;

@@ -79,7 +79,7 @@ fn a_node_that_lost_its_disk_comes_back_under_a_new_id_and_no_id_is_used_twice()
     let mut network = Network::new(2, 2);
     let replace = r#"{"address":"node2:7450","replace":true}"#;
     let node: NodeRecord = json(network.node(2, "join_node", &[replace]));
-    assert_eq!((node.id, node.role, network.role(2)), (3, VOTER, REMOVED), "its vote stays with it");
+    assert_eq!((node.id, node.role, network.role(2)), (3, LEARNER, REMOVED));
     let node: NodeRecord = json(network.node(2, "join_node", &[replace]));
     assert_eq!((node.id, network.role(3)), (4, REMOVED));
     assert!(is_executed(network.admin(2, "set_node_role", &[&set(4, "removed")])));
@@ -98,7 +98,7 @@ fn removed_nodes_are_forgotten_in_the_end_but_not_their_ids() {
     }
     let nodes = network.roles();
     assert_eq!((nodes.len(), nodes[1].0), (258, 46));
-    assert_eq!(nodes[257], (302, "Org2/node2".into(), VOTER));
+    assert_eq!(nodes[257], (302, "Org2/node2".into(), LEARNER));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! One lane: a bounded queue that is fair between organisations, and within each between the creators of what waits.
 //!
 //! Start-time fair queueing (Goyal, Vin, Cheng 1996) in two levels. An organisation has a tag: the virtual time at which its
-//! first transaction begins. What is taken of it moves the tag on by its cost. An organisation of which nothing waits begins where
+//! first transaction begins. Each transaction that is taken of it moves the tag on by its cost. An organisation of which nothing waits begins where
 //! the queue is, or where it has ended before, if that is later. The lowest tag is taken next, and within the organisation the creators are served in the same way
 //! ([`Backlog`]). So thirty identities of one organisation get what one gets that is alone. When the queue is full, the last in
 //! order goes: it belongs to the organisation with most waiting.
@@ -230,7 +230,7 @@ impl Queue {
     }
 }
 
-/// What waits, in the order in which it will be taken. Nothing is taken.
+/// The waiting transactions, in the order in which they will be taken. Nothing is taken.
 struct InOrder<'a> {
     /// One for each organisation of which something is left.
     heads: Vec<Head<'a>>,

@@ -16,7 +16,7 @@ impl Rate {
     pub(super) const UNLIMITED: Self = Self { bytes: u64::MAX, messages: u64::MAX };
 }
 
-/// What is counted at once.
+/// The amount that is counted at once.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counted {
     pub(super) bytes: u64,
@@ -26,9 +26,9 @@ pub(super) struct Counted {
 /// The account of an identity, an organisation or a service.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Account {
-    /// What this gateway has let in, by its steady clock.
+    /// The amount that this gateway has let in, by its steady clock.
     pub(super) own: Level,
-    /// What blocks hold, by block time.
+    /// The amount that blocks hold, by block time.
     pub(super) all: Level,
 }
 

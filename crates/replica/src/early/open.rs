@@ -92,7 +92,7 @@ impl Open {
         self.calls.iter().map(|kept| kept.transaction.clone()).collect()
     }
 
-    /// What is to be saved, if that has changed since it was asked for last.
+    /// The bytes to be saved, if they have changed since they were asked for last.
     pub(super) fn changed(&mut self) -> Option<Vec<u8>> {
         std::mem::take(&mut self.changed).then(|| self.to_bytes())
     }
@@ -118,7 +118,7 @@ impl Open {
     ) -> Result<(), Rejection> {
         let corrupt = || {
             Rejection::new(Code::Corrupt, "the kept stops cannot be read")
-                .wanted("what this version has written")
+                .wanted("a file that this version has written")
                 .next("delete the file, and repeat the stops")
         };
         let mut rest = bytes.strip_prefix(DOMAIN).ok_or_else(corrupt)?;
@@ -143,7 +143,7 @@ impl Kept {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
     use ledger::transaction::{Body, NONCE_BYTES};

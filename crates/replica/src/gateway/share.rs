@@ -213,7 +213,7 @@ impl Share {
                 .overloaded()
                 .found(format!("{} bytes without a verdict, and {bytes} more", own.bytes))
                 .wanted(format!(
-                    "at most {bytes_left} bytes: what its organisation, with {} in flight, has left of {IN_FLIGHT_BYTES_MAX}",
+                    "at most {bytes_left} bytes, as its organisation has {} of {IN_FLIGHT_BYTES_MAX} in flight",
                     all.bytes
                 )));
         }

@@ -78,7 +78,7 @@ impl<W: Waiter> Replica<W> {
         Ok(DoubleVote { network: ledger.network(), recoveries: ledger.recoveries()?, term, time: now.clock, votes })
     }
 
-    /// What another node forwards, without what is far beyond budgets, which it gets back.
+    /// The transactions that another node forwards, without those far beyond budgets, which it gets back.
     pub(super) fn within_budgets(
         &self,
         now: Now,

@@ -1,4 +1,4 @@
-//! What waits of one organisation, fair between its creators.
+//! The waiting transactions of one organisation, fair between its creators.
 //!
 //! Everything gets a tag when it comes: where its creator's previous transaction ends in virtual time, but not before what is
 //! taken now. Tags give the order. So the transactions of one creator stay in their order, and those who send little pass
@@ -81,12 +81,12 @@ impl Backlog {
         self.items.is_empty()
     }
 
-    /// What everything that waits costs.
+    /// The cost of everything that waits.
     pub(super) fn cost(&self) -> u64 {
         self.cost
     }
 
-    /// What this one costs.
+    /// The cost of this one.
     pub(super) fn cost_of(&self, rank: &Rank) -> u64 {
         self.items.get(rank).map_or(0, |waiting| cost(&waiting.transaction) as u64)
     }
@@ -109,7 +109,7 @@ impl Backlog {
     }
 }
 
-/// What waits of one organisation, in order.
+/// The waiting transactions of one organisation, in order.
 pub(super) struct Ordered<'a>(btree_map::Iter<'a, Rank, Waiting>);
 
 impl<'a> Iterator for Ordered<'a> {
@@ -120,7 +120,7 @@ impl<'a> Iterator for Ordered<'a> {
     }
 }
 
-/// What a transaction costs to order and execute, in bytes that cost as much.
+/// The cost of ordering and executing a transaction, in bytes that cost as much.
 pub(super) fn cost(transaction: &Bytes) -> usize {
     transaction.len() + TRANSACTION_COST_BYTES
 }

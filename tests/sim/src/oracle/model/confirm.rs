@@ -62,12 +62,9 @@ impl Model {
             return Ok(Code::Ok.into());
         }
         let contender = (&people.all[asking.person], asking.person);
-        match self.compete(contender, id, &asking.wishes, Stage::Confirmed, time) {
-            // Then there is no place for it to wait, and nothing has happened.
-            Err(Code::LineFull) => Err(Code::LineFull),
-            // It may try again until the confirmations end.
-            _ => Ok(Code::Ok.into()),
-        }
+        // It may try again until the confirmations end, also if there is no place for it to wait now.
+        let _perhaps_refused = self.compete(contender, id, &asking.wishes, Stage::Confirmed, time);
+        Ok(Code::Ok.into())
     }
 
     /// The number of confirmations that count now: by valid certificates that policies still permit to confirm.
