@@ -11,7 +11,7 @@ pub(crate) struct Check {
     failed: Option<String>,
     /// It is well, and needs attention soon.
     warning: Option<String>,
-    /// What it is like while nothing is wrong.
+    /// Facts that are shown while nothing is wrong.
     note: Option<String>,
 }
 

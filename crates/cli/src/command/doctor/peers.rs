@@ -208,8 +208,12 @@ mod tests {
 
     #[test]
     fn a_lie_that_the_voters_do_not_survive_is_advice_where_there_is_another_organisation() {
-        let node = |organisation: &str| Node { organisation: organisation.into(), ..node("a", 0) };
-        let rule = |needed, lie| CertificateRuleFacts {
+        let node = |organisation: &str| {
+            let mut node = node("a", 0);
+            node.organisation = organisation.into();
+            node
+        };
+        let rule = |needed, lie: bool| CertificateRuleFacts {
             signatures_needed: needed,
             strict_since: lie.then_some(0),
             survives_crashes: 1,
