@@ -188,7 +188,7 @@ fn a_forbid_that_errs_and_is_skipped_is_noticed() {
 
 #[test]
 fn a_vote_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetTheVote, 13, &["election safety"]);
+    caught(Mutation::ForgetTheVote, 47, &["election safety"]);
 }
 
 #[test]
