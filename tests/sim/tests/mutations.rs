@@ -163,7 +163,7 @@ fn a_task_that_waits_again_although_its_submitter_did_not_want_that_is_noticed()
 
 #[test]
 fn one_reader_more_than_the_owner_allows_is_noticed() {
-    caught(Mutation::OnePlaceTooMany, 6, &["grant exclusivity", "the oracle agrees"]);
+    caught(Mutation::OnePlaceTooMany, 18, &["grant exclusivity", "the oracle agrees"]);
 }
 
 #[test]
