@@ -332,6 +332,11 @@ fn a_robot_that_goes_on_without_the_voters_is_noticed() {
 }
 
 #[test]
+fn a_robot_that_forgets_an_open_stop_is_noticed() {
+    caught(Mutation::ForgetAnOpenStop, 204, &["gate"]);
+}
+
+#[test]
 fn members_that_may_say_everything_are_noticed() {
     caught(
         Mutation::BelieveAnybody,
