@@ -1,12 +1,13 @@
 //! Connects ordering with the subsystems that are built after it.
 
 use crate::clients::rejections::Rejections;
+use crate::ordering::directory::Directory;
 use crate::ordering::orderer::Outlet;
 use crate::ordering::reads::ReadIndex;
 use crate::peers::Peers;
 use ledger::Refusal;
-use ledger_light::DoubleVote;
-use ledger_raft::PeerMessage;
+use ledger_light::{DoubleHead, DoubleVote};
+use ledger_raft::{Contradiction, PeerMessage};
 use ledger_replica::Known;
 use std::sync::Arc;
 
@@ -16,6 +17,8 @@ pub(super) struct ToSubsystems {
     pub reads: ReadIndex,
     /// Messages to other nodes, and proofs of lies.
     pub peers: Arc<Peers>,
+    /// The names of the nodes.
+    pub directory: Arc<Directory>,
     /// Rejected calls.
     pub rejections: Arc<Rejections>,
 }
@@ -35,5 +38,13 @@ impl Outlet for ToSubsystems {
 
     fn voted_twice(&self, proof: Box<DoubleVote>) {
         self.peers.certificates.voted_twice(proof);
+    }
+
+    fn two_heads(&self, proof: Box<DoubleHead>) {
+        self.peers.certificates.two_heads(proof);
+    }
+
+    fn contradicted(&self, found: Contradiction) {
+        self.peers.monitor.contradicted(&self.directory.name(found.node), &found);
     }
 }

@@ -29,7 +29,7 @@ use kept::{Kept, Lied};
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::Rejection;
 use ledger_light::fact::Fact;
-use ledger_light::{Certificate, DoubleVote, Lie, Proof, Signed, Statement};
+use ledger_light::{Certificate, DoubleHead, DoubleVote, Lie, Proof, Signed, Statement};
 use ledger_raft::{PeerMessage, SignedStatement};
 use ledger_replica::Observer;
 use ledger_replica::certifier::{Certifier, Effect, Era, Event};
@@ -53,6 +53,8 @@ pub(crate) enum Told {
     Event(Event),
     /// A voter has voted for two nodes in one term.
     VotedTwice(Box<DoubleVote>),
+    /// A leader has signed two logs in one term.
+    TwoHeads(Box<DoubleHead>),
 }
 
 /// The view that the rest of the node has of its certificates.
@@ -97,6 +99,9 @@ impl Certificates {
             }
             Lied::Voted { term, node } => {
                 format!("{} has voted for two nodes in term {term}", directory.name(*node))
+            }
+            Lied::Led { term, node } => {
+                format!("{} has led with two different logs in term {term}", directory.name(*node))
             }
         };
         lies.iter().map(words).collect::<Vec<_>>().join(", ")
@@ -160,6 +165,11 @@ impl Certificates {
     /// The engine has a proof that a voter has voted for two nodes. The task keeps it: nobody waits for the disk here.
     pub(crate) fn voted_twice(&self, proof: Box<DoubleVote>) {
         let _stopping = self.told.send(Told::VotedTwice(proof));
+    }
+
+    /// The engine has a proof that a leader has signed two logs in one term. The task keeps it.
+    pub(crate) fn two_heads(&self, proof: Box<DoubleHead>) {
+        let _stopping = self.told.send(Told::TwoHeads(proof));
     }
 
     /// Notes a lie; false if it is known.
@@ -243,6 +253,10 @@ impl Certifying {
                         self.voted_twice(&proof).await;
                         continue;
                     }
+                    Some(Told::TwoHeads(proof)) => {
+                        self.two_heads(&proof).await;
+                        continue;
+                    }
                     None => return,
                 },
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
@@ -321,6 +335,16 @@ impl Certifying {
         let (node, term) = (self.ordering.directory.name(proof.voter()), proof.term);
         let [first, second] = proof.votes.each_ref().map(|(candidate, _)| self.ordering.directory.name(*candidate));
         tracing::error!(node, term, first, second, "a voter has voted for two nodes in one term; the proof is kept");
+        self.keep_lie(proof.into(), proof.to_bytes()).await;
+    }
+
+    async fn two_heads(&self, proof: &DoubleHead) {
+        let (node, DoubleHead { term, height, branches: [own, other], .. }) =
+            (self.ordering.directory.name(proof.leader), proof);
+        tracing::error!(
+            node, term, height, own = %own.base, other = %other.base,
+            "a leader has signed two different logs in one term; the proof is kept"
+        );
         self.keep_lie(proof.into(), proof.to_bytes()).await;
     }
 

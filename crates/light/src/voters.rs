@@ -1,6 +1,7 @@
 //! The voters whose signatures count for a block, and how many of them are enough: those as of the block before it.
 
 use crate::statement::{Signature, Statement};
+use crate::transfer::Transfer;
 use crate::vote::Vote;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
@@ -60,6 +61,24 @@ impl Voters {
                 .wanted(format!("node {}", vote.voter)));
         }
         self.check_signer("a vote", &vote.to_bytes(), signature, identity)
+    }
+
+    /// Checks the signature of a leader's word that it hands over, as [`Voters::check_vote`] does.
+    ///
+    /// # Errors
+    /// As [`Voters::check_vote`].
+    pub fn check_transfer(
+        &self,
+        transfer: &Transfer,
+        signature: &Signature,
+        identity: &Identity,
+    ) -> Result<(), Rejection> {
+        if signature.node != transfer.leader {
+            return Err(Rejection::new(Code::BadSignature, "a transfer of leadership is signed by another node")
+                .found(format!("node {}", signature.node))
+                .wanted(format!("node {}", transfer.leader)));
+        }
+        self.check_signer("a transfer of leadership", &transfer.to_bytes(), signature, identity)
     }
 
     fn check_signer(

@@ -16,8 +16,11 @@ use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::DoubleVote;
-use ledger_raft::{Ballots, ClockDoubt, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
+use ledger_light::{DoubleHead, DoubleVote};
+use ledger_raft::{
+    Ballots, ClockDoubt, Contradiction, Desired, Engine, EngineConfig, ExecutedBlocks, Input, PeerMessage, RoleChange,
+    Secret, Status,
+};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
@@ -140,6 +143,10 @@ pub enum Effect {
     },
     /// A voter has voted for two candidates in one term. The proof is to be kept.
     VotedTwice(Box<DoubleVote>),
+    /// A leader has signed two logs in one term. The proof is to be kept.
+    TwoHeads(Box<DoubleHead>),
+    /// Another node has another chain. It is to be shown: people must decide.
+    Contradicted(Contradiction),
     /// The node cannot go on.
     Failed(Rejection),
 }
@@ -205,8 +212,9 @@ impl<W: Waiter> Replica<W> {
         config.heartbeat_tick = settings.timing.heartbeat_ticks();
         config.data_wait_us = settings.timing.data_wait;
         config.secret = settings.secret;
-        let engine =
-            Engine::new(config, store, ballots).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
+        let executed = Arc::clone(&executor) as Arc<dyn ExecutedBlocks>;
+        let engine = Engine::new(config, store, executed, ballots)
+            .map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
         Ok(Self {
             engine,

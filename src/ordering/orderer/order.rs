@@ -179,6 +179,8 @@ impl Order {
                 }
             }
             Effect::VotedTwice(proof) => self.engines.outlet.voted_twice(proof),
+            Effect::TwoHeads(proof) => self.engines.outlet.two_heads(proof),
+            Effect::Contradicted(found) => self.engines.outlet.contradicted(found),
             Effect::Failed(reason) => {
                 self.failed = true;
                 self.engines.failure.fail(reason);

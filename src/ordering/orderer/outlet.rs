@@ -1,8 +1,8 @@
 //! Interface from ordering to the later subsystems.
 
 use ledger::Refusal;
-use ledger_light::DoubleVote;
-use ledger_raft::PeerMessage;
+use ledger_light::{DoubleHead, DoubleVote};
+use ledger_raft::{Contradiction, PeerMessage};
 use ledger_replica::Known;
 
 /// Receives what ordering hands to other parts of the node. Called by the order thread: nothing here may block.
@@ -15,4 +15,8 @@ pub(crate) trait Outlet: Send + Sync {
     fn rejected(&self, now: u64, refusal: &Refusal);
     /// A voter has voted for two nodes in one term.
     fn voted_twice(&self, proof: Box<DoubleVote>);
+    /// A leader has signed two logs in one term.
+    fn two_heads(&self, proof: Box<DoubleHead>);
+    /// The log of another node contradicts the one of this node.
+    fn contradicted(&self, found: Contradiction);
 }

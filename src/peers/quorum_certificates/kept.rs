@@ -3,7 +3,7 @@
 use ledger_base::durable::{PUBLIC_MODE, create_directory, failed, read, rename, replace};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::proof::PROOF_BYTES_MAX;
-use ledger_light::{DoubleVote, Lie, Proof};
+use ledger_light::{DoubleHead, DoubleVote, Lie, Proof};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -21,12 +21,14 @@ pub(super) enum Lied {
     About { height: u64, node: u64 },
     /// It has voted for two candidates in this term.
     Voted { term: u64, node: u64 },
+    /// It has led with two logs in this term.
+    Led { term: u64, node: u64 },
 }
 
 impl Lied {
     pub(super) fn node(self) -> u64 {
         match self {
-            Self::About { node, .. } | Self::Voted { node, .. } => node,
+            Self::About { node, .. } | Self::Voted { node, .. } | Self::Led { node, .. } => node,
         }
     }
 
@@ -34,20 +36,21 @@ impl Lied {
         match self {
             Self::About { height, node } => format!("{height:020}-{node}.lie"),
             Self::Voted { term, node } => format!("{term:020}-{node}.votes"),
+            Self::Led { term, node } => format!("{term:020}-{node}.heads"),
         }
     }
 
     /// None if the file is no proof of a lie; an error if its name only looks so.
     fn read(name: &str) -> Option<Result<Self, ()>> {
-        let (stem, votes) = match name.strip_suffix(".votes") {
-            Some(stem) => (stem, true),
-            None => (name.strip_suffix(".lie")?, false),
+        let (stem, kind) = name.rsplit_once('.')?;
+        let of: fn(u64, u64) -> Self = match kind {
+            "lie" => |height, node| Self::About { height, node },
+            "votes" => |term, node| Self::Voted { term, node },
+            "heads" => |term, node| Self::Led { term, node },
+            _ => return None,
         };
         let numbers = stem.split_once('-').and_then(|(number, node)| number.parse().ok().zip(node.parse().ok()));
-        Some(numbers.ok_or(()).map(|(number, node)| match votes {
-            true => Self::Voted { term: number, node },
-            false => Self::About { height: number, node },
-        }))
+        Some(numbers.ok_or(()).map(|(number, node)| of(number, node)))
     }
 }
 
@@ -60,6 +63,12 @@ impl From<&Lie> for Lied {
 impl From<&DoubleVote> for Lied {
     fn from(votes: &DoubleVote) -> Self {
         Self::Voted { term: votes.term, node: votes.voter() }
+    }
+}
+
+impl From<&DoubleHead> for Lied {
+    fn from(heads: &DoubleHead) -> Self {
+        Self::Led { term: heads.term, node: heads.leader }
     }
 }
 
@@ -144,7 +153,7 @@ impl Kept {
             lies.push(lied.map_err(|()| {
                 Rejection::new(Code::BadFile, "the name of a proof of a lie cannot be read")
                     .found(self.0.join(&name).display().to_string())
-                    .wanted("HEIGHT-NODE.lie or TERM-NODE.votes")
+                    .wanted("HEIGHT-NODE.lie, TERM-NODE.votes or TERM-NODE.heads")
                     .next("move the file away")
             })?);
         }
@@ -195,11 +204,19 @@ mod tests {
         (1..=10).for_each(|height| keep(&lie(3, height)));
         keep(&lie(2, 7));
         kept.lie(Lied::Voted { term: 9, node: 2 }, b"votes").unwrap();
+        kept.lie(Lied::Led { term: 8, node: 2 }, b"heads").unwrap();
         let again = Kept::open(place.path()).unwrap();
         let height = |proof: Option<Proof>| proof.map(|proof| proof.certificate.statement.height);
         assert_eq!(height(again.newest().unwrap()), Some(6));
-        let kept_of =
-            [about(3, 1), about(3, 2), about(3, 3), about(3, 4), about(2, 7), Lied::Voted { term: 9, node: 2 }];
+        let kept_of = [
+            about(3, 1),
+            about(3, 2),
+            about(3, 3),
+            about(3, 4),
+            about(2, 7),
+            Lied::Voted { term: 9, node: 2 },
+            Lied::Led { term: 8, node: 2 },
+        ];
         assert_eq!(again.lies().unwrap(), kept_of);
         for (at, wanted) in [(4, Some(4)), (5, Some(5)), (6, None)] {
             assert_eq!(height(again.governing(at).unwrap()), wanted);

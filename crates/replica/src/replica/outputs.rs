@@ -1,14 +1,15 @@
 //! The engine's wishes, as effects for the node.
 
 use super::{Effect, LEARNER_WRITE_DELAY, Now, Replica};
+use crate::voting::RECOVERIES;
 use crate::waiters::Waiter;
 use bytes::Bytes;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::{DoubleVote, Signature};
-use ledger_raft::{Input, Output, PeerMessage, Role, VotedTwice};
+use ledger_light::{Branch, DoubleHead, DoubleVote, Signature};
+use ledger_raft::{HeadBranch, Input, Output, PeerMessage, Role, VotedTwice};
 
 impl<W: Waiter> Replica<W> {
     /// Hands an input to the engine.
@@ -66,6 +67,13 @@ impl<W: Waiter> Replica<W> {
                     tracing::warn!(voter = found.voter, code = reason.code.name(), %reason, "two votes of one voter cannot be read")
                 }
             },
+            Output::TwoHeads(found) => match self.proof_of_heads(now, &found) {
+                Ok(proof) => out.push(Effect::TwoHeads(Box::new(proof))),
+                Err(reason) => {
+                    tracing::warn!(leader = found.leader, code = reason.code.name(), %reason, "two heads of one leader cannot be read")
+                }
+            },
+            Output::Contradicted(found) => out.push(Effect::Contradicted(found)),
             Output::Failed(reason) => out.push(Effect::Failed(reason)),
         }
     }
@@ -75,6 +83,21 @@ impl<W: Waiter> Replica<W> {
         let [(one, first), (other, second)] = &found.votes;
         let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
         Ok(DoubleVote { network: self.executor.ledger().network(), term: found.term, time: now.clock, votes })
+    }
+
+    /// Two logs of one leader, for anybody to check.
+    fn proof_of_heads(&self, now: Now, found: &ledger_raft::DoubleHead) -> Result<DoubleHead, Rejection> {
+        let branch = |branch: &HeadBranch| {
+            let HeadBranch { base, links, vote, signature } = branch;
+            let Signature { node, certificate, .. } = Signature::from_bytes(vote)?;
+            let signature = Signature { node, certificate, signature: signature.clone() };
+            Ok(Branch { base: *base, links: links.clone(), signature })
+        };
+        let [one, other] = &found.branches;
+        let branches = [branch(one)?, branch(other)?];
+        let (network, recoveries) = (self.executor.ledger().network(), RECOVERIES);
+        let ledger_raft::DoubleHead { leader, term, height, .. } = *found;
+        Ok(DoubleHead { network, recoveries, leader, term, height, time: now.clock, branches })
     }
 
     /// There is no way to the leader now, so who waits for what was forwarded is told.

@@ -103,6 +103,8 @@ impl Cluster {
             | Effect::Denied(_)
             | Effect::Ignored { .. }
             | Effect::VotedTwice(_) => {}
+            Effect::TwoHeads(proof) => panic!("an honest leader is called a liar: {proof:?}"),
+            Effect::Contradicted(found) => panic!("honest nodes contradict each other: {found:?}"),
             Effect::Role(change) if change.role == Role::Leader => {
                 let leader = *self.leaders.entry(change.term).or_insert(id);
                 assert_eq!(leader, id, "two leaders in term {}", change.term);

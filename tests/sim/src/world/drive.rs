@@ -88,6 +88,16 @@ impl World {
             Effect::VotedTwice(proof) => {
                 self.note(format_args!("n{id} has a proof: n{} has voted twice", proof.voter()))
             }
+            Effect::TwoHeads(proof) => {
+                let what = format!("node {id} has a proof against node {} in term {}", proof.leader, proof.term);
+                return Err(Violation::new("no honest leader signs two logs", what));
+            }
+            Effect::Contradicted(found) => {
+                return Err(Violation::new(
+                    "nobody contradicts the chain of an honest node",
+                    format!("node {id}: {found:?}"),
+                ));
+            }
             Effect::Ignored { from, reason } => self.note(format_args!("n{id} ignores a message of n{from}: {reason}")),
             Effect::Behind { from, first_index } => {
                 return self.conduct(id, Happened::Behind(Behind { from, first_index }));
