@@ -175,13 +175,15 @@ impl<C: Chain> Company<C> {
     /// It is logged, and shown until this node starts again: people must decide.
     pub fn contradicted(&mut self, name: &str, found: &Contradiction) {
         let Contradiction { node, leads, term, height, own, other } = *found;
-        tracing::error!(
-            node = name, leads, term, height, %own, %other,
-            "the log of another node contradicts the log of this node; nothing is appended to it"
-        );
         let part = if leads { "leads" } else { "follows" };
         let text = format!("{name}, which {part} in term {term}, has another log from height {height} or before");
-        self.contradicting.insert(node, text);
+        if self.contradicting.get(&node) != Some(&text) {
+            tracing::error!(
+                node = name, leads, term, height, %own, %other,
+                "the log of another node contradicts the log of this node; nothing is appended to it"
+            );
+            self.contradicting.insert(node, text);
+        }
     }
 
     /// Takes the answers of one round, and says what follows. `asked`: the height of the question, if it was asked again.

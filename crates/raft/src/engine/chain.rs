@@ -16,6 +16,7 @@
 //! **Costs.** The content of each entry is hashed once more than execution does. The hashes of the end of the log stay in memory.
 //! Those before are in the results of executed blocks ([`ExecutedBlocks`]).
 
+use super::mandate::Rests;
 use super::{Engine, EngineError, READ_BYTES};
 use crate::interface::{Contradiction, Output};
 use crate::message::{RaftKind, RaftMessage, WireEntry};
@@ -30,6 +31,9 @@ use std::sync::Arc;
 
 /// Links of executed blocks that stay in memory: followers that lag a little need no disk.
 const LINKS_KEPT: usize = 4096;
+
+/// The contradiction of a node is reported once in so many election timeouts: a second by default.
+const REPORT_TIMEOUTS: usize = 5;
 
 /// The end of a chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,8 +73,8 @@ pub(super) struct Chain {
     links: VecDeque<Link>,
     /// Links of the message that is being taken, so that no entry is hashed twice: height, term, link.
     arriving: Vec<(u64, u64, Link)>,
-    /// The contradiction that was reported last.
-    reported: Option<Contradiction>,
+    /// Nodes whose contradiction was reported lately.
+    reported: Rests,
 }
 
 impl Chain {
@@ -81,8 +85,13 @@ impl Chain {
         applied: u64,
     ) -> Result<Self, EngineError> {
         let base = executed.link(applied).ok_or(EngineError::NoHash { height: applied })?;
-        let mut chain =
-            Self { executed, first: applied, links: VecDeque::from([base]), arriving: Vec::new(), reported: None };
+        let mut chain = Self {
+            executed,
+            first: applied,
+            links: VecDeque::from([base]),
+            arriving: Vec::new(),
+            reported: Rests::default(),
+        };
         let (mut next, last) = (applied + 1, store.last_index());
         while next <= last {
             let unreadable = |error: String| EngineError::Log { height: next, error };
@@ -215,7 +224,8 @@ impl Engine {
         out: &mut Vec<Output>,
     ) -> Result<(), &'static str> {
         let last = self.raw.raft.raft_log.last_index();
-        if !self.is_leader() || message.term != self.raw.raft.term || message.index > last {
+        let counts = self.is_leader() && message.term == self.raw.raft.term && self.membership.contains(from);
+        if !counts || message.index > last {
             return Ok(());
         }
         // So old that it counts for nothing: this node has dropped it.
@@ -230,7 +240,7 @@ impl Engine {
         }
     }
 
-    /// Reports that another node has another chain, once for each.
+    /// Reports that another node has another chain, once in a while.
     fn contradicted(
         &mut self,
         from: u64,
@@ -239,10 +249,10 @@ impl Engine {
         out: &mut Vec<Output>,
     ) -> Result<(), &'static str> {
         let leads = message.kind == i32::from(RaftKind::Append);
-        let found = Contradiction { node: from, leads, term: message.term, height, own, other };
-        if self.chain.reported != Some(found) {
-            self.chain.reported = Some(found);
-            out.push(Output::Contradicted(found));
+        let pause = REPORT_TIMEOUTS * self.config.election_tick;
+        if !self.chain.reported.rests(from, self.ticks, pause) {
+            self.chain.reported.begin(from, self.ticks);
+            out.push(Output::Contradicted(Contradiction { node: from, leads, term: message.term, height, own, other }));
         }
         Err("its chain contradicts the one of this node")
     }

@@ -143,6 +143,11 @@ impl Engine {
         if [Mutation::BelieveAnybody, Mutation::FollowWithoutMandate].into_iter().any(active) {
             return Ok(());
         }
+        // Elected by a change that waits in the log: the state of this node has no record of it yet, so its certificate cannot be
+        // checked, and the state gets no further without its appends. Its connection names it.
+        if !self.membership.contains(from) {
+            return Ok(());
+        }
         let (term, height) = (message.term, message.index + message.entries.len() as u64);
         let head = LogHead { term, leader: from, height, hash };
         if self.heads.newest(term).is_some_and(|known| known.head == head) {

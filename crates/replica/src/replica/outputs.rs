@@ -87,7 +87,7 @@ impl<W: Waiter> Replica<W> {
 
     /// Two logs of one leader, for anybody to check.
     fn proof_of_heads(&self, now: Now, found: &ledger_raft::DoubleHead) -> Result<DoubleHead, Rejection> {
-        let branch = |branch: &HeadBranch| {
+        let branch = |branch: &HeadBranch| -> Result<Branch, Rejection> {
             let HeadBranch { base, links, vote, signature } = branch;
             let Signature { node, certificate, .. } = Signature::from_bytes(vote)?;
             let signature = Signature { node, certificate, signature: signature.clone() };

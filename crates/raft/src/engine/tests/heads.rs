@@ -61,6 +61,28 @@ fn an_append_without_the_leaders_head_for_this_very_log_is_not_taken() {
 }
 
 #[test]
+fn the_head_of_a_leader_that_only_a_change_in_the_log_makes_a_voter_waits_for_the_record_of_its_certificate() {
+    let promote = ledger::members::MembershipChange::new([ledger::members::Change::AddVoter(8)]).to_bytes();
+    let mut node = engine(2, &[1, 2, 3], &[]);
+    let change = WireEntry { index: 1, term: 1, kind: 3, data: promote };
+    step(&mut node, message(1, RaftKind::Append, |message| message.entries = vec![change]));
+    step(&mut node, mandate(2, 8, &[1, 3, 8]));
+    let leads = |node: &Engine, index: u64, commit: u64| {
+        let (hash, log_term) = (node.chain.hash(index).unwrap(), node.store.term(index).unwrap());
+        message(8, RaftKind::Append, move |message| {
+            (message.term, message.log_term, message.index, message.commit) = (2, log_term, index, commit);
+            (message.hash, message.entries) = (hash.0.to_vec().into(), vec![entry(index + 1, 2, b"a")]);
+        })
+    };
+    let first = leads(&node, 1, 1);
+    bare_step(&mut node, first);
+    assert_eq!((node.store.last_index(), node.membership.contains(8)), (2, true));
+    let next = leads(&node, 2, 1);
+    bare_step(&mut node, next);
+    assert_eq!(node.store.last_index(), 2, "it is a member now, so its head counts");
+}
+
+#[test]
 fn a_round_is_signed_once_and_a_head_that_was_signed_before_is_not_signed_again() {
     let mut node = leader(1);
     step(&mut node, message(3, RaftKind::AppendResponse, |message| message.index = 2));
