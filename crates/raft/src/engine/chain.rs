@@ -124,7 +124,9 @@ impl Chain {
             return;
         };
         let Some(before) = kept.checked_sub(1).and_then(|place| self.links.get(place)).copied() else { return };
-        let arrived = self.arriving.iter().find(|(height, term, _)| (*height, *term) == (entry.index, entry.term));
+        let place = self.arriving.first().and_then(|(first, ..)| entry.index.checked_sub(*first));
+        let arrived = place.and_then(|place| self.arriving.get(usize::try_from(place).ok()?));
+        let arrived = arrived.filter(|(height, term, _)| (*height, *term) == (entry.index, entry.term));
         let link = arrived.map_or_else(|| before.followed_by(entry), |(_, _, link)| *link);
         self.links.truncate(kept);
         self.links.push_back(link);
