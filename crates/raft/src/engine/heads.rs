@@ -6,14 +6,15 @@
 //! head          each voter that follows shows the newest head that it has checked to the others, once a second
 //! ```
 //! One head covers all entries that one round sends, and is the same for all receivers that get as far. A leader that sends two
-//! followers different entries signs two logs. Each of them shows its head to the other. Who holds a head of the same
+//! followers different entries signs two logs. Each of them shows its head to the other. The one that holds a head of the same
 //! leader and term above another block has the proof ([`DoubleHead`]).
 //!
 //! **Costs.** One signature for each round with new entries, and one check at each receiver. A head that was signed or checked
 //! last costs a comparison.
 //!
 //! **Certificates.** A head is checked by the certificate in the vote that the leader gave itself, which its mandate shows. A
-//! leader whose certificate is renewed shows its mandate again. Who cannot check a head asks for the mandate.
+//! leader whose certificate is renewed shows its mandate again. A follower that cannot check a head asks for the
+//! mandate.
 
 use super::mandate::{LogHead, Rests};
 use super::{Engine, READ_BYTES};
@@ -265,7 +266,7 @@ impl Engine {
         out.push(Output::TwoHeads(Box::new(DoubleHead { leader, term, height, branches: [own, other] })));
     }
 
-    /// What this node has of the leader's log: from the block at a height up to the head.
+    /// The part of the leader's log that this node has: from the block at a height up to the head.
     fn branch(&self, height: u64, checked: &Checked) -> Option<HeadBranch> {
         let Checked { head, signature, vote } = checked.clone();
         let base = self.chain.hash(height)?;
