@@ -1,8 +1,7 @@
 //! The hash of the chain up to each entry of the log, and what is taken from a node whose chain is another.
 //!
-//! Raft compares index and term. That suffices as long as no leader lies: one that does gives two followers different entries of
-//! one index and term, and each of them would append later entries to its own. So entries are compared by the hash of
-//! the chain up to them:
+//! Raft compares index and term. That suffices as long as no leader lies. A lying one gives two followers different entries of one
+//! index and term, and each would append later entries to its own. So entries are compared by the hash of the chain up to them:
 //!
 //! ```text
 //! append        names the hash up to the entry before its first

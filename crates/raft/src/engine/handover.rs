@@ -15,8 +15,7 @@ use bytes::Bytes;
 use raft::CAMPAIGN_TRANSFER;
 
 impl Engine {
-    /// Signs the word of this leader into the message that makes a voter stand for election, or puts the word of the leader into
-    /// the request for a vote that follows from it.
+    /// Signs the message by which this leader hands over. A transferee puts the word of its leader into its requests for votes.
     pub(super) fn attach_handover(&self, to: u64, message: &mut RaftMessage) {
         let (me, term) = (self.config.id, message.term);
         if message.kind == i32::from(RaftKind::TimeoutNow) {

@@ -20,16 +20,7 @@ use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_storage::block_store::Options;
 use ledger_storage::disk::SimDisk;
-use votes::{Names, honest, mandate, signed, step};
-
-/// Only the genesis block is known: the links of these short logs stay in memory.
-struct Genesis;
-
-impl ExecutedBlocks for Genesis {
-    fn link(&self, height: u64) -> Option<Link> {
-        (height == 0).then_some(Link { hash: Hash([7; 32]), time: 0 })
-    }
-}
+use votes::{Genesis, Names, honest, mandate, signed, step};
 
 fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     let disk = SimDisk::new(id);

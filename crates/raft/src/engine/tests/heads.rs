@@ -153,7 +153,7 @@ fn two_followers_of_a_leader_with_two_faces_meet_the_proof() {
     assert_eq!(found, [(1, [hash(&[a.clone(), b.clone()]), hash(&fork)])], "although the heights of the heads differ");
 
     for (harmless, why) in [
-        (shown(1, &[a.clone()]), "the same log"),
+        (shown(1, std::slice::from_ref(&a)), "the same log"),
         (
             shown(1, &[entry(1, 1, b"A"), b.clone(), entry(3, 1, b"c")]),
             "the other one finds out with the head of this node",
@@ -168,7 +168,7 @@ fn two_followers_of_a_leader_with_two_faces_meet_the_proof() {
     }
     // What another leader has superseded since proves nothing.
     let mut node = follower();
-    step(&mut node, append(3, 2, &[a.clone()], &[entry(2, 2, b"B")], 1));
+    step(&mut node, append(3, 2, std::slice::from_ref(&a), &[entry(2, 2, b"B")], 1));
     assert_eq!(proofs(&show(&mut node, shown(1, &[a, entry(2, 1, b"B")]))), []);
 }
 
