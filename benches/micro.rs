@@ -119,6 +119,7 @@ impl World {
             chaincode: "abac".into(),
             function: function.into(),
             args,
+            known_block: None,
         }
     }
 

@@ -10,7 +10,8 @@
  *   version: string, network_label: string, node_id: number, node_name: string, organisation: string, role: string, leader_id: number,
  *   term: number, height: number, committed: number, catching_up_to: number | null, certified: number, clock: number,
  *   uptime_ms: number, peers: Peer[], subscribers: number, resident_bytes: number, in_flight: number, in_flight_max: number,
- *   voters: number, voters_reachable: number, disk: Disk, certificates: Certificate[], attention: Attention[], divergence?: string, lies?: string
+ *   voters: number, voters_reachable: number, disk: Disk, certificates: Certificate[], attention: Attention[], divergence?: string, lies?: string,
+ *   open_stops?: { transaction: string, robot: string, by: string, not_after: number }[]
  * }} Status
  * @typedef {{ id: number, name: string, organisation: string, reachable: boolean, reason?: string, status: Status | null }} NodeOfNetwork
  */

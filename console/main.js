@@ -3,6 +3,7 @@
 import { onEnd } from "./data/api.js";
 import { idOf, load } from "./data/identity.js";
 import { halt, live, onChange, start } from "./data/live.js";
+import { partsOf } from "./data/route.js";
 import * as sessions from "./data/session.js";
 import * as robots from "./pages/robots.js";
 import { h, mount, refresh } from "./view/dom.js";
@@ -51,14 +52,8 @@ function moduleOf(place, parts) {
   }
 }
 
-/** The parts of the address behind the #. @returns {string[]} */
-function route() {
-  try {
-    return location.hash.replace(/^#\/?/, "").split("/").filter(Boolean).map(decodeURIComponent);
-  } catch {
-    return [];
-  }
-}
+/** The parts of the address behind the #. */
+const route = () => partsOf(location.hash);
 
 /** A link of ledgerctl console, with its secret. @param {string[]} where */
 const isLink = (where) => where[0] === "enrol" && where.length >= 4;
@@ -121,9 +116,11 @@ function ended() {
 /** Offers to enrol. @param {string[]} where */
 async function welcome(where) {
   const enrol = await import("./pages/enrol.js");
+  // An identity that is here already is not replaced unseen.
+  const own = await load().catch(() => undefined);
   halt();
   state = "stranger";
-  turnTo(enrol.open(isLink(where) ? where : [], error, enter));
+  turnTo(enrol.open(isLink(where) ? where : [], error, enter, own));
 }
 
 async function begin() {

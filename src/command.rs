@@ -189,9 +189,12 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             backup::backup(builder, &options, &config).map(|text| print_line(&text))
         }
         Command::Restore(options) => {
-            options.provide_config()?;
-            let config = load(&options.config)?;
-            backup::restore(builder, &options, &config).map(|text| print_line(&text))
+            let taken = options.config_of_backup()?;
+            let config = match &taken {
+                Some(text) => parsed(Config::parse(text, &options.config))?,
+                None => load(&options.config)?,
+            };
+            backup::restore(builder, &options, &config, taken.as_deref()).map(|text| print_line(&text))
         }
         Command::Recover(options) => {
             let config = load(&options.config)?;

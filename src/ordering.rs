@@ -27,8 +27,8 @@ use directory::Directory;
 use ledger_api::tls::TlsIdentity;
 use ledger_base::rejection::Rejection;
 use ledger_raft::{Ballots, Role, RoleChange};
-use ledger_replica::Executor;
 use ledger_replica::catch_up::Behind;
+use ledger_replica::{Budgets, Executor};
 use node_transactions::{Author, Signer};
 use orderer::{Engines, Executed, Outlet};
 use orderer_slot::OrdererSlot;
@@ -57,6 +57,8 @@ pub(crate) struct Ordering {
     pub waiters: Arc<Waiters>,
     /// Readers that wait for a current state.
     pub reads: ReadIndex,
+    /// How much identities, organisations and services have sent.
+    pub budgets: Arc<Budgets>,
     /// Counts executed transactions.
     pub executed: Arc<Executed>,
     /// How long the steps of a command take.
@@ -90,6 +92,7 @@ impl Ordering {
             directory: Arc::new(Directory::read(&storage.ledger)),
             waiters: Arc::default(),
             reads: ReadIndex::new(Arc::clone(&slot), Arc::clone(&storage.blocks), clock.clone()),
+            budgets: Arc::default(),
             executed: Arc::default(),
             meters,
             idle_control: Arc::new(idle_control),

@@ -9,7 +9,7 @@
 //! | `conductor` | starts and ends the orderer, and synchronises when the node is too far behind |
 //! | `chain_monitor` | compares the chain with the voters' and stops a node that differs |
 //! | `attestation` | signs what this node computed into the ledger, and compares what others signed |
-//! | `quorum_certificates` | signatures of voters over blocks, and proofs of lies |
+//! | `quorum_certificates` | signatures of voters over blocks, and proofs of misbehaviour |
 //! | `early_stop` | emergency stops, broadcast ahead of ordering |
 
 pub(crate) mod attestation;
@@ -37,11 +37,12 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, PeerMessage, ReceiptKey};
 use ledger_replica::Executor;
 use ledger_replica::catch_up::Ballot;
-use ledger_replica::certifier::Certifier;
+use ledger_replica::certifier::{Certifier, Earlier};
 use question::Bootstrap;
 use quorum_certificates::{Certificates, Certifying, Keys, era};
 use reachability::Reachability;
 use service::PeerService;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use sync::{BlockSync, Source};
@@ -75,6 +76,7 @@ pub(crate) struct Tasks {
     attesting: Attesting,
     asking: Asking,
     certifying: Certifying,
+    early_stops: Arc<EarlyStops>,
 }
 
 impl Peers {
@@ -95,16 +97,17 @@ impl Peers {
             organisation: me.organisation.clone(),
             identity: trust.identity.clone(),
             trust: Arc::clone(&trust.organisations),
+            rules: Arc::new(config.dial_rules()),
             paces: Arc::default(),
         };
-        let monitor = Arc::new(ChainMonitor::new(ledger, &me.organisation, config.data.clone()));
+        let monitor = Arc::new(ChainMonitor::new(ledger, me, config.data.clone()));
         let (certificates, told) = Certificates::open(&config.data)?;
         let (witness, seen) = Witness::new();
         let connections = Connections::new(dialer.clone());
         connections.follow(&ordering.directory);
         let reachability = Reachability::new(me.id, ordering, &connections);
         let peers = Arc::new(Self {
-            early_stops: Arc::new(EarlyStops::new(ordering, &connections)),
+            early_stops: Arc::new(EarlyStops::open(me.id, &config.data, ordering, &connections)),
             receipts: ReceiptKey::new(me.id, &trust.receipt_secret(ledger.network())),
             ballot: Ballot::default(),
             dialer,
@@ -114,7 +117,9 @@ impl Peers {
             certificates,
             witness,
         });
-        let keys = Keys::new(me.id, trust.identity.clone(), Arc::clone(ledger));
+        let keys = || Keys::new(me.id, trust.identity.clone(), Arc::clone(ledger));
+        let end = ordering.storage.log.store.last_index();
+        let earlier = Earlier { end, signed: peers.certificates.recorded()? };
         let tasks = Tasks {
             attesting: Attesting {
                 author: Arc::clone(author),
@@ -133,12 +138,15 @@ impl Peers {
             },
             certifying: Certifying {
                 certificates: Arc::clone(&peers.certificates),
-                certifier: Certifier::new(me.id, ledger.network(), keys, era(ledger)?),
+                certifier: Certifier::new(me.id, ledger.network(), keys(), era(ledger)?, earlier),
+                keys: keys(),
+                exchanged: BTreeSet::new(),
                 ordering: Arc::clone(ordering),
                 connections: Arc::clone(&peers.connections),
                 me: me.id,
                 told,
             },
+            early_stops: Arc::clone(&peers.early_stops),
         };
         Ok((peers, tasks))
     }
@@ -151,6 +159,10 @@ impl Peers {
             let message = match message {
                 PeerMessage::Statement(statement) => {
                     peers.certificates.hear(from, statement);
+                    return true;
+                }
+                PeerMessage::Evidence(evidence) => {
+                    peers.certificates.show(from, evidence);
                     return true;
                 }
                 PeerMessage::Early(call) => {
@@ -192,11 +204,12 @@ impl Peers {
 
 impl Tasks {
     /// Starts them.
-    pub(crate) fn start(self) -> [JoinHandle<()>; 3] {
+    pub(crate) fn start(self) -> [JoinHandle<()>; 4] {
         [
             tokio::spawn(vital_task(self.attesting.run())),
             tokio::spawn(vital_task(self.asking.run())),
             tokio::spawn(vital_task(self.certifying.run())),
+            tokio::spawn(vital_task(self.early_stops.run())),
         ]
     }
 }

@@ -77,12 +77,13 @@ impl Trust {
     }
 
     /// The API of the CAs, which calls the ledger through the gateway at this address. `cut_off`: can nothing be ordered
-    /// through this node now?
+    /// through this node now? `clock_off`: how far most voters' clocks are ahead of this machine's, microseconds.
     pub(crate) fn enrolment(
         &self,
         ordering: &Ordering,
         gateway: &str,
         cut_off: impl Fn() -> bool + Send + Sync + 'static,
+        clock_off: impl Fn() -> i64 + Send + Sync + 'static,
     ) -> EnrolmentService {
         let storage = &ordering.storage;
         let client = LedgerClient::through(gateway, storage.ledger.network(), &self.identity, &self.organisations);
@@ -91,6 +92,7 @@ impl Trust {
             identity: self.identity.clone(),
             directory: Arc::clone(&ordering.directory),
             cut_off: Box::new(cut_off),
+            clock_off: Box::new(clock_off),
         };
         let genesis = (storage.genesis.clone(), storage.document.clone());
         let (authorities, ledger) = (Arc::clone(&self.authorities), Arc::clone(&storage.ledger));

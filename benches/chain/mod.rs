@@ -107,6 +107,7 @@ impl<'a> Making<'a> {
             chaincode: "abac".into(),
             function: function.into(),
             args,
+            known_block: None,
         };
         let transaction = Transaction::sign(&body, &who.key).unwrap();
         match function {

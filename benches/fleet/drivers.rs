@@ -163,6 +163,7 @@ fn sign(who: &Context, now: u64, function: &str, args: Vec<Bytes>) -> Transactio
         chaincode: "abac".into(),
         function: function.into(),
         args,
+        known_block: None,
     };
     Transaction::sign(&body, &who.key).unwrap()
 }

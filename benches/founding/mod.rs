@@ -39,7 +39,7 @@ pub(crate) const THREE_VOTERS_AND_LEARNER: Shape = Shape { name: "three_voters_a
 /// Members beside Salma and Farhad.
 const DRIVERS: usize = 8;
 
-const OPERATORS: &str = "Org1";
+pub(crate) const OPERATORS: &str = "Org1";
 pub(crate) const OWNERS: &str = "Org2";
 
 /// A founded network. Its directory goes with it.

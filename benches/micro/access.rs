@@ -167,6 +167,7 @@ impl Fleet {
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,
+            executed: &|_, _| false,
             meter: &self.meter,
         }
     }

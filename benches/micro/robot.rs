@@ -82,6 +82,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         grants: vec![grant],
         tasks: Vec::new(),
         stopped: false,
+        settled: std::collections::BTreeSet::new(),
         members: Members { msps: Arc::clone(&context.msps), revoked: Arc::default() },
         height: 1,
         time,

@@ -1,8 +1,9 @@
 //! A network of real processes: the `ledgerd` of this build, each node with its data on disk, TLS between all.
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
-use crate::founding::{Founding, Shape, robot, robots, twist};
+use crate::founding::{Founding, OPERATORS, OWNERS, Shape, robot, robots, twist};
 use bytes::Bytes;
+use ledger::msp::QUOTAS_MAX;
 use ledger::transaction::Transaction;
 use ledger_abac::{Caller, Grant, MessageEvent};
 use ledger_api::{Call, Client, Context, Pending, Subscription, v1};
@@ -22,6 +23,10 @@ const START_TIME_MAX: Duration = Duration::from_secs(20);
 const COMMAND_TTL: Duration = Duration::from_secs(30);
 /// Longest lease: no bench shall measure a renewal.
 const LEASE_MS: &str = "600000";
+
+/// The largest quotas: bytes and messages a second.
+const BYTES_PER_S: u64 = QUOTAS_MAX.bytes_per_s;
+const MESSAGES_PER_S: u64 = QUOTAS_MAX.messages_per_s;
 
 /// A running network; its processes and directory end with it.
 pub(crate) struct Network {
@@ -46,10 +51,29 @@ impl Network {
         for node in 0..network.founding.nodes.len() {
             network.start_node(node, settings);
         }
+        network.raise_quotas().await;
         let owner = network.connect(&network.founding.owner).await;
         owner.invoke("abac", "setup", robots()).await.unwrap();
         network.let_the_first_node_lead().await;
         network
+    }
+
+    /// Two organisations agree that no budget limits what is measured.
+    pub(crate) async fn raise_quotas(&self) {
+        for organisation in [OPERATORS, OWNERS] {
+            let rates =
+                |whose: &str| format!(r#""{whose}bytes_per_s":{BYTES_PER_S},"{whose}messages_per_s":{MESSAGES_PER_S}"#);
+            let quota = format!(
+                r#"{{"organisation":"{organisation}",{},{},{}}}"#,
+                rates(""),
+                rates("identity_"),
+                rates("service_")
+            );
+            for admin in [&self.founding.operator, &self.founding.owner] {
+                let admin = self.connect(admin).await;
+                admin.invoke("msp", "set_quota", vec![quota.clone().into()]).await.unwrap();
+            }
+        }
     }
 
     /// Clients are connected to the first node: it leads, so that each run measures the same way.

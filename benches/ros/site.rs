@@ -69,6 +69,7 @@ impl Site {
             network.start_node(node, "");
         }
         network.start_node(PAPER.voters, &inside);
+        network.raise_quotas().await;
         connect(&owner).await.invoke("abac", "setup", robots()).await.unwrap();
         let lease = ["Turtlebot4", LEASE_MS].map(|arg| Bytes::copy_from_slice(arg.as_bytes()));
         let granted = connect(&salma).await.invoke("abac", "acquire", lease.into()).await.unwrap();

@@ -10,6 +10,8 @@ import { PREFIX, encodeBody, encodeTransaction } from "./transaction.js";
 // Microseconds for which a transaction is good.
 const LIFE = 10_000_000;
 const NONCE_BYTES = 16;
+// Most calls that a resume names.
+const NAMED_MAX = 64;
 
 // The node's clock minus that of this machine, microseconds.
 let offset = 0;
@@ -58,6 +60,16 @@ export async function list(chaincode, name) {
     after = page.next;
   } while (after !== undefined);
   return found;
+}
+
+/**
+ * The stops of a robot without a verdict, as a resume names them to cancel them.
+ * @param {string} robot
+ */
+export async function openStops(robot) {
+  const { open_stops: open = [] } = await readStatus();
+  const own = open.filter((stop) => stop.robot === robot || stop.robot === "*");
+  return own.slice(0, NAMED_MAX).map((stop) => `${stop.transaction}:${stop.not_after}`);
 }
 
 /**

@@ -158,10 +158,12 @@ export async function examine(link) {
   const certificates = new Reader(proof.part());
   certificates.expect("ledgerd certificate v1\0");
   const prefix = "ledgerd statement v1\0";
-  const statement = certificates.take(prefix.length + 32 + 8 + 8 + 32 + 32);
+  const statement = certificates.take(prefix.length + 32 + 8 + 8 + 8 + 32 + 32);
   const stated = new Reader(statement);
   stated.expect(prefix);
   const network = stated.take(32);
+  // The number of forced recoveries, and behind the height the block time.
+  stated.u64();
   const statedHeight = stated.u64();
   stated.u64();
   const statedHash = stated.take(32);
@@ -172,10 +174,10 @@ export async function examine(link) {
   /** @type {string[]} */
   const signers = [];
   for (let left = certificates.u32(); left > 0; left -= 1) {
-    certificates.u64();
+    const node = certificates.u64();
     const der = certificates.part();
     const { organisation, commonName } = certificate(der);
-    const valid = await isSigned(der, statement, certificates.part());
+    const valid = await isSigned(der, concat(statement, u64(node)), certificates.part());
     check(`${organisation}/${commonName} has signed the results of the block`, valid === true, outcome(valid));
     if (valid) signers.push(`${organisation}/${commonName}`);
   }

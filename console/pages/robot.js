@@ -1,7 +1,8 @@
 // One robot: its holders and queues, the flow of its messages, and the actions on it.
 
 import { clock, moment } from "../data/bytes.js";
-import { invoke, query } from "../data/ledger.js";
+import { Rejection, rejectionOf } from "../data/api.js";
+import { invoke, openStops, query } from "../data/ledger.js";
 import { live, readRobots } from "../data/live.js";
 import { h, refresh } from "../view/dom.js";
 import { Asked, action, address, empty, facts, page, rejected, remaining, table } from "../view/parts.js";
@@ -19,6 +20,7 @@ import { mark } from "./robots.js";
 const TICK_MS = 500;
 const QUEUE_MS = 5000;
 const LATELY = 20;
+const AGAIN_MS = 1000;
 
 /** A service as it is shown: its queue, which is asked for again when its record changes, and its messages. */
 class Shown {
@@ -49,12 +51,44 @@ export function open({ parts: [name = ""], identity, session }) {
   /** @type {Map<string, Shown>} */
   const shown = new Map();
   let reason = "";
+  let hasEnded = false;
   /** @type {unknown} */
   let error;
   const failed = (/** @type {unknown} */ found) => void (error = found);
   /** @type {Act} */
   const act = (what, ...args) => async () => {
     await invoke(identity, "abac", what, ...args);
+    reason = "";
+    await readRobots();
+  };
+
+  /** Signs and sends the stop again until it is in force, or the page is left. @param {...string} args */
+  const stop = (...args) => async () => {
+    for (;;) {
+      try {
+        await invoke(identity, "abac", "stop", ...args);
+        break;
+      } catch (found) {
+        const rejection = rejectionOf(found);
+        const isOpen = rejection.status === 0 || /^LGR-(4|1006|1007)/.test(rejection.code);
+        if (!isOpen) throw found;
+        const message = hasEnded ? "The stop is not in force: repeat it" : "The stop is not in force yet";
+        const next = "stay on this page: the stop is signed and sent again until it is in force";
+        failed(new Rejection({ message, code: rejection.code, found: rejection.message, next }));
+        if (hasEnded) return;
+        refresh();
+        await new Promise((done) => setTimeout(done, AGAIN_MS));
+      }
+    }
+    failed(undefined);
+    reason = "";
+    await readRobots();
+  };
+
+  /** Also cancels the stops of the robot that have no verdict. */
+  const resume = async () => {
+    const open = await openStops(name);
+    await invoke(identity, "abac", "resume", name, ...(open.length ? [reason, ...open] : []));
     reason = "";
     await readRobots();
   };
@@ -95,6 +129,7 @@ export function open({ parts: [name = ""], identity, session }) {
 
   return {
     end() {
+      hasEnded = true;
       clearInterval(timer);
       for (const each of shown.values()) each.end();
     },
@@ -114,8 +149,8 @@ export function open({ parts: [name = ""], identity, session }) {
         h(
           "div.actions",
           stopped
-            ? action("resume", { kind: "main", run: act("resume", name), failed }, "Resume")
-            : action("stop", { kind: "danger", run: act("stop", name, ...(reason ? [reason] : [])), failed }, "Stop"),
+            ? action("resume", { kind: "main", run: resume, failed }, "Resume")
+            : action("stop", { kind: "danger", run: stop(name, ...(reason ? [reason] : [])), failed }, "Stop"),
           h(
             "label",
             h("span", "Reason"),

@@ -121,6 +121,17 @@ async function story() {
   await enrol(member, memberLink, "Org1/Tablet");
   say("enrolled");
 
+  // A link in a browser with an identity asks first, and the identity stays.
+  await owner.goto(`${origin}/#/%`);
+  await shows(owner, "Rover");
+  await owner.goto("about:blank");
+  await owner.goto(memberLink);
+  await shows(owner, "This browser is Org2/Admin-browser now");
+  await shows(owner, "Replace Org2/Admin-browser");
+  await accessible(owner, "replacing");
+  await press(owner, "Stay Org2/Admin-browser");
+  await shows(owner, "Rover");
+
   // A key that is used up is no use to somebody else.
   const thief = await person();
   await thief.goto(memberLink);

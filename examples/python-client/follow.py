@@ -11,6 +11,7 @@ import struct
 import sys
 from pathlib import Path
 
+from node_signature import strict_quorum
 from verify import STATEMENT, need, read_proof, read_writes, sha256, signers
 
 
@@ -32,7 +33,7 @@ class Governance:
 
     def follow(self, changes, proof):
         """After the block of a proof, with all changes up to it, as pairs of height and governing writes."""
-        height = STATEMENT.unpack(proof[0])[2]
+        height = STATEMENT.unpack(proof[0])[3]
         need(height >= self.height, "this is older than what is known")
         before = after = self
         for at, writes in sorted(changes):
@@ -64,6 +65,9 @@ def founded(network, genesis):
     for organisation in sorted(document["organisations"], key=lambda each: each["name"].encode()):
         fields = [field for field in ("name", "roots", "intermediates") if organisation.get(field)]
         records["organisation/" + organisation["name"]] = {field: organisation[field] for field in fields}
+    owners = [node["organisation"] for node in document["nodes"] if node["voter"]]
+    if owners and strict_quorum(len(owners), owners) < len(owners):
+        records["certificates"] = {"strict_since": 0}
     text = lambda record: json.dumps(record, ensure_ascii=False, separators=(",", ":")).encode()
     writes = {b"msp\0" + key.encode(): text(record) for key, record in records.items()}
     return Governance(network, 0, bytes(32), {}).changed(0, writes)

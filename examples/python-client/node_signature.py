@@ -5,6 +5,7 @@ usages of a root, and Ed25519 signatures that only ZIP 215 accepts.
 """
 
 import hashlib
+import json
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -80,6 +81,22 @@ def check(key, message, signature):
     need(key.curve.name == "secp256r1", "a key is Ed25519 or P-256")
     need(s <= P256_ORDER // 2 and signature == utils.encode_dss_signature(r, s), "a signature has one form")
     return key.verify(signature, message, ec.ECDSA(hashes.SHA256()))
+
+
+def strict_quorum(voters, owners):
+    """The signatures of a strict certificate: more than half of the voters and those of the largest hand, never more than all."""
+    return min((voters + max(map(owners.count, owners))) // 2 + 1, voters)
+
+
+def quorum(records, nodes, group):
+    """How many of a group of voters must sign, of how many hands, and the hand of each: its organisation, or the first of those
+    under one hand."""
+    rule = json.loads(records.get(b"msp\0certificates", b"{}"))
+    shared = {name: min(hand) for hand in rule.get("hands", []) for name in hand}
+    owners = {node: nodes[node]["organisation"] for node in group if node in nodes}
+    hands = {node: shared.get(owner, owner) for node, owner in owners.items()}
+    needed = strict_quorum(len(group), list(hands.values())) if "strict_since" in rule else len(group) // 2 + 1
+    return needed, min(2, len(set(hands.values()))), hands
 
 
 def read_authorities(organisations):

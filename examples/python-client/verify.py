@@ -15,10 +15,11 @@ import struct
 import sys
 from pathlib import Path
 
-from node_signature import check_node, need, read_authorities
+from node_signature import check_node, need, quorum, read_authorities
 
 FACTS = {b"\1": "ground", b"\2": "verdict", b"\3": "event", b"\4": "control write"}
-STATEMENT = struct.Struct(">21s 32s Q Q 32s 32s")  # first bytes, network, height, block time, block, results root
+# First bytes, network, forced recoveries, height, block time, block, results root.
+STATEMENT = struct.Struct(">21s 32s Q Q Q 32s 32s")
 
 
 def sha256(*parts):
@@ -81,7 +82,7 @@ def read_proof(data):
     proof = Reader(data, b"ledgerd proof v1\0")
     certificate = Reader(proof.part(), b"ledgerd certificate v1\0")
     statement = certificate.take(STATEMENT.size)
-    begin, _, _, _, _, root = STATEMENT.unpack(statement)
+    begin, *_, root = STATEMENT.unpack(statement)
     one = lambda: (certificate.number(2**64 - 1, 8), certificate.part(16384), certificate.part(72))
     signatures = [one() for _ in range(certificate.number(128))]
     certificate.end()
@@ -103,24 +104,22 @@ def read_checkpoint(data):
 
 def signers(network, records, proof):
     """The voters who have signed, by these governing records. Refuses if they are too few."""
-    statement, signatures, _ = proof
-    _, of, _, time, _, _ = STATEMENT.unpack(statement)
-    need(of == network, "this is of another network")
+    _, of, recoveries, _, time, _, _ = STATEMENT.unpack(proof[0])
     under = lambda kind: [json.loads(records[key]) for key in records if key.startswith(b"msp\0" + kind)]
     nodes, authorities = {node["id"]: node for node in under(b"node/")}, read_authorities(under(b"organisation/"))
+    need((of, recoveries) == (network, len(under(b"recovery/"))), "this is of another network or forced recovery")
     members, good, reasons = json.loads(records[b"msp\0members"]), set(), []
     voters, outgoing = set(members["voters"]), set(members["outgoing"])
-    for node, certificate, signature in signatures:
+    for node, certificate, signature in proof[1]:
         try:
-            check_node(nodes[node], authorities, records, time, certificate, statement, signature)
+            check_node(nodes[node], authorities, records, time, certificate, proof[0] + node.to_bytes(8, "big"), signature)
             good |= {node} & (voters | outgoing)
         except Exception as reason:  # A signature that is not good counts for nothing, and spoils nothing.
             reasons.append(f"; node {node}: {reason!r}")
-    owners = lambda group: {nodes[node]["organisation"] for node in group if node in nodes}
     for group in (voters, outgoing or voters):
-        signed = group & good
-        enough = 2 * len(signed) > len(group) and len(owners(signed)) >= min(2, len(owners(group)))
-        need(enough, f"nodes {signed} of {group} of {owners(group)} are too few" + "".join(reasons))
+        signed, (needed, of, hands) = group & good, quorum(records, nodes, group)
+        enough = len(signed) >= needed and len({hands[node] for node in signed}) >= of
+        need(enough, f"nodes {signed} of {group}, of {hands}, are fewer than {needed}" + "".join(reasons))
     return sorted(f"{nodes[node]['organisation']}/{nodes[node]['name']}" for node in good)
 
 
@@ -128,7 +127,7 @@ def main(network, checkpoint, *proofs):
     (records, first), network = read_checkpoint(Path(checkpoint).read_bytes()), bytes.fromhex(network)
     for proof in [first] + [read_proof(Path(file).read_bytes()) for file in proofs]:
         need(proof[2][0][1:33] == first[2][0][1:33], "who governs has changed since the checkpoint: make it anew")
-        _, _, height, time, block, _ = STATEMENT.unpack(proof[0])
+        _, _, _, height, time, block, _ = STATEMENT.unpack(proof[0])
         print(f"block {height} at {time} µs, hash {block.hex()}: signed by", *signers(network, records, proof))
         for fact in proof[2]:
             print(f"  {FACTS[fact[:1]]} {fact[1:].hex()}")

@@ -1,16 +1,15 @@
-//! The proof of a lie, of a double vote or of two heads is refused, or written as it was read; that of a lie proves nothing of a node that told none.
+//! A proof of misbehaviour is refused, or written as it was read; that of a lie proves nothing of a node that told none.
 #![no_main]
 
 use ledger_fuzz::{MSPS, TOLD};
-use ledger_light::{DoubleHead, DoubleVote, Lie};
+use ledger_light::{DoubleHead, Lie, Misbehaviour};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    if let Ok(votes) = DoubleVote::from_bytes(bytes) {
-        assert_eq!(&votes.to_bytes()[..], bytes);
+    if let Ok(proof) = Misbehaviour::from_bytes(bytes) {
+        assert_eq!(&proof.to_bytes()[..], bytes);
     }
     if let Ok(heads) = DoubleHead::from_bytes(bytes) {
-        assert_eq!(&heads.to_bytes()[..], bytes);
         assert!(heads.verify(|der, time| Ok(MSPS.verify(der, &[], time)?)).is_err(), "nobody has signed a head");
     }
     if let Ok(lie) = Lie::from_bytes(bytes) {

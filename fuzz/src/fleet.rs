@@ -107,6 +107,7 @@ impl Fleet {
             height: 2,
             time: NOW,
             transaction: Hash::ZERO,
+            executed: &|_, _| false,
             meter: &Meter::of_query(),
         };
         let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();

@@ -3,18 +3,18 @@
 
 use ledger_api::v1::{Attention, CertificateStatus, StatusResponse};
 use ledger_base::units::{size, span};
+use ledger_replica::offsets::{self, CLOCK_OFF_MAX, Offset};
 use std::collections::BTreeSet;
 
 /// Everything that is checked, in the order of the list.
-pub(crate) const CHECKS: [&str; 8] = ["log", "state", "quorum", "leader", "certificate", "disk", "clock", "proof"];
+pub(crate) const CHECKS: [&str; 9] =
+    ["log", "state", "quorum", "leader", "certificate", "disk", "clock", "proof", "fault"];
 
 /// The node is not ready.
 pub(crate) const CRITICAL: &str = "critical";
 /// The node is ready, and may not stay so.
 pub(crate) const WARNING: &str = "warning";
 
-/// The machine's clock may be so far behind block time, and so far from the clocks of most voters, microseconds: what gates bear.
-const CLOCK_OFF_MAX_US: u64 = 5_000_000;
 /// A clock needs attention that is further from those of most voters, microseconds.
 const CLOCK_NEAR_US: u64 = 1_000_000;
 /// A disk needs attention when less than 1/N of it is free.
@@ -32,7 +32,7 @@ pub(crate) fn of(status: &StatusResponse, clock_doubt: &str) -> Vec<Attention> {
     let found = [log(status), state(status), quorum(status), leader(status)];
     let mut all: Vec<Attention> = found.into_iter().flatten().collect();
     all.extend(certificates(status));
-    all.extend([disk(status), clock(status, clock_doubt), proof(status)].into_iter().flatten());
+    all.extend([disk(status), clock(status, clock_doubt), proof(status), fault(status)].into_iter().flatten());
     all
 }
 
@@ -68,13 +68,23 @@ fn quorum(status: &StatusResponse) -> Option<Attention> {
         let next = "start the voters that are silent: systemctl start ledgerd";
         return critical("quorum", format!("{found}; {majority} are needed to order"), next);
     }
+    let rule = status.certificate_rule.unwrap_or_default();
+    if rule.strict_since.is_some() && *connected < rule.needed {
+        let needed = rule.needed;
+        let message = format!("{found}; {needed} must sign: no block is certified, and robots that move stop");
+        return critical("quorum", message, "start the voters that are silent: systemctl start ledgerd");
+    }
     if let Some((only, missing)) = uncertified(status) {
         let message = format!(
             "only voters of {only} are connected; without one of {missing} no block is certified, and robots that move stop"
         );
         return critical("quorum", message, format!("start a voter of {missing}: systemctl start ledgerd"));
     }
-    let left = if *connected == majority { ": one less and nothing is ordered" } else { "" };
+    let left = match *connected {
+        one if one == majority => ": one less and nothing is ordered",
+        one if rule.strict_since.is_some() && one == rule.needed => ": one less and robots that move stop",
+        _ => "",
+    };
     let next = "start the voters that are silent before another one fails: systemctl start ledgerd";
     if connected < voters { warning("quorum", found + left, next) } else { None }
 }
@@ -161,40 +171,34 @@ fn clock(status: &StatusResponse, doubt: &str) -> Option<Attention> {
         return critical("clock", doubt.to_owned(), next);
     }
     let late = status.block_time.saturating_sub(status.wall_clock);
-    if late >= CLOCK_OFF_MAX_US {
+    if late >= CLOCK_OFF_MAX {
         return critical("clock", format!("block time is {} ahead of the clock of its machine", span(late)), next);
     }
     let off = off(status);
-    let way = if off > 0 { "behind" } else { "ahead of" };
-    let far = off.unsigned_abs();
-    let message = || {
-        let (seconds, tenth) = (far / 1_000_000, far / 100_000 % 10);
-        format!("the clock of its machine is {seconds}.{tenth} s {way} those of most voters")
-    };
-    match far {
-        CLOCK_OFF_MAX_US.. => critical("clock", message(), next),
+    let message = || format!("the clock of its machine is {}", offsets::described(off));
+    match off.unsigned_abs() {
+        CLOCK_OFF_MAX.. => critical("clock", message() + "; it judges no calls but those that end control", next),
         CLOCK_NEAR_US.. => warning("clock", message(), next),
         _ => None,
     }
 }
 
-/// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind. Of two in the
-/// middle the nearer one counts: one other clock says nothing against this one.
+/// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind.
 fn off(status: &StatusResponse) -> i64 {
     let measured = status.peers.iter().filter(|peer| peer.voter && peer.clock_error_us > 0);
-    let others = measured.map(|peer| {
-        let sure = peer.clock_offset_us.unsigned_abs().saturating_sub(peer.clock_error_us);
-        i64::try_from(sure).unwrap_or(i64::MAX) * peer.clock_offset_us.signum()
-    });
-    let mut all: Vec<i64> = others.chain([0]).collect();
-    all.sort_unstable();
-    let middle = [all.get((all.len() - 1) / 2), all.get(all.len() / 2)];
-    middle.into_iter().flatten().copied().min_by_key(|off| off.unsigned_abs()).unwrap_or_default()
+    offsets::ahead_of_this(measured.map(|peer| Offset { ahead: peer.clock_offset_us, error: peer.clock_error_us }))
 }
 
-/// Nodes that have signed contradicting statements.
+/// Members that have signed two different results of one block.
+fn fault(status: &StatusResponse) -> Option<Attention> {
+    let next = "on its machine: check memory and disk, then start it: it computes its state again from the blocks";
+    if status.faults.is_empty() { None } else { warning("fault", status.faults.clone(), next) }
+}
+
+/// Members that have signed two different things for one place.
 fn proof(status: &StatusResponse) -> Option<Attention> {
-    let next = "decide who of its organisation answers for it, then: ledgerctl network remove NODE";
+    let next = "read docs/security.md, \"A node that lies, with a vote\", then: ledgerctl network remove NODE --proof FILE, with the file in \
+                certificates/ of this node's data directory";
     if status.lies.is_empty() { None } else { warning("proof", status.lies.clone(), next) }
 }
 
@@ -202,7 +206,7 @@ fn proof(status: &StatusResponse) -> Option<Attention> {
 #[expect(clippy::panic, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_api::v1::PeerStatus;
+    use ledger_api::v1::{CertificateRule, PeerStatus};
 
     const DAY: u64 = 86_400_000_000;
 
@@ -259,6 +263,19 @@ mod tests {
     }
 
     #[test]
+    fn strict_certificates_need_more_voters_than_ordering_does() {
+        let strict = |needed| Some(CertificateRule { needed, strict_since: Some(7), ..CertificateRule::default() });
+        let few = found(|status| {
+            (status.voters, status.voters_connected, status.certificate_rule) = (5, 3, strict(4));
+        });
+        only(&few, "quorum", CRITICAL, "3 of 5 voters are connected; 4 must sign: no block is certified");
+        let last = found(|status| {
+            (status.voters, status.voters_connected, status.certificate_rule) = (5, 4, strict(4));
+        });
+        only(&last, "quorum", WARNING, "4 of 5 voters are connected: one less and robots that move stop");
+    }
+
+    #[test]
     fn the_page_about_metrics_has_every_check() {
         let page = include_str!("../../docs/metrics.md");
         let table = page.split_once("| check | critical | warning |").map_or("", |(_, table)| table);
@@ -303,6 +320,7 @@ mod tests {
         only(&low, "disk", WARNING, "1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd");
         assert_eq!(found(|s| s.disk_free_bytes = 2 << 30), []);
         only(&found(|s| s.lies = "Org2/node2: 1 proof".into()), "proof", WARNING, "Org2/node2");
+        only(&found(|s| s.faults = "Org2/node2: 1 proof".into()), "fault", WARNING, "Org2/node2");
     }
 
     #[test]

@@ -30,7 +30,7 @@ mod shape;
 
 pub(crate) use access::for_certificates;
 pub(crate) use body::discard;
-pub(crate) use names::{Names, host_of};
+pub(crate) use names::{Names, foreign, host_of};
 pub(crate) use rejections::{Rejected, answer, elsewhere};
 
 use crate::clients::gateway::GatewayService;

@@ -13,13 +13,15 @@ mod check;
 mod figures;
 mod node;
 
+use crate::clients::http::{Names, foreign, host_of};
 use crate::process::config::BridgePage;
 use crate::process::page_connections::{Doors, Room};
 use crate::process::tls_files::TlsFiles;
 use axum::Router;
-use axum::extract::{RawQuery, State};
+use axum::extract::{RawQuery, Request, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
+use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use check::Check;
@@ -72,7 +74,8 @@ pub(crate) struct Admin {
 
 impl Admin {
     /// Serves the page at `HOST:PORT`. An address of loopback is for everybody on this machine. Elsewhere it shows its certificate, and
-    /// wants one of the network, or from the authorities of the files; without files it is on loopback only.
+    /// wants one of the network, or from the authorities of the files; without files it is on loopback only. Plain HTTP is answered by
+    /// address, by `localhost` and by the name in `address` only, so that no foreign page reads it under a name of its own.
     ///
     /// # Errors
     /// [`Code::BadConfiguration`] if nothing can listen there, or may; [`Code::BadFile`] if the certificate cannot be used.
@@ -82,8 +85,10 @@ impl Admin {
         papers: PageCredentials,
     ) -> Result<Self, Rejection> {
         let listening = Doors::listen(address, "admin.listen").await?;
-        let address = listening.1;
-        let tls = secured(address, papers)?;
+        let bound = listening.1;
+        let tls = secured(bound, papers)?;
+        // By TLS a browser would need a certificate, and would compare the name with that of the node.
+        let names = tls.is_none().then(|| Arc::new(Names::new([host_of(address).to_owned()], false)));
         let room = Room { all_max: OPEN_MAX, each_max: OPEN_MAX, life_max: LIFE_MAX, tls, wants_certificate: true };
         let doors = Doors::open(listening, room);
         let page = Router::new()
@@ -91,13 +96,17 @@ impl Admin {
             .route("/readyz", get(ready))
             .route("/metrics", get(figures))
             .with_state(watched);
+        let page = match names {
+            Some(names) => page.layer(from_fn_with_state(names, guarded)),
+            None => page,
+        };
         let serving = tokio::spawn(async move {
             if let Err(error) = axum::serve(doors, page).await {
                 tracing::error!(%error, "the admin page ended");
             }
         });
-        tracing::info!(%address, "admin page: /livez, /readyz, /metrics");
-        Ok(Self { address, serving })
+        tracing::info!(address = %bound, "admin page: /livez, /readyz, /metrics");
+        Ok(Self { address: bound, serving })
     }
 
     /// Where it listens; the port is the real one where the configuration said 0.
@@ -146,6 +155,14 @@ fn only_on_loopback(address: SocketAddr) -> Rejection {
         .found(format!("admin.listen = {:?}", address.to_string()))
         .wanted("an address of loopback, for example \"127.0.0.1:9465\"; or TLS")
         .next("name certificate, key and clients in [admin] (docs/metrics.md), or run the bridge inside a node")
+}
+
+/// Rejects requests by a foreign name, and from pages of browsers.
+async fn guarded(State(names): State<Arc<Names>>, request: Request, next: Next) -> Response {
+    match names.origin(request.headers(), request.method()) {
+        Some(_) => next.run(request).await,
+        None => foreign("this page", "use an address, or the name in [admin] listen"),
+    }
 }
 
 /// Does the process answer? A supervisor that restarts it otherwise asks this, and nothing else.

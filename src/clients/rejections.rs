@@ -113,8 +113,8 @@ impl Rejections {
             last.verdict = denial.verdict;
             return;
         }
-        if kept.latest.len() == KEPT_MAX {
-            kept.latest.pop_front();
+        if kept.latest.len() >= KEPT_MAX {
+            forget_one(&mut kept.latest);
         }
         kept.latest.push_back(denial);
     }
@@ -131,6 +131,16 @@ impl Rejections {
     }
 }
 
+/// Forgets the oldest refusal of the identity that has the most, so that a flood of one displaces no refusal of another.
+fn forget_one(latest: &mut VecDeque<Denial>) {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    latest.iter().for_each(|denial| *counts.entry(&denial.who).or_default() += 1);
+    let most = counts.into_iter().max_by_key(|(_, count)| *count).map(|(who, _)| who.to_owned());
+    if let Some(at) = latest.iter().position(|denial| most.as_ref() == Some(&denial.who)) {
+        latest.remove(at);
+    }
+}
+
 /// An argument as the name of something; empty if it is none, such as the description of a robot.
 fn named(argument: &[u8]) -> String {
     let text = std::str::from_utf8(argument).unwrap_or_default();
@@ -141,4 +151,24 @@ fn named(argument: &[u8]) -> String {
 fn alike(a: &Denial, b: &Denial) -> bool {
     let code = |denial: &Denial| denial.verdict.as_ref().map(|verdict| verdict.code);
     (&a.who, &a.chaincode, &a.function, &a.subject, code(a)) == (&b.who, &b.chaincode, &b.function, &b.subject, code(b))
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use ledger_base::rejection::Code;
+
+    #[test]
+    fn a_flood_of_one_identity_displaces_no_refusal_of_another_one() {
+        let rejections = Rejections::default();
+        let why = Rejection::new(Code::DeniedByPolicy, "no");
+        rejections.record_subscription(0, "Org1/Thief".into(), "abac", "Husky/cmd_vel", &why);
+        for at in 0..2 * KEPT_MAX as u64 {
+            rejections.record_subscription(at, "Org2/Accomplice".into(), "abac", &format!("Robot{at}/cmd_vel"), &why);
+        }
+        let latest = rejections.latest(KEPT_MAX);
+        assert_eq!(latest.len(), KEPT_MAX);
+        assert_eq!(latest.last().unwrap().who, "Org1/Thief");
+    }
 }

@@ -79,8 +79,9 @@ impl Instance {
         let tracer = Tracer::start(&config.traces, "ledgerd", &trust.me.full_name());
         let clients = Clients::new(config, &ordering, &trust, &peers, (tracer.clone(), started))?;
 
-        let reachability = Arc::clone(&peers.reachability);
-        let enrolment = trust.enrolment(&ordering, &host.own_gateway(), move || reachability.is_cut_off());
+        let (reachability, monitor) = (Arc::clone(&peers.reachability), Arc::clone(&peers.monitor));
+        let (cut_off, clock_off) = (move || reachability.is_cut_off(), move || monitor.clock_off());
+        let enrolment = trust.enrolment(&ordering, &host.own_gateway(), cut_off, clock_off);
         let members = host.members();
         // In this order: clients that wait for a verdict are told first.
         let observers: Vec<Arc<dyn Observer>> = vec![
@@ -95,7 +96,8 @@ impl Instance {
             Arc::new(Revocations::new(&members, &storage)),
             Arc::new(Traced(tracer)),
         ];
-        let executor = Arc::new(Executor::new(Arc::clone(&storage.ledger), observers));
+        let executor =
+            Arc::new(Executor::new(Arc::clone(&storage.ledger), observers).counting(Arc::clone(&ordering.budgets)));
         let keys = Keys::new(trust.me.id, trust.identity.clone(), Arc::clone(&storage.ledger));
         let ballots = Arc::new(Voting::new(Arc::clone(&storage.ledger), keys));
         let outlet = ToSubsystems {

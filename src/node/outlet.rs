@@ -6,7 +6,7 @@ use crate::ordering::orderer::Outlet;
 use crate::ordering::reads::ReadIndex;
 use crate::peers::Peers;
 use ledger::Refusal;
-use ledger_light::{DoubleHead, DoubleVote};
+use ledger_light::Misbehaviour;
 use ledger_raft::{Contradiction, PeerMessage};
 use ledger_replica::Known;
 use std::sync::Arc;
@@ -36,12 +36,8 @@ impl Outlet for ToSubsystems {
         self.rejections.record(now, refusal);
     }
 
-    fn voted_twice(&self, proof: Box<DoubleVote>) {
-        self.peers.certificates.voted_twice(proof);
-    }
-
-    fn two_heads(&self, proof: Box<DoubleHead>) {
-        self.peers.certificates.two_heads(proof);
+    fn misbehaved(&self, proof: Box<Misbehaviour>) {
+        self.peers.certificates.misbehaved(proof);
     }
 
     fn contradicted(&self, found: Contradiction) {

@@ -53,6 +53,7 @@ impl Signer {
             chaincode: chaincode.into(),
             function: function.into(),
             args,
+            known_block: None,
         };
         Transaction::sign(&body, &own.key)?.with_certificate(certificate)
     }

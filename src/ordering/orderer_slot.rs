@@ -4,6 +4,7 @@
 use super::orderer::{Handle, Orderer};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, Status};
+use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError, RwLock};
 
 /// The place of the orderer.
@@ -13,6 +14,8 @@ pub(crate) struct OrdererSlot {
     orderer: Mutex<Option<Orderer>>,
     /// How ordering stood last.
     last: Mutex<Option<Status>>,
+    /// Nodes that have lied, by proof: no engine follows them.
+    excluded: Mutex<BTreeSet<u64>>,
 }
 
 enum Phase {
@@ -25,7 +28,12 @@ enum Phase {
 impl OrdererSlot {
     /// A place for an orderer that is to come.
     pub(crate) fn empty() -> Self {
-        Self { phase: RwLock::new(Phase::CatchingUp(0)), orderer: Mutex::default(), last: Mutex::default() }
+        Self {
+            phase: RwLock::new(Phase::CatchingUp(0)),
+            orderer: Mutex::default(),
+            last: Mutex::default(),
+            excluded: Mutex::default(),
+        }
     }
 
     /// Takes in an orderer; ends it at once if the node is stopping.
@@ -44,7 +52,16 @@ impl OrdererSlot {
             orderer.stop();
         } else {
             *self.orderer.lock().unwrap_or_else(PoisonError::into_inner) = Some(orderer);
+            let excluded = self.excluded.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            self.exclude(excluded);
         }
+    }
+
+    /// Nothing that these nodes send as leaders or candidates is taken any more, by this engine and all later ones.
+    pub(crate) fn exclude(&self, liars: BTreeSet<u64>) {
+        self.excluded.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&liars);
+        // Without an engine, the next one is given them.
+        let _without_an_engine = self.input(Input::Exclude(liars));
     }
 
     /// Ends the orderer, if there is one, for a node that fetches blocks up to a height. Waits for the threads.

@@ -1,6 +1,8 @@
 //! Clients that wait for the verdict on a transaction, and how the answer travels to them.
 
 use crate::process::meters::observe;
+use bytes::Bytes;
+use ledger::transaction::KnownBlock;
 use ledger_api::v1::{SubmitResponse, Verdict};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
@@ -62,6 +64,11 @@ pub(crate) fn refused(id: Option<&Hash>, rejection: &Rejection) -> SubmitRespons
     SubmitResponse { id, verdict: Some(rejection.into()), ..SubmitResponse::default() }
 }
 
+/// The part of a block's hash by which signers name it.
+pub(crate) fn known_hash(hash: &Hash) -> Bytes {
+    KnownBlock::prefix(&hash.0).map(|prefix| Bytes::copy_from_slice(&prefix)).unwrap_or_default()
+}
+
 /// The answer for a transaction that was executed.
 pub(crate) fn executed(verdict: &Executed<'_>) -> SubmitResponse {
     SubmitResponse {
@@ -71,5 +78,6 @@ pub(crate) fn executed(verdict: &Executed<'_>) -> SubmitResponse {
         index: verdict.index,
         time: verdict.time,
         response: verdict.result.response.clone(),
+        block_hash: verdict.block.map(|hash| known_hash(&hash)).unwrap_or_default(),
     }
 }

@@ -19,14 +19,15 @@ use crate::ordering::directory::Member;
 use crate::peers::connections::Dialer;
 use crate::peers::question::Asked;
 use crate::peers::reachability::Reachability;
-use crate::process::clock::Offset;
 use confirmed::Confirmed;
 use ledger::Ledger;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Contradiction, PeerMessage, Receipt};
 use ledger_replica::company::{self, Follows, Place, Point, Said};
+use ledger_replica::offsets::{self, Offset};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicI64, Ordering as Memory};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::time::{MissedTickBehavior, interval};
@@ -47,15 +48,26 @@ pub(crate) struct ChainMonitor {
     cut_off: Mutex<Option<Instant>>,
     /// The clocks of those that answered the last question, by their numbers.
     clocks: Mutex<BTreeMap<u64, Offset>>,
+    /// How far the clocks of most voters are ahead of this machine's, microseconds; 0 while that is not known.
+    off: AtomicI64,
+    /// The full name of this node.
+    me: String,
     kept: Confirmed,
 }
 
 impl ChainMonitor {
-    /// Of a node of this organisation.
-    pub(crate) fn new(ledger: &Arc<Ledger>, organisation: &str, data: PathBuf) -> Self {
+    /// Of this node.
+    pub(crate) fn new(ledger: &Arc<Ledger>, me: &Member, data: PathBuf) -> Self {
         let kept = Confirmed::of(data);
-        let machine = Machine::new(Arc::clone(ledger), organisation, kept.read());
-        Self { machine: Mutex::new(machine), cut_off: Mutex::default(), clocks: Mutex::default(), kept }
+        let machine = Machine::new(Arc::clone(ledger), &me.organisation, kept.read());
+        Self {
+            machine: Mutex::new(machine),
+            cut_off: Mutex::default(),
+            clocks: Mutex::default(),
+            off: AtomicI64::new(0),
+            me: me.full_name(),
+            kept,
+        }
     }
 
     /// A member told its chain.
@@ -93,6 +105,20 @@ impl ChainMonitor {
     /// The clock of that node's machine, if it answered the last question.
     pub(crate) fn clock_of(&self, id: u64) -> Option<Offset> {
         self.clocks().get(&id).copied()
+    }
+
+    /// How far the clocks of most voters are ahead of this machine's at least, microseconds; below 0 where they are behind, 0 while
+    /// that is not known.
+    pub(crate) fn clock_off(&self) -> i64 {
+        self.off.load(Memory::Relaxed)
+    }
+
+    /// Checks that the clock of this machine is near those of most voters.
+    ///
+    /// # Errors
+    /// [`Code::ClockOutOfBounds`].
+    pub(crate) fn check_clock(&self) -> Result<(), Rejection> {
+        offsets::check(self.clock_off(), &self.me)
     }
 
     /// For how long this node has reached no leader.
@@ -177,7 +203,11 @@ impl Asking {
     async fn ask(&self, members: &[Member], height: u64) -> Vec<Said> {
         let own = self.monitor.own(height);
         let answers = self.dialer.compare(members, self.ordering.storage.ledger.network(), own).await;
-        *self.monitor.clocks() = answers.iter().filter_map(|asked| Some((asked.who.id, asked.clock?))).collect();
+        let clocks: BTreeMap<u64, Offset> =
+            answers.iter().filter_map(|asked| Some((asked.who.id, asked.clock?))).collect();
+        let voters = members.iter().filter(|member| member.votes()).filter_map(|member| clocks.get(&member.id));
+        self.monitor.off.store(offsets::ahead_of_this(voters.copied()), Memory::Relaxed);
+        *self.monitor.clocks() = clocks;
         answers.into_iter().map(|Asked { who, has, at, stranger, .. }| Said { who, has, at, stranger }).collect()
     }
 

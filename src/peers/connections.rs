@@ -10,6 +10,7 @@ mod link;
 mod pace;
 
 use crate::ordering::directory::{Directory, Member};
+use crate::process::config::DialRules;
 use bytes::Bytes;
 use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_base::hash::Hash;
@@ -38,6 +39,8 @@ pub(crate) struct Dialer {
     pub identity: TlsIdentity,
     /// The certificates that it accepts.
     pub trust: Arc<dyn TrustSource>,
+    /// The addresses that it dials for other organisations.
+    pub rules: Arc<DialRules>,
     /// How often it dials whom for a lasting connection, and for a question.
     pub paces: Arc<[Paces; 2]>,
 }

@@ -3,7 +3,7 @@
 use super::receipt::from_wire;
 use crate::ordering::directory::Member;
 use crate::peers::connections::Dialer;
-use crate::process::clock::{Offset, wall};
+use crate::process::clock::wall;
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
 use futures::stream::FuturesUnordered;
@@ -12,6 +12,7 @@ use ledger_api::v1::{ChainRequest, ChainResponse};
 use ledger_base::hash::Hash;
 use ledger_replica::catch_up::{ASK_TIME_MAX, Holding, RECEIPTS_MAX, Who};
 use ledger_replica::company::Point;
+use ledger_replica::offsets::Offset;
 use std::time::Duration;
 use tokio::time::{Instant, timeout};
 use tonic::Response;
@@ -147,7 +148,8 @@ impl Dialer {
                     let channel = self.channel(member).await?;
                     let (since, asked) = (Instant::now(), wall());
                     let chain = chain(&channel, request).await?;
-                    let clock = Offset::of(chain.clock, asked, since.elapsed());
+                    let clock =
+                        Offset::of(chain.clock, asked, u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX));
                     Ok::<_, String>((chain, clock))
                 };
                 let answer = timeout(Duration::from_micros(ASK_TIME_MAX), answer).await;

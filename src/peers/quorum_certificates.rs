@@ -1,9 +1,10 @@
-//! Certificates of blocks: this node states what executing gave, hears what others state, and keeps what enough have signed.
+//! Certificates of blocks: this node signs what executing gave, receives what others signed, and keeps what enough have signed.
 //!
 //! ```text
 //! certificates   the task around the machine of `ledger_replica::certifier`; the view of the rest of the node
 //!   keys         the node's key, and whose certificates are believed
 //!   inbox        statements of peers that wait: a few of each
+//!   evidence     proofs of misbehaviour
 //!   kept         the files below the data directory
 //!   recent       the newest certificates, for those who ask for a proof
 //!   passed       one in ten seconds of all before, on the disk
@@ -11,6 +12,7 @@
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
 
+mod evidence;
 mod inbox;
 mod kept;
 mod keys;
@@ -23,47 +25,54 @@ pub(crate) use keys::Keys;
 use crate::ordering::Ordering;
 use crate::ordering::directory::Directory;
 use crate::peers::connections::Connections;
-use bytes::Bytes;
+use crate::storage::files::DIVERGED_FILE;
+use evidence::Evidence;
 use inbox::Inbox;
-use kept::{Kept, Lied};
+use kept::Kept;
 use ledger::{Ledger, Outcome};
-use ledger_base::rejection::Rejection;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_light::fact::Fact;
-use ledger_light::{Certificate, DoubleHead, DoubleVote, Lie, Proof, Signed, Statement};
-use ledger_raft::{PeerMessage, SignedStatement};
+use ledger_light::{Certificate, Misbehaviour, Proof, Signed, Statement};
+use ledger_raft::{self as raft, PeerMessage, SignedStatement};
 use ledger_replica::Observer;
-use ledger_replica::certifier::{Certifier, Effect, Era, Event};
+use ledger_replica::certifier::{Certifiable, Certifier, Effect, Era, Event, Signing};
 use passed::Passed;
 use recent::Recent;
+use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval};
 
 /// Pause before the disk is asked again for a block that is to be signed.
 const DISK_PAUSE: Duration = Duration::from_millis(2);
 /// Time between two writes of the newest proof, at least: a crash loses that much of them.
 const KEEP_EVERY: Duration = Duration::from_secs(2);
+/// Time until the proofs of misbehaviour are sent to every member again: a member may have been away.
+const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
+
+/// Most old statements that are remembered because the signatures of a certificate were sent for them.
+const EXCHANGED_MAX: usize = 4096;
 
 /// The node tells the task.
 pub(crate) enum Told {
     /// A step of the machine.
     Event(Event),
-    /// A voter has voted for two nodes in one term.
-    VotedTwice(Box<DoubleVote>),
-    /// A leader has signed two logs in one term.
-    TwoHeads(Box<DoubleHead>),
+    /// A node has misbehaved, as this node has seen.
+    Misbehaved(Box<Misbehaviour>),
 }
 
 /// The view that the rest of the node has of its certificates.
 pub(crate) struct Certificates {
     told: mpsc::UnboundedSender<Told>,
     heard: Inbox,
+    /// Proofs that peers have sent.
+    shown: Inbox,
     certified: AtomicU64,
-    /// The lies of which this node has proofs.
-    lies: Mutex<Vec<Lied>>,
+    evidence: Evidence,
     recent: Recent,
     kept: Kept,
     passed: Passed,
@@ -79,10 +88,18 @@ impl Certificates {
         // Bounded by what is executed, which takes longer than signing.
         let (told, events) = mpsc::unbounded_channel();
         let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
-        let lies = Mutex::new(kept.lies()?);
-        let (heard, recent) = (Inbox::default(), Recent::default());
+        let evidence = Evidence::new(kept.misbehaviours()?);
+        let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
-        Ok((Arc::new(Self { told, heard, certified, lies, recent, kept, passed }), events))
+        Ok((Arc::new(Self { told, heard, shown, certified, evidence, recent, kept, passed }), events))
+    }
+
+    /// The statements that this node has signed last, as far as its record has them.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(crate) fn recorded(&self) -> Result<Vec<Statement>, Rejection> {
+        self.kept.recorded()
     }
 
     /// The newest height for which this node has a certificate; 0 if there is none.
@@ -90,26 +107,24 @@ impl Certificates {
         self.certified.load(Relaxed)
     }
 
-    /// The nodes that have lied, in words; empty if none has.
+    /// The members that have lied, in words; empty if none has.
     pub(crate) fn lies(&self, directory: &Directory) -> String {
-        let lies = self.lies.lock().unwrap_or_else(PoisonError::into_inner);
-        let words = |lied: &Lied| match lied {
-            Lied::About { height, node } => {
-                format!("{} has signed two different statements about block {height}", directory.name(*node))
-            }
-            Lied::Voted { term, node } => {
-                format!("{} has voted for two nodes in term {term}", directory.name(*node))
-            }
-            Lied::Led { term, node } => {
-                format!("{} has led with two different logs in term {term}", directory.name(*node))
-            }
-        };
-        lies.iter().map(words).collect::<Vec<_>>().join(", ")
+        self.evidence.lies(directory)
+    }
+
+    /// The members that have signed different results of one block, in words; empty if there are none.
+    pub(crate) fn faults(&self, directory: &Directory) -> String {
+        self.evidence.faults(directory)
     }
 
     /// A peer has sent a statement. It waits for the task, or is lost if too many of that peer wait.
     pub(crate) fn hear(&self, from: u64, statement: SignedStatement) {
         self.heard.put(from, statement.signed);
+    }
+
+    /// A peer has sent a proof of misbehaviour. It waits for the task, or is lost if too many of that peer wait.
+    pub(crate) fn show(&self, from: u64, evidence: raft::Evidence) {
+        self.shown.put(from, evidence.proof);
     }
 
     /// A proof of a certified block, with the facts that are wanted. Waits a while for the certificate. None if there is
@@ -162,22 +177,9 @@ impl Certificates {
         self.kept.governing(height)
     }
 
-    /// The engine has a proof that a voter has voted for two nodes. The task keeps it: nobody waits for the disk here.
-    pub(crate) fn voted_twice(&self, proof: Box<DoubleVote>) {
-        let _stopping = self.told.send(Told::VotedTwice(proof));
-    }
-
-    /// The engine has a proof that a leader has signed two logs in one term. The task keeps it.
-    pub(crate) fn two_heads(&self, proof: Box<DoubleHead>) {
-        let _stopping = self.told.send(Told::TwoHeads(proof));
-    }
-
-    /// Notes a lie; false if it is known.
-    fn note(&self, lied: Lied) -> bool {
-        let mut lies = self.lies.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_new = !lies.contains(&lied);
-        lies.extend(is_new.then_some(lied));
-        is_new
+    /// A part of the node has a proof of misbehaviour. The task keeps it: the caller does not wait for the disk.
+    pub(crate) fn misbehaved(&self, proof: Box<Misbehaviour>) {
+        let _stopping = self.told.send(Told::Misbehaved(proof));
     }
 }
 
@@ -185,14 +187,9 @@ impl Observer for Certificates {
     fn executed(&self, outcome: &Arc<Outcome>, ledger: &Ledger) {
         let (header, governs) = (&outcome.header, outcome.governs);
         if let Some(roots) = outcome.certifiable {
-            let statement = Statement {
-                network: ledger.network(),
-                height: header.height,
-                time: header.time,
-                block: outcome.hash,
-                results: roots.results,
-            };
-            let _stopping = self.told.send(Told::Event(Event::Executed { statement, governs }));
+            let (height, time, block) = (header.height, header.time, outcome.hash);
+            let block = Certifiable { height, time, block, results: roots.results };
+            let _stopping = self.told.send(Told::Event(Event::Executed { block, governs }));
         }
         if governs {
             match era(ledger) {
@@ -229,43 +226,60 @@ pub(crate) struct Certifying {
     pub certificates: Arc<Certificates>,
     /// Decides.
     pub certifier: Certifier<Keys>,
+    /// Checks the signatures in proofs.
+    pub keys: Keys,
     /// Results of execution, the log whose blocks are signed, and the members of the network.
     pub ordering: Arc<Ordering>,
     /// The other nodes.
     pub connections: Arc<Connections>,
     /// This node's number.
     pub me: u64,
+    /// Heights and nodes for whose statements the signatures of a certificate were sent.
+    pub exchanged: BTreeSet<(u64, u64)>,
     /// Executed blocks and proofs.
     pub told: mpsc::UnboundedReceiver<Told>,
 }
 
 impl Certifying {
-    /// Signs, hears and counts until the node stops.
+    /// Signs, receives and counts until the node stops.
     pub(crate) async fn run(mut self) {
         let started = Instant::now();
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
         let (mut effects, mut written) = (Vec::new(), None);
+        let mut again = interval(EVIDENCE_EVERY);
+        again.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             let event = tokio::select! {
                 told = self.told.recv() => match told {
                     Some(Told::Event(event)) => event,
-                    Some(Told::VotedTwice(proof)) => {
-                        self.voted_twice(&proof).await;
-                        continue;
-                    }
-                    Some(Told::TwoHeads(proof)) => {
-                        self.two_heads(&proof).await;
+                    Some(Told::Misbehaved(proof)) => {
+                        self.misbehaved(&proof, self.me).await;
                         continue;
                     }
                     None => return,
                 },
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
-                    Ok(signed) => Event::Heard { from, signed },
+                    Ok(signed) => {
+                        self.compare(&signed).await;
+                        Event::Heard { from, signed }
+                    }
                     Err(reason) => {
                         tracing::warn!(node = self.ordering.directory.name(from), code = reason.code.name(), %reason, "a statement cannot be read");
                         continue;
                     }
                 },
+                (from, proof) = self.certificates.shown.next() => {
+                    self.shown(from, &proof).await;
+                    continue;
+                }
+                _ = again.tick() => {
+                    // An engine with a full inbox has not taken it before.
+                    self.ordering.slot.exclude(self.certificates.evidence.liars());
+                    for proof in self.certificates.evidence.about_members(&self.ordering.directory) {
+                        self.send_proof(&proof, self.me);
+                    }
+                    continue;
+                }
                 () = tokio::time::sleep(DISK_PAUSE), if self.certifier.waits_for_disk() => Event::Time,
                 () = until(self.certifier.wait(now())) => Event::Time,
             };
@@ -279,12 +293,13 @@ impl Certifying {
 
     async fn act(&self, effect: Effect, written: &mut Option<Instant>) {
         match effect {
-            Effect::Tell(signed) => {
-                let message = PeerMessage::Statement(SignedStatement { signed: signed.to_bytes() });
-                for member in self.ordering.directory.members().iter().filter(|member| member.id != self.me) {
-                    // Lost if it is not connected; the newest is told again.
-                    self.connections.send(member.id, &message);
-                }
+            Effect::Record(statement) => self.keep(move |files| files.record(&statement)).await,
+            // Lost where a member is not connected; the newest own one is sent again.
+            Effect::Tell(signed) => self.send_statement(&signed),
+            Effect::Pass(signed) => {
+                let (node, height) = (self.ordering.directory.name(signed.signature.node), signed.statement.height);
+                tracing::debug!(node, height, "voters have signed different things about a block; passing it on");
+                self.send_statement(&signed);
             }
             Effect::Certified { certificate, governs } => {
                 let height = certificate.statement.height;
@@ -298,7 +313,7 @@ impl Certifying {
                     self.keep_proof(certificate, due, governs, passes).await;
                 }
             }
-            Effect::Lied(lie) => self.lied(&lie).await,
+            Effect::Misbehaved(proof) => self.misbehaved(&proof, self.me).await,
         }
     }
 
@@ -319,38 +334,136 @@ impl Certifying {
         .await;
     }
 
-    async fn lied(&self, lie: &Lie) {
-        let (node, height) = (lie.first.signature.node, lie.first.statement.height);
-        tracing::error!(
-            node = self.ordering.directory.name(node),
-            height,
-            first = %lie.first.statement.results,
-            second = %lie.second.statement.results,
-            "a node has signed two different statements about one block; the proof is kept"
-        );
-        self.keep_lie(lie.into(), lie.to_bytes()).await;
+    fn send_statement(&self, signed: &Signed) {
+        self.send(&PeerMessage::Statement(SignedStatement { signed: signed.to_bytes() }), self.me);
     }
 
-    async fn voted_twice(&self, proof: &DoubleVote) {
-        let (node, term) = (self.ordering.directory.name(proof.voter()), proof.term);
-        let [first, second] = proof.votes.each_ref().map(|(candidate, _)| self.ordering.directory.name(*candidate));
-        tracing::error!(node, term, first, second, "a voter has voted for two nodes in one term; the proof is kept");
-        self.keep_lie(proof.into(), proof.to_bytes()).await;
+    fn send_proof(&self, proof: &Misbehaviour, except: u64) {
+        self.send(&PeerMessage::Evidence(raft::Evidence { proof: proof.to_bytes() }), except);
     }
 
-    async fn two_heads(&self, proof: &DoubleHead) {
-        let (node, DoubleHead { term, height, branches: [own, other], .. }) =
-            (self.ordering.directory.name(proof.leader), proof);
-        tracing::error!(
-            node, term, height, own = %own.base, other = %other.base,
-            "a leader has signed two different logs in one term; the proof is kept"
-        );
-        self.keep_lie(proof.into(), proof.to_bytes()).await;
+    /// Sends a message to every member but this node and another one.
+    fn send(&self, message: &PeerMessage, except: u64) {
+        let members = self.ordering.directory.members();
+        for member in members.iter().filter(|member| ![self.me, except].contains(&member.id)) {
+            self.connections.send(member.id, message);
+        }
     }
 
-    async fn keep_lie(&self, lied: Lied, proof: Bytes) {
-        if self.certificates.note(lied) {
-            self.keep(move |kept| kept.lie(lied, &proof)).await;
+    /// A node has signed something else about a block than this node's certificate says: the signatures in the certificate
+    /// are exchanged for it. A block that the certifier still holds is its own matter.
+    async fn compare(&mut self, signed: &Signed) {
+        let (height, node) = (signed.statement.height, signed.signature.node);
+        let Some(certificate) = self.certificates.recent.of(height).filter(|own| own.statement != signed.statement)
+        else {
+            return;
+        };
+        if self.certifier.holds(height) || self.exchanged.contains(&(height, node)) || self.check(signed).is_err() {
+            return;
+        }
+        self.exchanged.insert((height, node));
+        if self.exchanged.len() > EXCHANGED_MAX {
+            self.exchanged.pop_first();
+        }
+        let Certificate { statement, signatures } = certificate;
+        for signature in signatures {
+            let other = Signed { statement, signature };
+            self.send_statement(&other);
+            if let Some(proof) = Misbehaviour::of(other, signed.clone()) {
+                self.misbehaved(&proof, self.me).await;
+            }
+        }
+    }
+
+    fn check(&self, signed: &Signed) -> Result<(), Rejection> {
+        let (ledger, Signed { statement, signature }) = (&self.ordering.storage.ledger, signed);
+        let identity = self.keys.identify(&ledger.msps(), &signature.certificate, statement.time)?;
+        ledger.voters()?.check(statement, signature, &identity)
+    }
+
+    /// A peer has sent a proof. It counts if the organisations that this node knows say so.
+    async fn shown(&self, from: u64, proof: &[u8]) {
+        let ledger = &self.ordering.storage.ledger;
+        let checked = Misbehaviour::from_bytes(proof).and_then(|proof| {
+            if !self.certificates.evidence.has(&proof) {
+                let msps = ledger.msps();
+                proof.verify(&ledger.network(), &ledger.voters()?.nodes, |der, time| {
+                    self.keys.identify(&msps, der, time)
+                })?;
+            }
+            Ok(proof)
+        });
+        match checked {
+            Ok(proof) => self.misbehaved(&proof, from).await,
+            Err(reason) => {
+                let node = self.ordering.directory.name(from);
+                tracing::warn!(node, code = reason.code.name(), %reason, "a proof of misbehaviour is not accepted");
+            }
+        }
+    }
+
+    /// Keeps a checked proof, and passes it on once.
+    async fn misbehaved(&self, proof: &Misbehaviour, from: u64) {
+        if !self.certificates.evidence.add(proof) {
+            return;
+        }
+        let (evidence, node) = (&self.certificates.evidence, self.ordering.directory.name(proof.node()));
+        self.send_proof(proof, from);
+        self.ordering.slot.exclude(evidence.liars());
+        match proof {
+            Misbehaviour::Lie(lie) => {
+                let (height, first, second) =
+                    (lie.first.statement.height, lie.first.statement.block, lie.second.statement.block);
+                tracing::error!(node, height, %first, %second, "a node has signed two different blocks of one height; the proof is kept");
+            }
+            Misbehaviour::DoubleVote(votes) => {
+                let [first, second] = votes.votes.each_ref().map(|(to, _)| self.ordering.directory.name(*to));
+                tracing::error!(
+                    node,
+                    term = votes.term,
+                    first,
+                    second,
+                    "a voter has voted for two nodes in one term; the proof is kept"
+                );
+            }
+            Misbehaviour::DoubleHead(heads) => {
+                let [first, second] = heads.branches.each_ref().map(|branch| branch.base);
+                tracing::error!(
+                    node, term = heads.term, height = heads.height, %first, %second,
+                    "a leader has signed two different logs in one term; the proof is kept"
+                );
+            }
+            Misbehaviour::Fault(fault) => {
+                let (height, first, second) =
+                    (fault.first.statement.height, fault.first.statement.results, fault.second.statement.results);
+                tracing::error!(node, height, %first, %second, "a node has signed two different results of one block; the proof is kept");
+            }
+        }
+        let kept = proof.clone();
+        self.keep(move |files| files.misbehaviour(&kept)).await;
+        if let Misbehaviour::Fault(fault) = proof
+            && proof.node() == self.me
+        {
+            self.stop(fault.first.statement.height).await;
+        }
+    }
+
+    /// This node has computed one block in two ways: it stops, and computes its state again from the blocks at its next start.
+    async fn stop(&self, height: u64) {
+        let reason = Rejection::new(Code::Diverged, "this node has signed two different results of one block")
+            .found(format!("two results of block {height}, both with its own signature"))
+            .wanted("one result of each block, as all nodes compute it");
+        let ordering = Arc::clone(&self.ordering);
+        let marked = tokio::task::spawn_blocking(move || {
+            ordering.slot.stop();
+            let mark = ordering.storage.data.join(DIVERGED_FILE);
+            if let Err(error) = std::fs::write(&mark, reason.to_string()) {
+                tracing::error!(%error, mark = %mark.display(), "cannot mark the world state");
+            }
+            ordering.failure.fail(reason);
+        });
+        if marked.await.is_err() {
+            tracing::error!("a thread panicked while it stopped the node");
         }
     }
 

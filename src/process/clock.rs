@@ -1,15 +1,16 @@
 //! Time: the machine's clocks, and the clock of each ledger, whose rule is [`ledger_replica::Clock`].
 
 use ledger::{Ledger, Outcome};
+use ledger_base::mutation::clock_error;
 use ledger_replica::{Now, Observer};
 use rustix::time::{ClockId, clock_gettime};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The machine's clock, microseconds since the UNIX epoch. It may be set back at any time.
 pub(crate) fn wall() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
+    u64::try_from(since.as_micros()).unwrap_or(u64::MAX).saturating_add_signed(clock_error())
 }
 
 /// A clock that nobody sets, microseconds. It goes on while the machine sleeps, so that a laptop that wakes up has no clock
@@ -82,25 +83,6 @@ impl Clock {
     }
 }
 
-/// The clock of another machine as seen from this one, microseconds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Offset {
-    /// How far it is ahead; below 0 where it is behind.
-    pub ahead: i64,
-    /// How far off that may be: half of the way there and back, at least 1.
-    pub error: u64,
-}
-
-impl Offset {
-    /// Of a clock that another node told, `took` after it was asked at `asked` by the clock of this machine. None if it is
-    /// too far off to be told.
-    pub(crate) fn of(told: u64, asked: u64, took: Duration) -> Option<Self> {
-        let error = u64::try_from(took.as_micros() / 2).ok()?.max(1);
-        let ahead = i128::from(told) - i128::from(asked.saturating_add(error));
-        Some(Self { ahead: i64::try_from(ahead).ok()?, error })
-    }
-}
-
 impl Observer for Clock {
     fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
         self.rule.observe(outcome.header.time, self.elapsed());
@@ -115,13 +97,5 @@ mod tests {
     fn it_never_starts_behind_block_time() {
         let far_ahead = wall() + 3_600_000_000;
         assert!(Clock::of(Machine::start(), far_ahead).now() >= far_ahead);
-    }
-
-    #[test]
-    fn the_clock_of_another_machine_is_read_in_the_middle_of_the_way_there_and_back() {
-        let of = |told| Offset::of(told, 5_000_000, Duration::from_micros(300));
-        assert_eq!(of(5_000_150), Some(Offset { ahead: 0, error: 150 }));
-        assert_eq!(of(4_000_150).map(|offset| offset.ahead), Some(-1_000_000));
-        assert_eq!(of(u64::MAX), None, "too far off");
     }
 }

@@ -9,6 +9,7 @@ pub(crate) fn count(number: u64) -> usize {
     usize::try_from(number).unwrap_or(usize::MAX)
 }
 
+mod dialling;
 #[cfg(test)]
 mod tests;
 
@@ -22,6 +23,8 @@ use ledger_traces::Settings as Traces;
 use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
 
+pub use dialling::AllowedAddress;
+pub(crate) use dialling::DialRules;
 pub use ledger_base::settings::Fault;
 
 /// Bytes of the unit of `storage.segment_mib`.
@@ -29,6 +32,9 @@ const SEGMENT_UNIT: u64 = 1024 * 1024;
 /// How `storage.retention` is written.
 const RETENTION: &str =
     "forever, an age of at least 10min such as 30d or 12h, or a size of at least 64MiB such as 20GiB";
+
+/// Most addresses of `peers.allow`.
+const ALLOWED_MAX: usize = 64;
 
 /// Days for which certificates are valid, unless `[ca]` says otherwise.
 pub const CERTIFICATE_DAYS: u32 = 365;
@@ -54,6 +60,9 @@ pub struct Config {
     pub storage: Storage,
     /// `[order]`
     pub order: Order,
+    /// `[peers] allow`: addresses of other organisations' nodes that this node dials although they are of its own machine, or have a
+    /// privileged port.
+    pub allow: Vec<AllowedAddress>,
     /// `[ca]`
     pub ca: Ca,
     /// `[log]`
@@ -179,8 +188,9 @@ impl Default for Config {
                 in_flight_max: 65_536,
                 subscribers_max: 1024,
             },
-            storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
+            storage: Storage { segment_mib: 64, retention: Retention::FOREVER, archive: PathBuf::new() },
             order: Order::default(),
+            allow: Vec::new(),
             ca: Ca { certificate_days: CERTIFICATE_DAYS, secret_days: SECRET_DAYS },
             log: Log::default(),
             bridge: None,
@@ -245,9 +255,15 @@ impl Config {
         reader.finish().map(|()| config)
     }
 
+    /// The addresses that this node dials for other organisations.
+    pub(crate) fn dial_rules(&self) -> DialRules {
+        let own = if self.member.address.is_empty() { &self.listen } else { &self.member.address };
+        DialRules::new(own, &self.allow)
+    }
+
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
-        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, .. } = self;
+        let Self { file: _, data, listen, profile, member, limits, storage, order, allow, ca, log, .. } = self;
         let Self { bridge, admin, console, traces, .. } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
@@ -289,6 +305,10 @@ impl Config {
             s.integer("wait_ms", 10..=60_000, &mut order.wait_ms);
             s.integer("attest_ms", 100..=3_600_000, &mut order.attest_ms);
             s.replaced("awake_us", "profile = \"low-latency\" instead of a time, profile = \"balanced\" instead of 0");
+        });
+        root.section("peers", |s| {
+            let given = s.texts("allow", ALLOWED_MAX, str::parse::<AllowedAddress>);
+            allow.extend(given.into_iter().flatten());
         });
         root.section("ca", |s| {
             s.integer("certificate_days", 1..=3650, &mut ca.certificate_days);

@@ -38,3 +38,16 @@ pub fn eprint_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stderr(), "{text}");
 }
+
+/// Shows lines on standard error and asks on the terminal; none if standard input is no terminal.
+pub(crate) fn asked(lines: &[String], question: &str) -> Option<bool> {
+    use std::io::{BufRead, IsTerminal, Write, stderr, stdin};
+    if !stdin().is_terminal() {
+        return None;
+    }
+    lines.iter().for_each(|line| eprint_line(line));
+    let _closed = write!(stderr(), "{question}").and_then(|()| stderr().flush());
+    let mut answer = String::new();
+    let _nothing = stdin().lock().read_line(&mut answer);
+    Some(answer.trim() == "yes")
+}

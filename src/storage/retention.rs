@@ -36,7 +36,7 @@ impl Pruner {
     /// # Errors
     /// If the archive cannot be written: then nothing is dropped. A fault of the store.
     pub(crate) fn prune(&self) -> Result<(), Rejection> {
-        if self.retention == Retention::Forever {
+        if self.retention == Retention::FOREVER {
             return Ok(());
         }
         let Measured { free, total } = self.space.measured();

@@ -5,7 +5,7 @@ mod reserve;
 use ledger_base::rejection::Rejection;
 use ledger_replica::space::{self, Accepts, Ground, Measured, Reserve, Wrote};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// The space of a node's disk.
@@ -14,6 +14,8 @@ pub(crate) struct Space {
     judged: Mutex<(space::Space, DataDisk)>,
     /// Not everything is accepted. Read for each call and each write, so without a lock.
     full: AtomicBool,
+    /// Bytes a second that are accepted of one organisation; read as `full` is.
+    organisation_bytes: AtomicU64,
 }
 
 /// The disk that a data directory is on.
@@ -29,7 +31,8 @@ impl Space {
         let mut disk = DataDisk { reserve: reserve::File::of(&data), data: data.clone() };
         let judged = space::Space::of(data.display().to_string(), &mut disk);
         let full = AtomicBool::new(judged.is_full());
-        Self { data, judged: Mutex::new((judged, disk)), full }
+        let organisation_bytes = AtomicU64::new(judged.organisation_bytes());
+        Self { data, judged: Mutex::new((judged, disk)), full, organisation_bytes }
     }
 
     /// Looks again: takes note of what is accepted from now on, and says what has changed.
@@ -47,6 +50,11 @@ impl Space {
     /// Is there too little for messages, and for what can wait?
     pub(crate) fn is_full(&self) -> bool {
         self.full.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of transactions a second that are accepted of one organisation.
+    pub(crate) fn organisation_bytes(&self) -> u64 {
+        self.organisation_bytes.load(Ordering::Relaxed)
     }
 
     /// The calls that are accepted now.
@@ -77,6 +85,7 @@ impl Space {
         let (space, disk) = &mut *judged;
         let done = act(space, disk);
         self.full.store(space.is_full(), Ordering::Relaxed);
+        self.organisation_bytes.store(space.organisation_bytes(), Ordering::Relaxed);
         done
     }
 }

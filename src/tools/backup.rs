@@ -8,6 +8,7 @@
 //! of the network is left, `ledgerd recover --force-single` makes it the beginning of what follows.
 
 mod restore;
+mod settings;
 
 pub(crate) use restore::{CopiedBlocks, RestoreOptions, restore};
 

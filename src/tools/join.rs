@@ -45,7 +45,8 @@ const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 /// The arguments of `ledgerd join`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct JoinOptions {
-    /// The word that ledgerctl network invite printed.
+    /// The word that ledgerctl network invite printed; @FILE for the first line of a file, - for standard input. Other users of this machine
+    /// can read arguments, with --run as long as the node runs.
     #[arg(value_name = "TOKEN")]
     token: String,
     /// The node's configuration; made if it does not exist.
@@ -75,7 +76,7 @@ pub(crate) struct JoinOptions {
 /// [`Code::EnrolmentRefused`] if the secret was used or has expired, [`Code::BadFile`] if the data directory is of
 /// something else; the ledger's own refusal: no invitation, not approved yet.
 pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
-    let token: JoinToken = options.token.parse()?;
+    let token: JoinToken = ledger_api::secret(&options.token)?.parse()?;
     let (address, listen) = (options.address.as_deref(), options.listen.as_deref());
     let mut settings = Settings::of(&options.config, address, listen, options.data.as_deref())?;
     let config = &settings.config.clone();

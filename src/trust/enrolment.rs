@@ -28,6 +28,7 @@ pub(crate) use ledger_client::LedgerClient;
 pub(crate) use tries::Tries;
 
 use crate::ordering::directory::{Directory, Member};
+use crate::ordering::waiters::known_hash;
 use crate::process::caller::Caller;
 use crate::trust::ca::CertificateAuthority;
 use bytes::Bytes;
@@ -87,6 +88,8 @@ pub(crate) struct OwnNode {
     pub directory: Arc<Directory>,
     /// Can this node have nothing ordered at the moment?
     pub cut_off: Box<dyn Fn() -> bool + Send + Sync>,
+    /// How far the clocks of most voters are ahead of this machine's, microseconds.
+    pub clock_off: Box<dyn Fn() -> i64 + Send + Sync>,
 }
 
 impl EnrolmentService {
@@ -228,7 +231,7 @@ impl Shared {
     fn network(&self) -> v1::NetworkResponse {
         let ders = |ders: &mut dyn Iterator<Item = &[u8]>| ders.map(Bytes::copy_from_slice).collect();
         let msps = self.ledger.msps();
-        let members = self.own.directory.members();
+        let (members, tip) = (self.own.directory.members(), self.ledger.tip());
         let organisations = msps.iter().map(|msp| v1::Organisation {
             name: msp.organisation().to_owned(),
             roots: ders(&mut msp.roots()),
@@ -245,10 +248,13 @@ impl Shared {
             network: Bytes::copy_from_slice(&self.ledger.network().0),
             label: self.genesis.label.clone(),
             organisations: organisations.collect(),
-            clock: (self.clock)().max(self.ledger.tip().time),
+            // Clients sign by it: by the clocks of most voters, also where this machine's is wrong.
+            clock: (self.clock)().saturating_add_signed((self.own.clock_off)()).max(tip.time),
             cut_off: (self.own.cut_off)(),
             carries: self.authorities.organisations(),
             rules: self.ledger.rules().number(),
+            height: tip.height,
+            block_hash: known_hash(&tip.hash),
         }
     }
 

@@ -20,7 +20,9 @@ async fn the_certificate_and_the_ledger_say_which_node_this_is() {
     assert_eq!((trust.me.full_name().as_str(), trust.me.id), ("Org1/node1", 1));
     assert!(trust.joined.is_none(), "it has founded the network");
     assert!(trust.organisations.msps().get("Org1").is_some());
-    assert!(trust.renewer(&ordering, &trust.enrolment(&ordering, "127.0.0.1:7450", || false)).data.ends_with("node1"));
+    assert!(
+        trust.renewer(&ordering, &trust.enrolment(&ordering, "127.0.0.1:7450", || false, || 0)).data.ends_with("node1")
+    );
 }
 
 #[tokio::test]

@@ -100,6 +100,11 @@ fn a_message_is_shown_as_a_twist_only_where_it_is_one_and_an_envelope_as_encrypt
 }
 
 #[test]
+fn an_address_that_is_none_leads_to_the_start_page() {
+    ran(Command::new("node").current_dir(console()).arg("tests/route.mjs"));
+}
+
+#[test]
 fn the_types_of_the_console_are_right() {
     ran(Command::new("node").current_dir(console()).arg("node_modules/typescript/bin/tsc"));
 }
@@ -114,7 +119,16 @@ fn transactions() -> impl Strategy<Value = (v1::TransactionBody, v1::Transaction
         |((network, creator, nonce, not_after, chaincode, function, args), signature, certificate)| {
             let args = args.into_iter().map(Into::into).collect();
             let (network, creator, nonce) = (network.into(), creator.into(), nonce.into());
-            let body = v1::TransactionBody { network, creator, nonce, not_after, chaincode, function, args };
+            let body = v1::TransactionBody {
+                network,
+                creator,
+                nonce,
+                not_after,
+                chaincode,
+                function,
+                args,
+                known_block: None,
+            };
             let encoded = body.encode_to_vec().into();
             (body, v1::Transaction { body: encoded, signature: signature.into(), certificate: certificate.into() })
         },

@@ -1,13 +1,15 @@
 //! Members that want more of everybody's machines than is theirs: each attack is refused, and the robots go on.
 
-use crate::support::connect;
+use crate::support::network::message;
 use crate::support::wire::{self, code, submit};
+use crate::support::{Fleet, connect};
 use crate::target::Target;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_abac::{PolicyEntry, RobotAsset};
 use ledger_api::Client;
 use ledger_base::rejection::Code;
+use ledger_identity::Role;
 
 /// Functions that only read, with arguments that they take.
 const READS: [(&str, &str, &[&str]); 8] = [
@@ -124,4 +126,49 @@ async fn long_lists_come_in_pages_and_no_answer_is_large() {
     assert!(listed.ok().stdout.contains("R99"));
     target.survived("long lists").await;
     target.end("pages");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_member_that_floods_a_service_is_limited_and_those_of_other_organisations_go_on() {
+    let fleet = Fleet::found(1);
+    let dora = fleet.issue("Org2", "Dora", Role::Member, &["Husky"]);
+    let target = Target::start_on(fleet).await;
+    let (boss, owner) = (connect(&target.admin).await, connect(&target.fleet.owner()).await);
+    let quota: Vec<Bytes> = vec![r#"{"organisation":"Org1","bytes_per_s":2000,"identity_bytes_per_s":1000}"#.into()];
+    for admin in [&boss, &owner] {
+        admin.invoke("msp", "set_quota", quota.clone()).await.unwrap();
+    }
+    // One organisation alone raises nothing.
+    let raised: Vec<Bytes> = vec![r#"{"organisation":"Org1","bytes_per_s":1000000000}"#.into()];
+    boss.invoke("msp", "set_quota", raised).await.unwrap();
+
+    let channel = wire::channel(&target.salma, true).await;
+    let mut sequence = 0;
+    let refused = loop {
+        sequence += 1;
+        let flood = target.signed(|body| {
+            (body.function, body.args) = ("set".into(), message(1, sequence, &[0; 100]));
+        });
+        let answer = submit(&channel, flood.encoded().clone()).await.unwrap();
+        if code(&answer) != 0 {
+            break answer;
+        }
+        assert!(sequence < 100_000, "it floods without end");
+    };
+    assert_eq!(code(&refused), u32::from(Code::Overloaded.number()), "{refused:?}");
+    let verdict = refused.verdict.unwrap();
+    assert!(verdict.message.contains("Org1/Salma") && verdict.next.contains("retry after"), "{verdict:?}");
+
+    // Another organisation acquires, publishes and stops, and the flooder still gives its robot back.
+    let dora = connect(&dora).await;
+    dora.invoke("abac", "acquire", vec!["Husky".into(), "600000".into()]).await.unwrap();
+    for sequence in 1..20 {
+        let mut args = message(1, sequence, &[0; 100]);
+        args[0] = "Husky".into();
+        dora.invoke("abac", "set", args).await.unwrap();
+    }
+    target.client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap();
+    owner.invoke("abac", "stop", vec!["Husky".into(), "a person in the cell".into()]).await.unwrap();
+    target.node.no_panic();
+    target.end("a flooded service");
 }

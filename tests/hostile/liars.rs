@@ -86,11 +86,18 @@ async fn join(puppet: &Client, address: &str) -> Result<(), Rejection> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_address_that_never_answers_is_dialled_less_and_less_and_some_are_never_registered() {
     let (fleet, mut nodes) = found();
-    let puppet = puppet(&fleet, "puppet").await;
+    let stranger = puppet(&fleet, "puppet").await;
     for address in ["169.254.169.254:80", "[fe80::1]:7450", "224.0.0.251:5353", "0.0.0.0:7450", "2852039166:80"] {
-        let refused = join(&puppet, address).await.unwrap_err();
+        let refused = join(&stranger, address).await.unwrap_err();
         assert_eq!(refused.code, Code::BadArgument, "{address}: {refused}");
     }
+    // A privileged port is registered, and no node of another organisation dials it.
+    let guest = puppet(&fleet, "guest").await;
+    join(&guest, "127.0.0.1:22").await.unwrap();
+    until("a node of another organisation says why it does not dial", || async {
+        nodes.iter().any(|node| node.stderr().contains("127.0.0.1:22, a privileged port")).then_some(())
+    })
+    .await;
     // Somebody else's port: it takes every connection, and answers none.
     let victim = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = victim.local_addr().unwrap().to_string();
@@ -103,7 +110,7 @@ async fn an_address_that_never_answers_is_dialled_less_and_less_and_some_are_nev
             }
         }
     });
-    join(&puppet, &address).await.unwrap();
+    join(&stranger, &address).await.unwrap();
     let begun = Instant::now();
     until("every node has dialled it", || async { (dials.load(Ordering::Relaxed) >= 4).then_some(()) }).await;
     tokio::time::sleep(Duration::from_secs(15)).await;

@@ -8,6 +8,8 @@
 //! | `greedy` | is a member that wants more of everybody's machines than is its own |
 //! | `liars` | is a member, or an admin, that abuses its rights |
 //! | `pretenders` | is a node that lies about the ordering protocol |
+//! | `equivocation` | is a voter that signs different things for one place |
+//! | `twice` | is an organisation that runs its voter twice |
 //! | `target` | the node that is attacked, and its people |
 //!
 //! A node that lies to its own robot is in `tests/interop`, as that needs a bridge.
@@ -15,10 +17,12 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, clippy::print_stdout, reason = "tests")]
 
 mod crowd;
+mod equivocation;
 mod greedy;
 mod liars;
 mod nonsense;
 mod pretenders;
 mod target;
+mod twice;
 
 use ledgerd_support as support;

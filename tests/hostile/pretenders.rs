@@ -34,7 +34,7 @@ fn number(field: u64, value: u64) -> Vec<u8> {
 }
 
 /// A field of protobuf that holds bytes.
-fn part(field: u64, content: &[u8]) -> Vec<u8> {
+pub(crate) fn part(field: u64, content: &[u8]) -> Vec<u8> {
     let mut bytes = number(field, content.len() as u64);
     bytes[0] |= 2;
     bytes.extend_from_slice(content);
@@ -47,7 +47,7 @@ fn raft(fields: &[Vec<u8>]) -> Bytes {
 }
 
 /// Says this to a node as another node, and hangs up.
-async fn say(liar: &Context, address: &str, said: Vec<Bytes>) {
+pub(crate) async fn say(liar: &Context, address: &str, said: Vec<Bytes>) {
     let context = Context { nodes: vec![address.to_owned()], ..liar.clone() };
     let channel = wire::channel(&context, true).await;
     let frames = futures::stream::iter(said.into_iter().map(|message| v1::PeerFrame { message }));
@@ -55,7 +55,7 @@ async fn say(liar: &Context, address: &str, said: Vec<Bytes>) {
 }
 
 /// A network of three voters and a learner, `robot`.
-fn found() -> Fleet {
+pub(crate) fn found() -> Fleet {
     let wish = |name: &str, organisation: &str, voter| NodeWish {
         name: name.into(),
         organisation: organisation.into(),
@@ -68,7 +68,7 @@ fn found() -> Fleet {
 }
 
 /// Speaks with the certificate of a node that does not run.
-fn as_node(place: &NodePlace, any: &Context) -> Context {
+pub(crate) fn as_node(place: &NodePlace, any: &Context) -> Context {
     let pem = std::fs::read(place.data.join("node.pem")).unwrap();
     let chain = CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().unwrap();
     let key = SigningKey::from_pkcs8_pem(&std::fs::read_to_string(place.data.join("node.key")).unwrap()).unwrap();

@@ -66,6 +66,7 @@ impl Target {
             chaincode: "abac".into(),
             function: "robots".into(),
             args: Vec::new(),
+            known_block: None,
         }
     }
 

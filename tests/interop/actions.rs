@@ -155,8 +155,8 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
 
         // Given back while the goal runs. Until then its own signs of life have kept the grant, beyond its lease.
         let mut goal = running("1", &mut server);
-        call(&world.salma, "renew", &["Rover/count", "12000"]).await;
-        let until = Instant::now() + Duration::from_secs(20);
+        call(&world.salma, "renew", &["Rover/count", "6000"]).await;
+        let until = Instant::now() + Duration::from_secs(9);
         while Instant::now() < until {
             tokio::time::sleep(Duration::from_millis(100)).await;
             let grants = owner.query("abac", "grants", vec!["Rover/count".into()]).await.unwrap().response;

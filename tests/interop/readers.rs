@@ -31,7 +31,7 @@ fn the_bridge_of_a_subscriber_keeps_its_place_and_another_one_gets_it_when_that_
     world::run(async {
         let world = World::start("/cmd_vel", TYPE).await;
         let owner = owner_of(&world).await;
-        let settings = r#"{"mode":"limited","direction":"feed","lease_ms":15000,"sharing":{"subscribers":1}}"#;
+        let settings = r#"{"mode":"limited","direction":"feed","lease_ms":8000,"sharing":{"subscribers":1}}"#;
         call(&owner, "configure", &["Rover/cmd_vel", settings]).await;
         let _robot = world.start_bridge("Rover", 3, "to_ledger", "/cmd_vel", TYPE);
         let mut sensor = Python::start("twist_publisher.py", &["3", "rt/cmd_vel", MANY, "20", "0"]);
@@ -44,7 +44,7 @@ fn the_bridge_of_a_subscriber_keeps_its_place_and_another_one_gets_it_when_that_
         let mut farhad = listens("2");
         world.line("Farhad", &["the ledger has ended the subscription", "Rover/cmd_vel:subscribe"]).await;
         // Longer than her lease.
-        tokio::time::sleep(Duration::from_secs(20)).await;
+        tokio::time::sleep(Duration::from_secs(10)).await;
         assert_eq!(readers(&world).await, json!(["Org1/Salma"]), "she keeps her place while her bridge reads");
 
         drop(salmas);

@@ -2,7 +2,7 @@
 
 use crate::own_network::isolated;
 use crate::support::network::{free_address, register_robots};
-use crate::support::page::{documented, exposed, get, named, values};
+use crate::support::page::{documented, exposed, get, get_by, named, values};
 use crate::support::wait::{eventually, until};
 use crate::support::{Fleet, connect, programs, wire};
 use ledger_api::Context;
@@ -43,6 +43,13 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
     assert!(ready.ends_with("ready\n") && !ready.contains("[-]"), "{ready}");
     assert_eq!(get(&page, "/readyz").1, "ready\n");
     assert!(get(&page, "/metric").0.contains("404"));
+    // A name that a foreign page lets point here is rejected; so nothing is read through a browser.
+    let port = page.rsplit_once(':').unwrap().1;
+    for path in ["/livez", "/readyz", "/metrics"] {
+        let (status, body) = get_by(&format!("rebound.example:{port}"), &page, path);
+        assert!(status.contains("403") && body.contains("the request is not for this page"), "{path}: {status} {body}");
+        assert!(!get_by(&format!("localhost:{port}"), &page, path).0.contains("403"), "{path}");
+    }
 
     assert!(owner.invoke("abac", "acquire", vec!["Nothing/at_all".into()]).await.is_err());
     let (status, metrics) = get(&page, "/metrics");

@@ -263,6 +263,39 @@ async fn a_flood_of_refusals_makes_at_most_one_transaction_a_second_and_no_count
     node.interrupt();
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_accomplice_with_many_different_rejections_hides_no_try_of_a_thief() {
+    const TRIES: u64 = 28;
+    let fleet = Fleet::found(1);
+    let owner = fleet.owner();
+    let [thief, accomplice] = ["Thief", "Accomplice"].map(|name| fleet.issue("Org1", name, Role::Member, &[]));
+    let mut node = fleet.nodes[0].start();
+    let boss = connect(&owner).await;
+    register_robots(&boss, "exclusive").await;
+    let (thief, accomplice) = (connect(&thief).await, connect(&accomplice).await);
+    let flood = async {
+        for number in 0..270 {
+            let robot = format!("Nothing{}/cmd_vel", number % 90);
+            accomplice.invoke("abac", "acquire", vec![robot.into()]).await.unwrap_err();
+        }
+    };
+    let tries = async {
+        for number in 0..TRIES {
+            let service = format!("Husky/topic{number}");
+            thief.invoke("abac", "acquire", vec![service.into()]).await.unwrap_err();
+        }
+    };
+    tokio::join!(flood, tries);
+    until("each try of the thief has a row of its own", || async {
+        let rows = rows(&boss, AuditRequest { user: "Org1/Thief".into(), ..AuditRequest::default() }).await;
+        let subjects: std::collections::BTreeSet<_> = rows.iter().map(|row| row.subject.clone()).collect();
+        let count = rows.iter().map(|row| row.count).sum::<u64>();
+        (count == TRIES && subjects.len() as u64 == TRIES).then_some(())
+    })
+    .await;
+    node.interrupt();
+}
+
 #[test]
 fn recorded_decisions_are_asked_again_under_other_policies() {
     let dev = Dev::start();

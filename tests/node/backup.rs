@@ -194,6 +194,42 @@ fn a_damaged_backup_is_refused_before_anything_is_written() {
     said(&ledgerd(&["restore", text(&backup)], &place.config));
 }
 
+#[test]
+fn a_restore_takes_no_configuration_over_unseen_and_deletes_nothing_that_is_there() {
+    let fleet = voters(1);
+    let place = &fleet.nodes[0];
+    let mut node = place.start();
+    order(&admin(&fleet, 1), "Robot");
+    let backup = fleet.path().join("backup");
+    back_up(&admin(&fleet, 1), &place.config, &backup);
+    node.interrupt();
+
+    // Without a configuration, that of the backup is shown, and nothing is done without a terminal or a word.
+    let (data, settings) = (fleet.path().join("moved"), fs::read(&place.config).unwrap());
+    fs::rename(&place.data, &data).unwrap();
+    fs::remove_file(&place.config).unwrap();
+    let listens = format!("listen = {:?}", place.address);
+    let shown = [listens.as_str(), text(&place.data), "--take-config", "a terminal"];
+    refused(&ledgerd(&["restore", text(&backup)], &place.config), &shown);
+    assert!(!place.config.exists() && !place.data.exists());
+
+    // What an earlier restore has left, or somebody else, is kept and named.
+    let left = place.data.with_file_name(format!("{}.restoring", place.data.file_name().unwrap().to_str().unwrap()));
+    fs::create_dir(&left).unwrap();
+    fs::write(left.join("thesis"), "years of work").unwrap();
+    let told = said(&ledgerd(&["restore", text(&backup), "--take-config"], &place.config));
+    assert!(told.contains(&format!("kept     {}", text(&left))), "{told}");
+    assert_eq!(fs::read_to_string(left.join("thesis")).unwrap(), "years of work");
+    assert_eq!(fs::read(&place.config).unwrap(), settings);
+    assert!(place.data.join("restored.json").exists());
+
+    // A configuration that is there is used, and the differences are shown.
+    fs::remove_dir_all(&place.data).unwrap();
+    place.configure("[limits]\nin_flight_max = 7");
+    let told = said(&ledgerd(&["restore", text(&backup)], &place.config));
+    assert!(told.contains("limits.in_flight_max: 7 here, not set in the backup"), "{told}");
+}
+
 fn first_segment(blocks: &Path) -> PathBuf {
     let names = fs::read_dir(blocks).unwrap().map(|entry| entry.unwrap().path());
     names.filter(|path| path.extension().is_some_and(|kind| kind == "seg")).min().unwrap()

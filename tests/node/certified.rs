@@ -119,6 +119,17 @@ async fn a_reader_follows_who_governs_from_the_genesis_and_shows_how_a_robot_sta
     assert!(text.contains("(2 of 2 voters)") && text.contains("the genesis of network"), "{text}");
     assert_eq!(ctl(&["light", "Turtlebot5"]).code, 3);
 
+    // A stop is part of what voters sign, and so is its end.
+    let stopped = || ctl(&["light", "Turtlebot4", "-o", "json"]).ok().json()["stopped"].clone();
+    assert!(first["stopped"].is_null() && text.contains("stopped"), "{first} {text}");
+    fleet.ctl().as_("Admin").run(&["stop", "Turtlebot4", "--reason", "smoke"]).ok();
+    let stop = stopped();
+    assert_eq!((&stop["by"], &stop["reason"]), (&json!("Org2/Admin"), &json!("smoke")), "{stop}");
+    let text = ctl(&["light", "Turtlebot4"]).ok().stdout;
+    assert!(text.contains("yes, by Org2/Admin") && text.contains(": smoke"), "{text}");
+    fleet.ctl().as_("Admin").run(&["resume", "Turtlebot4"]).ok();
+    assert!(stopped().is_null());
+
     let kept = std::fs::read(&file).unwrap();
     std::fs::write(&file, b"ledgerd checkpoint v1\0").unwrap();
     let refused = ctl(&["light", "Turtlebot4", "--checkpoint", &file]);

@@ -166,6 +166,7 @@ impl Browser {
             chaincode: "abac".into(),
             function: function.into(),
             args: args.iter().map(|arg| arg.as_bytes().to_vec().into()).collect(),
+            known_block: None,
         }
         .encode_to_vec();
         let signature = tablet.key.sign(&[&b"ledgerd transaction v1\0"[..], &body].concat());

@@ -1,7 +1,7 @@
 //! An emergency stop is told before it is ordered: without a leader, without a majority, at every node.
 
 use crate::support::network::register_robots;
-use crate::support::wait::PATIENCE;
+use crate::support::wait::{PATIENCE, until};
 use crate::support::{Fleet, connect};
 use ledger_api::{Client, Context, EventStream, Subscription, v1::Delivery};
 use ledger_base::rejection::Code;
@@ -96,4 +96,73 @@ async fn a_stop_is_told_where_nothing_can_be_ordered() {
     let height = ordered.await.unwrap().unwrap();
     let delivery = heard(&mut told).await;
     assert_eq!((delivery.early, delivery.height), (false, height));
+}
+
+/// Is the robot stopped, as the ledger has it?
+async fn is_stopped(owner: &Client) -> Option<()> {
+    let robot = owner.query("abac", "robot", vec![ROBOT.into()]).await.ok()?;
+    let robot: serde_json::Value = serde_json::from_slice(&robot.response).unwrap();
+    (!robot["stopped"].is_null()).then_some(())
+}
+
+/// The stops without a verdict at the node of the client.
+async fn open_stops(client: &Client) -> usize {
+    client.status().await.unwrap().open_stops.len()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stop_that_nobody_waits_for_is_kept_over_a_restart_told_again_and_ordered_once_somebody_leads() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let (voter, follower) = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let leader = connect(&at(&owner, &fleet, 0)).await;
+    register_robots(&leader, "exclusive").await;
+    let registered = leader.height_seen();
+    let client = connect(&at(&owner, &fleet, 1)).await;
+    client.query_at(registered, "abac", "robots", Vec::new()).await.unwrap();
+    let mut told = stops(&client, true).await;
+    drop((voter, leader));
+
+    let ctl = fleet.ctl().as_("Admin");
+    let refused = ctl.run(&["stop", ROBOT, "--timeout", "5s"]);
+    refused.refused(4, &["the stop of Turtlebot4 is not in force: repeat it", "told to the robots", "ledgerctl stop"]);
+    assert!(heard(&mut told).await.early);
+    // It fails, as nobody leads.
+    let status: serde_json::Value = serde_json::from_str(&ctl.run(&["status", "-o", "json"]).stdout).unwrap();
+    assert_eq!(status["open_stops"][0]["robot"], ROBOT, "{status}");
+    drop((client, told, follower));
+
+    let _follower = fleet.nodes[1].start();
+    let client = connect(&at(&owner, &fleet, 1)).await;
+    assert!(open_stops(&client).await > 0, "it is on the disk");
+    let mut told = stops(&client, true).await;
+    let delivery = heard(&mut told).await;
+    assert!(delivery.early && delivery.events[0].subject == ROBOT, "a robot hears of it again: {delivery:?}");
+    let _voter = fleet.nodes[0].start();
+    until("the stop is ordered", || is_stopped(&client)).await;
+    until("no stop is open", || async { (open_stops(&client).await == 0).then_some(()) }).await;
+    ctl.run(&["stop", ROBOT]).ok();
+    ctl.run(&["resume", ROBOT]).ok();
+    assert!(is_stopped(&client).await.is_none());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn ledgerctl_signs_and_sends_a_stop_again_until_it_is_in_force() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let (voter, _follower) = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let leader = connect(&at(&owner, &fleet, 0)).await;
+    register_robots(&leader, "exclusive").await;
+    let client = connect(&at(&owner, &fleet, 1)).await;
+    client.query_at(leader.height_seen(), "abac", "robots", Vec::new()).await.unwrap();
+    drop((voter, leader));
+    let ctl = fleet.ctl().as_("Admin");
+    let stopping = tokio::task::spawn_blocking(move || ctl.run(&["stop", ROBOT, "--reason", "person in the cell"]));
+    until("it was signed again", || async { (open_stops(&client).await > 1).then_some(()) }).await;
+    assert!(!stopping.is_finished(), "it is not in force");
+    let _voter = fleet.nodes[0].start();
+    let ran = stopping.await.unwrap().ok();
+    assert!(ran.stdout.contains("in force"), "{}", ran.stdout);
+    assert!(ran.stderr.contains("told to the robots, not in force yet"), "{}", ran.stderr);
+    assert!(is_stopped(&client).await.is_some());
 }

@@ -111,6 +111,7 @@ impl Place {
             chaincode: "abac".into(),
             function: function.into(),
             args: args.iter().map(|arg| arg.as_bytes().to_vec().into()).collect(),
+            known_block: None,
         };
         let signed = Transaction::sign(&body, &key).unwrap().with_certificate(certificate.into()).unwrap();
         fs::write(self.file("transaction.bin"), signed.encoded()).unwrap();

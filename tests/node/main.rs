@@ -17,6 +17,7 @@ mod backup;
 mod ca;
 mod catch_up;
 mod certified;
+mod clocks;
 mod confidential;
 mod config;
 mod console;

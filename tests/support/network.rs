@@ -13,7 +13,7 @@ use ledgerd::ca::CertificateAuthority;
 use ledgerd::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use rustls_pki_types::CertificateDer;
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -94,6 +94,15 @@ impl NodePlace {
     /// Starts another program in the node's place.
     pub fn start_as(&self, command: Command) -> Process {
         Process::start(&self.name, &self.logs, command)
+    }
+
+    /// Another place of the same node, with a data directory of its own.
+    pub fn beside(&self, name: &str, data: PathBuf) -> Self {
+        let text = std::fs::read_to_string(&self.config).unwrap();
+        let config = self.config.with_file_name(format!("{name}.toml"));
+        std::fs::write(&config, text.replace(&self.data.display().to_string(), &data.display().to_string())).unwrap();
+        let (organisation, address, logs) = (self.organisation.clone(), self.address.clone(), self.logs.clone());
+        Self { name: name.to_owned(), organisation, data, address, config, logs }
     }
 
     /// Adds settings to the configuration: TOML sections, or settings of the top level before any section.
@@ -192,11 +201,13 @@ impl Fleet {
             address: place.address.clone(),
             voter: wish.voter,
         });
+        let owners = wishes.iter().map(|wish| &*wish.organisation);
+        let names: BTreeSet<&str> = ["Org1", "Org2"].into_iter().chain(owners).collect();
         let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
         let plan = NetworkPlan {
             snapshot_every,
             label: "test".into(),
-            organisations: vec![organisation("Org1"), organisation("Org2")],
+            organisations: names.iter().map(|name| organisation(name)).collect(),
             nodes: planned.collect(),
         };
         let founded = found(&plan, now).unwrap();

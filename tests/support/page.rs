@@ -7,8 +7,13 @@ use std::net::TcpStream;
 
 /// The status line and the body of an answer.
 pub fn get(address: &str, path: &str) -> (String, String) {
+    get_by(address, address, path)
+}
+
+/// The answer to a request with this in the header `host`.
+pub fn get_by(host: &str, address: &str, path: &str) -> (String, String) {
     let mut stream = eventually("the page listens", || TcpStream::connect(address).ok());
-    write!(stream, "GET {path} HTTP/1.1\r\nhost: node\r\nconnection: close\r\n\r\n").unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();

@@ -3,11 +3,13 @@
 use crate::calls::{self, NAME};
 use crate::lifecycle::{ends, publishing, turns};
 use crate::policy::decider::Decider;
+use crate::records::target::{self, Target};
 use crate::rules::{Rule, Table};
 use bytes::Bytes;
-use ledger::{Chaincode, Context, Foretold, Quorum, Revocation};
+use ledger::{Chaincode, Context, Foretold, Quorum, Revocation, ServiceBudget};
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::Rejection;
+use ledger_contract::Sharing;
 use ledger_storage::result::Event;
 use std::sync::Arc;
 
@@ -304,6 +306,20 @@ impl Chaincode for AccessControl {
 
     fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {
         if function == "set" { calls::set::foretell(args) } else { None }
+    }
+
+    fn publishes<'a>(&self, function: &str, args: &'a [Bytes]) -> Option<(&'a str, u64)> {
+        if function == "set" { calls::set::publishes(args) } else { None }
+    }
+
+    fn published(&self, event: &Event) -> Option<u64> {
+        if event.name == calls::set::MESSAGE { calls::set::published(event) } else { None }
+    }
+
+    fn service_budget(&self, ctx: &Context<'_>, service: &str) -> Option<ServiceBudget> {
+        let Target { robot, service, id } = target::resolve(ctx, service).ok()?;
+        let Sharing { bytes_per_s, messages_per_s, .. } = service.sharing;
+        Some(ServiceBudget { service: id, organisation: robot.organisation.clone(), bytes_per_s, messages_per_s })
     }
 
     fn urgent(&self, function: &str) -> bool {

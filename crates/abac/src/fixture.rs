@@ -12,8 +12,17 @@ pub(crate) fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection
     let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
     let rules = ledger::Rules::NEWEST;
     let meter = Meter::of_query();
-    let environment =
-        Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction, meter: &meter };
+    let environment = Environment {
+        registry: &registry,
+        submitter,
+        network,
+        rules,
+        height: 1,
+        time: 0,
+        transaction,
+        executed: &|_, _| false,
+        meter: &meter,
+    };
     let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
     body(&mut Context::new(environment, "abac", &mut overlay, &mut events));
     overlay.finish().map(drop)

@@ -19,7 +19,7 @@
 //! registry.install(Arc::new(ledger_abac::AccessControl::new()?))?;
 //! let environment = Environment {
 //!     registry: &registry, submitter: None, network: Hash::ZERO, rules: Rules::NEWEST, height: 1, time: 0,
-//!     transaction: Hash::ZERO, meter: &Meter::of_query(),
+//!     transaction: Hash::ZERO, executed: &|_, _| false, meter: &Meter::of_query(),
 //! };
 //! let mut overlay = Overlay::new(Arc::new(MemoryState::default()));
 //! let robots = Registry::invoke(environment, &mut overlay, &mut Vec::new(), "abac", "robots", &[])?;

@@ -1,6 +1,7 @@
 //! The content of the state: robots and their services, grants with the keys that find them, the last message of a
 //! service. The lowest layer: it knows no rule, no policy and no call.
 
+pub(crate) mod cancelled;
 pub(crate) mod grant;
 pub(crate) mod last;
 pub(crate) mod line;

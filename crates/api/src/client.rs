@@ -169,6 +169,7 @@ impl Client {
             chaincode: call.chaincode,
             function: call.function,
             args: call.args,
+            known_block: self.session.known_block(),
         };
         let transaction = Transaction::sign_by_id(&body, &own.key)?;
         self.session.in_flight.signed(transaction.id());

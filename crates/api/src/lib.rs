@@ -45,7 +45,7 @@ pub use client::{
 pub use connect::Credentials;
 pub use context::{Context, home, renewal_due};
 pub use enrol::Enrolment;
-pub use passphrase::passphrase;
+pub use passphrase::{passphrase, secret};
 pub use renew::{Renewal, Renewed};
 pub use report::{ERROR_DOMAIN, accepted, from_status, report, to_status};
 

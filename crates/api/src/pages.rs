@@ -1,26 +1,60 @@
-//! Lists that come in pages.
+//! Lists that come in pages, from a node that may never end them.
 
 use bytes::Bytes;
 use ledger::{Page, Paging};
 use ledger_base::rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
+/// Most elements of a list that are taken.
+const ITEMS_MAX: usize = 100_000;
+/// Most pages without an element.
+const EMPTY_MAX: usize = 1000;
+
+/// Bounds the pages of one list, so that a node that always has another page keeps nobody busy without end.
+#[derive(Clone, Debug, Default)]
+pub struct PageBound {
+    items: usize,
+    empty: usize,
+}
+
+impl PageBound {
+    /// Counts a page of so many elements, which has another one behind it.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`] if the list has more than 100 000 elements, or the node sends pages without any.
+    pub fn count(&mut self, what: &str, items: usize) -> Result<(), Rejection> {
+        self.items = self.items.saturating_add(items);
+        self.empty += usize::from(items == 0);
+        if self.items <= ITEMS_MAX && self.empty <= EMPTY_MAX {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::TooLarge, format!("{what} of this node do not end"))
+            .found(format!("{} so far, {} pages without any", self.items, self.empty))
+            .wanted(format!("at most {ITEMS_MAX}, and {EMPTY_MAX} pages without any"))
+            .next("ask another node, or for less"))
+    }
+}
+
 /// All elements of a list: follows its pages. `ask` queries the function with these arguments.
 ///
 /// # Errors
-/// As `ask`; [`Code::Malformed`] for an answer that is no page.
+/// As `ask`; [`Code::Malformed`] for an answer that is no page, [`Code::TooLarge`] for a list that does not end ([`PageBound`]).
 pub async fn follow<T: DeserializeOwned, A: Future<Output = Result<Bytes, Rejection>>>(
     what: &str,
     ask: impl Fn(Vec<Bytes>) -> A,
 ) -> Result<Vec<T>, Rejection> {
-    let (mut items, mut paging) = (Vec::new(), Paging::default());
+    let (mut items, mut paging, mut bound) = (Vec::new(), Paging::default(), PageBound::default());
     loop {
         let argument = serde_json::to_vec(&paging).map_err(|error| unreadable(what, &error))?;
         let answer = ask(vec![argument.into()]).await?;
         let page: Page<T> = serde_json::from_slice(&answer).map_err(|error| unreadable(what, &error))?;
+        let count = page.items.len();
         items.extend(page.items);
         match page.next {
-            Some(next) if paging.after.as_ref() != Some(&next) => paging.after = Some(next),
+            Some(next) if paging.after.as_ref() != Some(&next) => {
+                bound.count(what, count)?;
+                paging.after = Some(next);
+            }
             _ => return Ok(items),
         }
     }
@@ -51,5 +85,19 @@ mod tests {
         assert_eq!(follow::<u64, _>("a list", refusing).await.unwrap_err().code, Code::Revoked);
         let lying = |_: Vec<Bytes>| async { Ok(Bytes::from(r#"{"items":[1],"next":"1"}"#)) };
         assert_eq!(follow::<u64, _>("a list", lying).await.unwrap(), [1, 1], "a place that stands still ends it");
+    }
+
+    #[tokio::test]
+    async fn a_list_that_never_ends_is_left_with_a_reason() {
+        for count in [0, 1000] {
+            let endless = |args: Vec<Bytes>| async move {
+                let paging: Paging = serde_json::from_slice(args.first().unwrap()).unwrap();
+                let from: u64 = paging.after.map_or(0, |after| after.parse().unwrap());
+                let page = Page { items: vec![from; count], next: Some((from + 1).to_string()) };
+                Ok(serde_json::to_vec(&page).unwrap().into())
+            };
+            let refused = follow::<u64, _>("robots", endless).await.unwrap_err();
+            assert!(refused.code == Code::TooLarge && refused.message.contains("robots"), "{refused}");
+        }
     }
 }

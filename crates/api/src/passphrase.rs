@@ -1,4 +1,4 @@
-//! Where the passphrase of a secret copy comes from: a file, the environment, or the terminal.
+//! Sources of secrets: a file, the environment, standard input or the terminal. All users of a machine can read arguments.
 
 use ledger_base::rejection::{Code, Rejection};
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -35,6 +35,39 @@ pub fn passphrase(file: Option<&Path>, new: bool) -> Result<String, Rejection> {
     Ok(passphrase)
 }
 
+/// The secret that an argument names: `@FILE` is the first line of a file, `-` the first line of standard input, which is not shown if it
+/// is typed. Any other argument is the secret itself.
+///
+/// # Errors
+/// [`Code::BadArgument`] if the line is empty; a file, standard input or a terminal that cannot be read.
+pub fn secret(argument: &str) -> Result<String, Rejection> {
+    let line = match argument.strip_prefix('@') {
+        Some(path) => {
+            let text = ledger_base::durable::read(Path::new(path), FILE_BYTES_MAX)?;
+            String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned()
+        }
+        None if argument != "-" => return Ok(argument.to_owned()),
+        None if io::stdin().is_terminal() => ask("secret: ")?,
+        None => first_line(io::stdin().lock())?,
+    };
+    match line.trim() {
+        "" => Err(Rejection::new(Code::BadArgument, "there is no secret")
+            .found(format!("an empty line from {}", if argument == "-" { "standard input" } else { argument }))
+            .wanted("the secret in the first line")),
+        line => Ok(line.to_owned()),
+    }
+}
+
+/// The first line, of a bounded length.
+fn first_line(input: impl BufRead) -> Result<String, Rejection> {
+    let mut line = Vec::new();
+    input
+        .take(FILE_BYTES_MAX as u64)
+        .read_until(b'\n', &mut line)
+        .map_err(|error| Rejection::new(Code::BadFile, "standard input cannot be read").found(error.to_string()))?;
+    Ok(String::from_utf8_lossy(&line).into_owned())
+}
+
 /// Asks on the terminal, without showing what is typed.
 fn ask(prompt: &str) -> Result<String, Rejection> {
     use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
@@ -53,4 +86,24 @@ fn ask(prompt: &str) -> Result<String, Rejection> {
     read.map_err(failed)?;
     restored.map_err(|error| failed(error.into()))?;
     Ok(line.trim_end_matches(['\r', '\n']).to_owned())
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_secret_is_the_argument_or_the_first_line_of_a_file() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("secret");
+        std::fs::write(&file, " u7Qm-2fKx \nmore\n").unwrap();
+        assert_eq!(secret("u7Qm-2fKx").unwrap(), "u7Qm-2fKx");
+        assert_eq!(secret(&format!("@{}", file.display())).unwrap(), "u7Qm-2fKx");
+        assert_eq!(first_line(&b"u7Qm\r\nmore"[..]).unwrap().trim(), "u7Qm");
+        assert_eq!(first_line(&vec![b'x'; 2 * FILE_BYTES_MAX][..]).unwrap().len(), FILE_BYTES_MAX);
+        std::fs::write(&file, "\n").unwrap();
+        assert_eq!(secret(&format!("@{}", file.display())).unwrap_err().code, Code::BadArgument);
+        assert!(secret(&format!("@{}", place.path().join("none").display())).is_err());
+    }
 }

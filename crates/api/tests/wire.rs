@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use bytes::Bytes;
-use ledger::transaction::{Body, Transaction};
+use ledger::transaction::{Body, KnownBlock, Transaction};
 use ledger_api::v1;
 use ledger_base::hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
@@ -18,6 +18,7 @@ fn body(args: &[&'static [u8]]) -> Body {
         chaincode: "abac".into(),
         function: "acquire".into(),
         args: args.iter().map(|arg| Bytes::from_static(arg)).collect(),
+        known_block: Some(KnownBlock { height: 700, hash: Bytes::from_static(&[4; 8]), known_us: 90_000 }),
     }
 }
 
@@ -41,14 +42,19 @@ fn what_the_ledger_writes_the_proto_reads_and_writes_back() {
         assert_eq!((inner.network, inner.creator, inner.nonce), (wanted.network, wanted.creator, wanted.nonce));
         assert_eq!((inner.not_after, inner.chaincode), (wanted.not_after, wanted.chaincode));
         assert_eq!((inner.function, inner.args), (wanted.function, wanted.args));
+        let known = inner.known_block.map(|known| (known.height, known.hash, known.known_us));
+        assert_eq!(known, wanted.known_block.map(|known| (known.height, known.hash, known.known_us)));
     }
 }
 
 #[test]
 fn what_another_client_writes_by_the_proto_the_ledger_reads() {
     let key = key();
-    let Body { network, creator, nonce, not_after, chaincode, function, args } = body(&[b"Turtlebot4", b""]);
-    let inner = v1::TransactionBody { network, creator, nonce, not_after, chaincode, function, args };
+    let Body { network, creator, nonce, not_after, chaincode, function, args, known_block } =
+        body(&[b"Turtlebot4", b""]);
+    let known_block =
+        known_block.map(|KnownBlock { height, hash, known_us }| v1::KnownBlock { height, hash, known_us });
+    let inner = v1::TransactionBody { network, creator, nonce, not_after, chaincode, function, args, known_block };
     let inner = Bytes::from(inner.encode_to_vec());
     let signature = key.sign(&[b"ledgerd transaction v1\0".as_slice(), &inner].concat());
     let outer = v1::Transaction { body: inner.clone(), signature: signature.into(), certificate: Bytes::new() };

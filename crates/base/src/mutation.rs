@@ -107,6 +107,8 @@ pub enum Mutation {
     KeepAnOldContentKey,
     /// A content key is taken that was wrapped for others than those who may read.
     ShareWithAnybody,
+    /// A stop that a robot was notified of ends with the next answer of the voters, whatever becomes of it.
+    ForgetAnOpenStop,
 }
 
 /// Are the switches in this build?
@@ -135,4 +137,15 @@ pub fn set_wall_clock(now: u64) {
 #[inline]
 pub fn lease_clock(block_time: u64) -> u64 {
     if active(Mutation::WallClockLease) { WALL_CLOCK.load(Ordering::Relaxed) } else { block_time }
+}
+
+/// The error of the machine's wall clock that a test wishes, microseconds; 0 in a release. It is the number of milliseconds in the
+/// environment variable `LEDGERD_TEST_CLOCK_AHEAD_MS`.
+pub fn clock_error() -> i64 {
+    static ERROR: std::sync::OnceLock<i64> = std::sync::OnceLock::new();
+    if !COMPILED_IN {
+        return 0;
+    }
+    let wished = || std::env::var("LEDGERD_TEST_CLOCK_AHEAD_MS").ok()?.parse::<i64>().ok()?.checked_mul(1000);
+    *ERROR.get_or_init(|| wished().unwrap_or_default())
 }

@@ -14,6 +14,7 @@ mod failure;
 mod format;
 mod global;
 mod health;
+mod in_force;
 mod nodes;
 mod output;
 mod printable;

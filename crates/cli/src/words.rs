@@ -32,6 +32,16 @@ impl Words {
     }
 }
 
+/// The text as one word of a shell.
+pub(crate) fn shell_word(text: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:@%+=,".contains(c);
+    if !text.is_empty() && text.chars().all(plain) && !text.starts_with('-') {
+        text.to_owned()
+    } else {
+        format!("'{}'", text.replace('\'', r"'\''"))
+    }
+}
+
 /// The text with `10 min` for `600000 ms`, also in `100 to 600000 ms`.
 pub(crate) fn spans(text: &str) -> String {
     let words: Vec<&str> = text.split(' ').collect();

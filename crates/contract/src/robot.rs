@@ -70,6 +70,10 @@ pub struct Declaration {
     /// The tasks that these grants serve.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tasks: Vec<RunningTask>,
+    /// Those of the named stops that keep the robot stopped no longer by themselves: they have a verdict, a `resume` has cancelled
+    /// them, or block time has passed their `not_after`. Ids in hexadecimal.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub settled: Vec<String>,
 }
 
 /// Payload of the event `robot`.

@@ -110,6 +110,14 @@ pub struct Sharing {
     /// Are messages encrypted for those who may read them? No by default. It goes with every mode.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidential: Option<bool>,
+    /// Most bytes of transactions a second that all publishers together publish; the quota of the owner's organisation by
+    /// default. It goes with every mode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bytes_per_s: Option<u64>,
+    /// Most messages a second that all publishers together publish; the quota of the owner's organisation by default. It
+    /// goes with every mode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub messages_per_s: Option<u64>,
 }
 
 /// A key of [`Sharing`]: its name, its value for people if it is set, how it takes the value of another, how it is cleared.
@@ -131,7 +139,7 @@ macro_rules! keys {
 }
 
 keys!(
-    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms confidential
+    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms confidential bytes_per_s messages_per_s
 );
 
 impl Sharing {
@@ -205,6 +213,8 @@ mod tests {
             confirm: Some(9),
             confirm_within_ms: Some(10),
             confidential: Some(true),
+            bytes_per_s: Some(12),
+            messages_per_s: Some(13),
         };
         let json = serde_json::to_value(&all).unwrap();
         let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();

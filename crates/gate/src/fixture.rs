@@ -2,12 +2,13 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::{
+    collections::BTreeSet,
     sync::{Arc, OnceLock},
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use bytes::Bytes;
-use ledger::transaction::{Body, Transaction};
+use ledger::transaction::{Body, KnownBlock, Transaction};
 use ledger_base::hash::Hash;
 use ledger_contract::{Capabilities, Direction, Grant, Limits, Mode};
 use ledger_identity::key::{KeyKind, SigningKey};
@@ -40,6 +41,8 @@ pub struct User {
     pub certificate: Bytes,
     /// The call that is signed as `not_after`.
     pub not_after: u64,
+    /// The newest block that it knows, as it names it.
+    pub known_block: Option<KnownBlock>,
 }
 
 /// A network of two organisations.
@@ -77,6 +80,7 @@ impl Ca {
             key: Arc::new(key),
             certificate: Bytes::copy_from_slice(certificate.der()),
             not_after: NOW + 2 * SECOND,
+            known_block: None,
         }
     }
 
@@ -106,6 +110,7 @@ impl User {
             chaincode: chaincode.into(),
             function: function.into(),
             args,
+            known_block: self.known_block.clone(),
         };
         Transaction::sign(&body, &self.key).unwrap()
     }
@@ -168,8 +173,16 @@ impl Network {
 
     /// How the robot stands after that block.
     pub fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
-        let (services, members) = (Vec::new(), self.members(&[]));
-        Standing { services, grants: grants.to_vec(), tasks: Vec::new(), stopped: false, members, height, time: NOW }
+        Standing {
+            services: Vec::new(),
+            grants: grants.to_vec(),
+            tasks: Vec::new(),
+            stopped: false,
+            settled: BTreeSet::new(),
+            members: self.members(&[]),
+            height,
+            time: NOW,
+        }
     }
 
     /// The members after the revocation of these.

@@ -2,7 +2,7 @@
 //!
 //! A node that lies can hold messages back. It cannot make one up: the user's signature, and the network's authorities
 //! vouch for it. It cannot bring one again or out of order, because of sequence numbers. It cannot bring one late:
-//! block time comes from the node, but `not_after` is signed, and bridges sign for two seconds.
+//! its signer names the newest block that it knew, and the gate has known that block for so long ([`age`]).
 //!
 //! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the network
 //! that was not revoked. Where the service's rule asks for them, it comes under a grant of its signer and in the newest
@@ -15,19 +15,23 @@
 //! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides. So it
 //! does where the node says that the next one goes on: the robot is not stopped until then.
 //!
-//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides; a node that tells of a stop is
-//! believed until the next answer.
+//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides. A signed stop lasts until a
+//! standing settles it by its id, and no other standing ends it. It is settled once it has a verdict, a resume has cancelled it, or
+//! block time has passed its `not_after`.
 //!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!
 //! The gate does no IO and reads no clock: all of it is arguments.
 
+mod age;
 mod call;
 mod clock;
 mod ends;
+mod heads;
 mod holding;
 mod identities;
 mod limits;
+mod open_stops;
 mod payloads;
 mod refused;
 mod sequences;
@@ -38,7 +42,7 @@ mod tests;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
@@ -46,12 +50,15 @@ use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_identity::Identity;
 
 use self::{
+    age::check_signed_for,
     call::Call,
     clock::{Bound, Clock},
     ends::Driver,
+    heads::Heads,
     holding::Holding,
     identities::Identities,
     limits::Rates,
+    open_stops::OpenStops,
     sequences::Sequences,
 };
 pub use self::{clock::Now, refused::Refused};
@@ -100,7 +107,7 @@ pub struct Passed {
     pub samples: Vec<Sample>,
     /// How many of them asked for more speed than the grant allows, and ask for less now.
     pub clamped: usize,
-    /// Microseconds since it was signed, by the clocks of signer and gate. None if it was kept for those who come late.
+    /// Microseconds since it was signed, as the gate measures them. None if it was kept for those who come late.
     pub age_us: Option<u64>,
 }
 
@@ -122,8 +129,12 @@ pub struct Gate {
     sequences: Sequences,
     rates: Rates,
     clock: Clock,
+    /// The blocks that the node has reported.
+    heads: Heads,
     /// Is the robot stopped, so that no command passes?
     halted: bool,
+    /// Stops without a verdict.
+    open_stops: OpenStops,
     /// The newest epoch.
     epoch: u64,
     /// The holders of the service.
@@ -135,6 +146,8 @@ pub struct Gate {
     signed_since: Bound,
     /// Nothing from before this block time passes.
     not_before: Bound,
+    /// Block time of the last end that stopped the robot. Nothing from an earlier block passes.
+    ended: u64,
     /// The last driver of the robot since its last stop.
     driver: Option<Driver>,
     /// The content keys of a confidential service, if this gate reads one.
@@ -174,12 +187,15 @@ impl Gate {
             sequences: Sequences::default(),
             rates: Rates::default(),
             clock: Clock::default(),
+            heads: Heads::default(),
             halted: false,
+            open_stops: OpenStops::default(),
             epoch: 0,
             holders: BTreeMap::new(),
             opened: now.steady,
             signed_since,
             not_before: Bound::default(),
+            ended: 0,
             driver: None,
             keyring: None,
             fault: None,
@@ -192,8 +208,9 @@ impl Gate {
         if self.fault.is_some() || standing.height < self.height || asked < self.told {
             return None; // more is known
         }
-        let Standing { grants, stopped, members, height, time, .. } = standing;
+        let Standing { grants, stopped, settled, members, height, time, .. } = standing;
         self.clock.heard_signed(*time, now);
+        self.heads.answered(*height, asked, service.is_command(), now.steady);
         if self.asked.is_none() {
             // By the network's time, which users sign by: it may be ahead of this machine's.
             let open_for = now.steady.saturating_sub(self.opened);
@@ -201,7 +218,11 @@ impl Gate {
         }
         (self.height, self.asked) = (*height, self.asked.max(Some(asked)));
         self.rules = Some(self.rules_of(service));
-        self.halted = *stopped && service.is_command();
+        self.open_stops.settle(settled, *time);
+        if active(Mutation::ForgetAnOpenStop) {
+            self.open_stops = OpenStops::default();
+        }
+        self.halted = (*stopped || !self.open_stops.is_empty()) && service.is_command();
         self.identities.replace(members);
         let grants = grants.iter().filter(|grant| grant.service == self.id);
         let before = self.epoch;
@@ -258,6 +279,18 @@ impl Gate {
         self.rules.is_none()
     }
 
+    /// Adds blocks that the node reports, up to this height: the first [`ledger::transaction::KNOWN_HASH_BYTES`] bytes of
+    /// their hashes, one after the other. To be called before the events of these blocks are judged.
+    pub fn heads(&mut self, height: u64, hashes: &[u8], now: Now) {
+        let is_command = self.rules.as_ref().is_some_and(|rules| rules.publisher.is_none());
+        self.heads.reported(height, hashes, is_command, now.steady);
+    }
+
+    /// Is a question to be asked, because the node was silent for a while? Until it is answered, messages count as older than they are.
+    pub fn was_silent(&self) -> bool {
+        self.heads.was_silent()
+    }
+
     /// Takes note of a sign of life with its block time.
     pub fn heard(&mut self, block_time: u64, now: Now) {
         self.clock.heard(block_time, now);
@@ -312,11 +345,12 @@ impl Gate {
         if !self.clock.heard(delivered.block_time, now) {
             return Err(Refused::FromFuture);
         }
-        if is_latched {
+        let age_us = if is_latched {
             check_signed_for(&transaction, delivered.block_time)?;
+            None
         } else {
-            self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
-        }
+            Some(self.check_time(&transaction, delivered.block_time, max_age_us, now)?)
+        };
         if call.epoch > self.epoch {
             return Err(Refused::UnknownEpoch);
         }
@@ -350,10 +384,9 @@ impl Gate {
         if confidential {
             samples = self.open_samples(&name, &call)?;
         }
-        let age_us = (!is_latched).then(|| self.age_us(&transaction, delivered.block_time, now));
         let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us.unwrap_or_default(), now)?;
-        let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
-        if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
+        let left = transaction.body().not_after.saturating_sub(self.clock.now(now)).max(max_age_us);
+        if !self.sequences.note(&name, (call.epoch, call.last_seq), left, now.steady) {
             return Err(Refused::TooManyPublishers);
         }
         let reached = self.sequences.reached(&name);
@@ -450,36 +483,4 @@ impl Gate {
             Err(Refused::WrongNetwork)
         }
     }
-
-    fn check_time(&self, signed: &Transaction, block_time: u64, max_age_us: u64, now: Now) -> Result<(), Refused> {
-        let not_after = signed.body().not_after;
-        check_signed_for(signed, block_time)?;
-        if not_after < self.clock.now(now) {
-            return Err(Refused::Expired);
-        }
-        if self.age_us(signed, block_time, now) > max_age_us {
-            return Err(Refused::TooOld);
-        }
-        let signed_before = not_after < self.signed_since.at(now).saturating_add(ttl_us());
-        if signed_before || block_time < self.not_before.at(now) { Err(Refused::BeforeStop) } else { Ok(()) }
-    }
-
-    /// The age of a message in microseconds, from its signature on. Bridges sign for so long; one that is signed for longer is as old
-    /// as its block.
-    fn age_us(&self, signed: &Transaction, block_time: u64, now: Now) -> u64 {
-        let signed_at = signed.body().not_after.saturating_sub(ttl_us()).min(block_time);
-        self.clock.now(now).saturating_sub(signed_at)
-    }
-}
-
-/// May a block of this time have the transaction?
-fn check_signed_for(signed: &Transaction, block_time: u64) -> Result<(), Refused> {
-    let not_after = signed.body().not_after;
-    let fits = (block_time..=block_time.saturating_add(NOT_AFTER_AHEAD_MAX)).contains(&not_after);
-    if fits { Ok(()) } else { Err(Refused::Expired) }
-}
-
-/// [`COMMAND_TTL`] in microseconds.
-fn ttl_us() -> u64 {
-    u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX)
 }

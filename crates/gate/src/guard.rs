@@ -15,6 +15,7 @@ mod tests;
 pub use self::act::Act;
 pub use self::block::{Block, Told};
 use self::{block::changes, held::Held, questions::Questions};
+use ledger::CallRef;
 use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
 
@@ -97,13 +98,27 @@ impl Guard {
     /// When to ask how the robot stands, by the steady clock (microseconds). None if nothing is to be asked, or a question is
     /// under way.
     pub fn asks_at(&self) -> Option<u64> {
-        self.questions.due(self.gate.is_moving())
+        self.questions.due(self.gate.is_moving() || self.gate.has_open_stops())
     }
 
     /// A question is asked now. Answers since when it must have been asked to count, by the steady clock (microseconds): another
     /// of the same robot may have got such an answer.
     pub fn ask(&mut self, now: Now) -> u64 {
         self.questions.ask(now.steady)
+    }
+
+    /// The stops whose verdicts the question asks for.
+    pub fn open_stops(&self) -> impl Iterator<Item = CallRef> {
+        self.gate.open_stops()
+    }
+
+    /// The node reports blocks: see [`Gate::heads`].
+    pub fn heads(&mut self, height: u64, hashes: &[u8], now: Now) {
+        let was_silent = self.gate.was_silent();
+        self.gate.heads(height, hashes, now);
+        if self.gate.was_silent() && !was_silent {
+            self.questions.changed(now.steady);
+        }
     }
 
     /// The node gives a sign of life, with its block time.

@@ -2,6 +2,7 @@
 
 use std::{collections::BTreeSet, sync::Arc};
 
+use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Declaration, Grant, RobotAsset, RunningTask, ServiceState};
 use ledger_identity::{Identity, msp::Msps};
@@ -45,6 +46,8 @@ pub struct Standing {
     pub tasks: Vec<RunningTask>,
     /// Is it stopped, until somebody who may resumes it?
     pub stopped: bool,
+    /// The stops that the question named and that are settled, by their ids.
+    pub settled: BTreeSet<Hash>,
     /// The authorities and revocations.
     pub members: Members,
     /// The block.
@@ -65,13 +68,15 @@ impl Standing {
                 .wanted("the JSON that this version knows")
                 .next("use the same version for node and bridge")
         })?;
-        let Declaration { robot: RobotAsset { services, stopped, .. }, grants, tasks } = declared;
+        let Declaration { robot: RobotAsset { services, stopped, .. }, grants, tasks, settled } = declared;
+        let settled = settled.iter().filter_map(|id| Hash::from_hex(id)).collect();
         let stopped = stopped.is_some();
         Ok(Self {
             services,
             grants,
             tasks,
             stopped,
+            settled,
             members: members.clone(),
             height: after.height(),
             time: after.time(),

@@ -2,6 +2,7 @@
 
 mod admission;
 mod certified;
+mod deadlines;
 mod early;
 mod readers;
 mod rules;
@@ -88,7 +89,7 @@ pub struct Outcome {
     /// In the order in which they were emitted.
     pub events: Vec<EmittedEvent>,
     /// The hashes that its voters sign, if it is to be certified: blocks with control writes, and the first block of each window
-    /// of block time. None for a block that was executed long ago.
+    /// of block time. None for a change of members that the ledger does not want, and for a block that was executed long ago.
     pub certifiable: Option<Roots>,
     /// Does it change whom others trust: an organisation, a node, a member, a revocation, rules? Not known of a block that was
     /// executed long ago.
@@ -190,6 +191,12 @@ impl Ledger {
         self.identities.msps()
     }
 
+    /// The creator of transactions, by the hash of the certificate, if it was verified before. It says only whom to count
+    /// something for: it may have been revoked since.
+    pub fn counted_for(&self, creator: &Hash) -> Option<Arc<Identity>> {
+        self.identities.known(creator)
+    }
+
     /// The world state.
     pub fn state(&self) -> &Arc<State> {
         &self.state
@@ -233,7 +240,8 @@ impl Ledger {
         };
         let execution = executor.execute(&previous, entry)?;
         execution.check(&previous);
-        let Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs } = execution;
+        let Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs, is_unwanted } =
+            execution;
         let wrote = |prefix: &'static [u8]| {
             let from = writes.range::<[u8], _>((Bound::Included(prefix), Bound::Unbounded));
             from.take(1).any(|(key, _)| key.starts_with(prefix))
@@ -261,6 +269,7 @@ impl Ledger {
             self.reload_rules()?;
         }
         let (results, events) = (result.results, result.events);
+        let certifiable = certifiable.filter(|_| !is_unwanted);
         Ok(Outcome { header, hash, digest, kind, transactions, ids, results, events, certifiable, governs })
     }
 
@@ -283,8 +292,8 @@ impl Ledger {
         verified.into_iter().for_each(|leaf| self.verified.insert(leaf));
     }
 
-    /// Calls a function on the committed state and throws its writes away. Answers with the height of that state.
-    /// `now` as in [`Ledger::admit`].
+    /// Calls a function on the committed state, at the time of [`Ledger::judged_at`], and throws its writes away. Answers with the
+    /// height of that state. `now` as in [`Ledger::admit`].
     ///
     /// # Errors
     /// The rejection of the chaincode; [`Code::Revoked`] for a revoked caller.
@@ -304,7 +313,7 @@ impl Ledger {
         let mut retries = 0;
         loop {
             let tip = self.tip();
-            let answer = self.call(caller, now.max(tip.time), Hash::ZERO, chaincode, function, args);
+            let answer = self.call(caller, self.judged_at(now), Hash::ZERO, chaincode, function, args);
             // Blocks that were committed in between may have been seen by one half of the reads only.
             if self.tip().height == tip.height || retries == QUERY_RETRIES {
                 return answer.map(|(response, _)| (response, tip.height));
@@ -328,18 +337,6 @@ impl Ledger {
     /// A fault of the store.
     pub fn is_revoked(&self, issuer: &Hash, serial: &[u8]) -> Result<bool, Rejection> {
         Ok(self.state.get(&revoked_key(&[&issuer.0, serial].concat()))?.is_some())
-    }
-
-    /// The earliest block time at which a chaincode has something to do without being called, microseconds.
-    pub fn next_deadline(&self) -> Option<u64> {
-        let mut overlay = self.overlay();
-        let tip = self.tip();
-        let deadlines = self.registry.iter().filter_map(|chaincode| {
-            let meter = Meter::of_query();
-            let environment = self.environment(None, &tip, tip.time, &meter);
-            chaincode.next_deadline(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()))
-        });
-        deadlines.min()
     }
 
     /// Where a transaction is and what became of it. Takes microseconds for those of the last seconds, and may take
@@ -447,7 +444,9 @@ impl Ledger {
             tip.height += 1;
             Meter::of_block()
         };
-        let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time, &meter) };
+        let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+        let environment = self.environment(Some(caller), (&tip, time), &executed, &meter);
+        let environment = Environment { transaction, ..environment };
         let answer = Registry::invoke(environment, &mut overlay, &mut events, chaincode, function, args);
         overlay.finish().and(answer).map(|answer| (answer, events))
     }
@@ -455,12 +454,17 @@ impl Ledger {
     fn environment<'a>(
         &'a self,
         submitter: Option<&'a Identity>,
-        tip: &Tip,
-        time: u64,
+        (tip, time): (&Tip, u64),
+        executed: &'a dyn Fn(&Hash, u64) -> bool,
         meter: &'a Meter,
     ) -> Environment<'a> {
-        let (registry, network, rules) = (&self.registry, self.network, self.rules());
-        Environment { registry, submitter, network, rules, height: tip.height, time, transaction: Hash::ZERO, meter }
+        let (registry, network, rules, transaction) = (&self.registry, self.network, self.rules(), Hash::ZERO);
+        Environment { registry, submitter, network, rules, height: tip.height, time, transaction, executed, meter }
+    }
+
+    /// Was this transaction executed? Known while block time has not passed its `not_after`.
+    fn was_executed(&self, id: &Hash, not_after: u64) -> bool {
+        self.window.read().unwrap_or_else(PoisonError::into_inner).find(id, not_after).is_some()
     }
 
     fn overlay(&self) -> Overlay {

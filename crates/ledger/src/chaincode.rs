@@ -20,6 +20,19 @@ use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_storage::result::Event;
 
+/// The budget of a service by its owner.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceBudget {
+    /// The name of the service in full, as events have it.
+    pub service: String,
+    /// Its owner.
+    pub organisation: String,
+    /// Bytes a second, if the owner has set less than its organisation's quota.
+    pub bytes_per_s: Option<u64>,
+    /// Messages a second, if the owner has set less than its organisation's quota.
+    pub messages_per_s: Option<u64>,
+}
+
 /// A program that every node executes in block order.
 pub trait Chaincode: Send + Sync {
     /// The name under which it is called and its keys are kept: lower-case letters, digits and `-`.
@@ -51,6 +64,21 @@ pub trait Chaincode: Send + Sync {
     /// release, revoke, stop. A node lets them overtake while they are small and few; the rest waits with the data.
     fn urgent(&self, _function: &str) -> bool {
         false
+    }
+
+    /// The service on which a call publishes, as the call names it, and the number of its messages; nothing for other calls.
+    fn publishes<'a>(&self, _function: &str, _args: &'a [Bytes]) -> Option<(&'a str, u64)> {
+        None
+    }
+
+    /// The number of messages that an event reports, which were published on the service that is its subject.
+    fn published(&self, _event: &Event) -> Option<u64> {
+        None
+    }
+
+    /// The budget that its owner has set for a service, if there is such a service.
+    fn service_budget(&self, _ctx: &Context<'_>, _service: &str) -> Option<ServiceBudget> {
+        None
     }
 
     /// Do calls of this function only end control, so that they are accepted while the disk has no room for others? For

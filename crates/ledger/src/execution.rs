@@ -59,8 +59,10 @@ pub(crate) struct Execution {
     pub(crate) ids: Vec<Hash>,
     /// To the world state.
     pub(crate) writes: WriteSet,
-    /// For voters to sign, if it is to be certified.
+    /// Its place in the chains of certified blocks, if it is to be certified.
     pub(crate) certifiable: Option<Roots>,
+    /// A change of members that the ledger does not want: voters sign nothing of it.
+    pub(crate) is_unwanted: bool,
     /// It changes whom others trust.
     pub(crate) governs: bool,
 }
@@ -105,8 +107,12 @@ impl Executor<'_> {
                     }
                 }
                 let body = transaction.body();
-                let environment =
-                    Environment { submitter: Some(&identity), transaction: id, ..self.environment(&header, &meter) };
+                let executed = |id: &Hash, not_after| taken.contains(id) || self.is_in_window(id, not_after);
+                let environment = Environment {
+                    submitter: Some(&identity),
+                    transaction: id,
+                    ..self.environment(&header, &executed, &meter)
+                };
                 let (chaincode, function, args) = (&body.chaincode, &body.function, &body.args);
                 let response = Registry::invoke(environment, &mut overlay, &mut emitted, chaincode, function, args)?;
                 let told = self.registry.foretell(chaincode, function, args);
@@ -124,18 +130,30 @@ impl Executor<'_> {
             self.note_recovery(&header, &mut overlay, &mut events, &recovery);
         }
 
+        let mut is_wanted = Recovery::of(entry).is_none();
+        if kind == BlockKind::Membership {
+            let before = msp::members(&*self.state)?;
+            if let Some(members) = before.after(entry) {
+                is_wanted &= msp::leads_to_wanted(&before, &members, &msp::nodes(&*self.state)?);
+                overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
+                self.settle_certificate_rule(&header, &mut overlay, &mut events);
+            }
+        }
+
         // Many blocks are kept in memory for their readers.
         events.shrink_to_fit();
-
-        if kind == BlockKind::Membership
-            && let Some(members) = msp::members(&*self.state)?.after(entry)
-        {
-            overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
-        }
 
         let mut writes = overlay.finish()?;
         let control = ControlWrites::of(&writes, self.registry);
         let governs = control.govern();
+        // Nobody signs a change of members. So voters sign none that the ledger does not want, nor one by force: a leader that
+        // lies could leave itself as the only voter.
+        if !is_wanted {
+            tracing::error!(
+                height = header.height,
+                "a change of members is not what the ledger wants; it is not certified"
+            );
+        }
         let is_certified = is_certified(previous, &header, &control);
         if governs {
             log_change(&facts::change(header.height, &writes, self.registry), &mut writes);
@@ -155,10 +173,26 @@ impl Executor<'_> {
             roots: certifiable.as_ref().map_or_else(Bytes::new, Roots::to_bytes),
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
-        Ok(Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs })
+        Ok(Execution {
+            tip,
+            header,
+            result,
+            foretold,
+            transactions,
+            ids,
+            writes,
+            certifiable,
+            governs,
+            is_unwanted: !is_wanted,
+        })
     }
 
-    fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
+    fn environment<'a>(
+        &'a self,
+        header: &Header,
+        executed: &'a dyn Fn(&Hash, u64) -> bool,
+        meter: &'a Meter,
+    ) -> Environment<'a> {
         Environment {
             registry: self.registry,
             submitter: None,
@@ -167,8 +201,14 @@ impl Executor<'_> {
             height: header.height,
             time: header.time,
             transaction: Hash::ZERO,
+            executed,
             meter,
         }
+    }
+
+    /// Was this transaction executed before this block?
+    fn is_in_window(&self, id: &Hash, not_after: u64) -> bool {
+        self.window.read().unwrap_or_else(PoisonError::into_inner).find(id, not_after).is_some()
     }
 
     fn begin_block(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
@@ -194,6 +234,17 @@ impl Executor<'_> {
         }
     }
 
+    /// Other voters may make certificates strict.
+    fn settle_certificate_rule(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
+        if let Ok(msp) = self.registry.find(msp::NAME) {
+            self.beside_transactions(header, msp, (overlay, events), |ctx| {
+                if let Err(fault) = msp::settle_certificate_rule(ctx) {
+                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "whether certificates are strict is not noted");
+                }
+            });
+        }
+    }
+
     /// Work of a chaincode that no transaction asked for.
     fn beside_transactions(
         &self,
@@ -204,7 +255,8 @@ impl Executor<'_> {
     ) {
         let mut emitted: Vec<Event> = Vec::new();
         let meter = Meter::of_block();
-        let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, body);
+        let executed = |id: &Hash, not_after| self.is_in_window(id, not_after);
+        let hook = Registry::hook(self.environment(header, &executed, &meter), chaincode, overlay, &mut emitted, body);
         if let Err(rejection) = hook {
             tracing::error!(height = header.height, chaincode = chaincode.name(), code = rejection.code.name(), reason = %rejection, "work beside the transactions was undone");
         }
@@ -252,8 +304,7 @@ impl Executor<'_> {
     /// are not asked for: they are refused as expired, whether or not the window still has them.
     fn check_first(&self, transaction: &Transaction, taken: &HashSet<Hash>, time: u64) -> Result<(), Rejection> {
         let (id, not_after) = (transaction.id(), transaction.body().not_after);
-        let window = self.window.read().unwrap_or_else(PoisonError::into_inner);
-        if taken.contains(&id) || (not_after >= time && window.find(&id, not_after).is_some()) {
+        if taken.contains(&id) || (not_after >= time && self.is_in_window(&id, not_after)) {
             return Err(Rejection::new(Code::Duplicate, format!("transaction {id} was executed before")));
         }
         Ok(())

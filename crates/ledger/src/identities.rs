@@ -141,6 +141,12 @@ impl Identities {
         }
     }
 
+    /// The identity of a certificate that was verified before; nothing is verified now.
+    pub(crate) fn known(&self, fingerprint: &Hash) -> Option<Arc<Identity>> {
+        let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
+        trusted.known.get(fingerprint).map(Arc::clone)
+    }
+
     fn remembered(&self, fingerprint: &Hash, at: u64) -> Option<Arc<Identity>> {
         let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
         trusted.known.get(fingerprint).filter(|identity| identity.check_validity(at).is_ok()).map(Arc::clone)

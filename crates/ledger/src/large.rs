@@ -70,6 +70,7 @@ mod tests {
             chaincode: "abac".into(),
             function: "set".into(),
             args: vec![vec![0; bytes].into()],
+            known_block: None,
         };
         Transaction::sign(&body, &key).unwrap()
     }

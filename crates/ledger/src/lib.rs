@@ -43,6 +43,7 @@
 //! ```
 
 pub mod block;
+mod call_ref;
 mod chain;
 mod chaincode;
 pub mod evidence;
@@ -64,10 +65,11 @@ pub mod verify;
 mod window;
 pub mod writes;
 
+pub use call_ref::CallRef;
 pub use chain::{Admission, BlockHashes, Ground, Ledger, Outcome, Refusal, Step, TransactionRecord};
 pub use chaincode::{
     ADMINS_PER_ORGANISATION_MAX, ApprovedBy, BLOCK_BUDGET, CALL_BUDGET, Call, Chaincode, Context, Environment,
-    Foretold, Meter, NotAQuorum, QUERY_BUDGET, Quorum, Registry, Revocation, Usage,
+    Foretold, Meter, NotAQuorum, QUERY_BUDGET, Quorum, Registry, Revocation, ServiceBudget, Usage,
 };
 pub use page::{PAGE_BYTES, PAGE_MAX, Page, Paging};
 pub use rules::{Activation, Rules};

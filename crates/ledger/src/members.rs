@@ -8,7 +8,7 @@ use bytes::Bytes;
 use ledger_storage::entry::{Entry, EntryKind};
 use prost::Message as _;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Most nodes that one change may name. Bounds what a hostile change costs.
 pub const NODES_MAX: usize = 64;
@@ -87,6 +87,16 @@ pub enum MembershipError {
     /// A simple change touched several voters.
     #[error("change of members touches {0} voters in one step, wanted at most one")]
     ManyVoters(usize),
+}
+
+/// Can any one of these voters be lost while certificates are strict? `hands` says under which hand each node is.
+pub fn spare_one(voters: &BTreeSet<u64>, hands: &BTreeMap<u64, String>) -> bool {
+    let mut counts = BTreeMap::<&str, usize>::new();
+    for hand in voters.iter().filter_map(|voter| hands.get(voter)) {
+        *counts.entry(hand).or_default() += 1;
+    }
+    let largest = counts.into_values().max().unwrap_or_default();
+    ledger_light::strict_quorum(voters.len(), largest) < voters.len()
 }
 
 /// The members of a network.

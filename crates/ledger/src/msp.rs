@@ -11,7 +11,7 @@
 //! | `attestations` | | array of [`AttestationRecord`] |
 //! | `revocations [{after?, most?}]` | | array or page of [`RevocationRecord`] |
 //! | `join_node {address, name?, replace?}` | a node, for itself | [`NodeRecord`] |
-//! | `set_node_role {id?, organisation?, name?, role}` ([`SetNodeRole`]) | an admin; see [`NodeRole`] | [`Decision`] |
+//! | `set_node_role {id?, organisation?, name?, role, proof?}` ([`SetNodeRole`]) | an admin; see [`NodeRole`] | [`Decision`] |
 //! | `invite_organisation {name, key, expires}` | an admin, with approval | [`Decision`] |
 //! | `join_organisation {...}` ([`JoinOrganisation`]) | any node, for the newcomer | [`Organisation`] |
 //! | `update_organisation {roots, intermediates}` | an admin, for their own | [`Organisation`] |
@@ -23,8 +23,9 @@
 //! | `allow_nodes {organisation, nodes}` ([`AllowNodes`]) | an admin, with approval | [`Decision`] |
 //! | `quorums` | | array of [`FunctionQuorum`] |
 //! | `set_quorum {chaincode, function, quorum?}` ([`SetQuorum`]) | an admin, with approval | [`Decision`] |
+//! | `set_certificate_rule {strict?, hands?}` ([`SetCertificateRule`]) | an admin, with approval | [`Decision`] |
 //! | `quotas ORGANISATION` | | [`Quotas`] |
-//! | `set_quota {organisation, robots?, policies?, identities?}` ([`SetQuota`]) | an admin, with approval | [`Decision`] |
+//! | `set_quota {organisation, KIND: NUMBER, …}` ([`SetQuota`]) | an admin, with approval | [`Decision`] |
 //! | `propose {chaincode, function, args}` ([`crate::Call`]) | an admin | [`Decision`] |
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
@@ -49,7 +50,8 @@
 //! | `uncarry_ca {organisation, node?}` | a node for itself, or an admin of the organisation | nothing |
 //!
 //! Events: `joined`, `moved`, `role_changed` and `speaks` with the [`NodeRecord`] and the node as subject; `proposed`,
-//! `approved`, `withdrawn`, `executed` and `failed` with the [`Proposal`] and its id; `quorum_changed` with the
+//! `approved`, `withdrawn`, `executed` and `failed` with the [`Proposal`] and its id; `certificate_rule_changed` with the
+//! [`CertificateRule`](ledger_light::CertificateRule) and `strict` or `majority`; `quorum_changed` with the
 //! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `quota_changed` with the [`SetQuota`] and `nodes_allowed` with the
 //! [`AllowNodes`], both with the organisation; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
@@ -68,10 +70,12 @@ mod attestations;
 mod authorities;
 mod caller;
 mod carriers;
+mod certificate_rule;
 mod identities;
 mod invitations;
 mod join_node;
 mod joins;
+mod misbehaviour;
 mod node_roles;
 mod nodes;
 mod organisations;
@@ -95,6 +99,7 @@ pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use arguments::{ActivateRules, InviteOrganisation, RemoveOrganisation, SetNodeRole};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, Copied, UncarryCa, carriers};
+pub use certificate_rule::SetCertificateRule;
 pub use identities::{
     AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IdentityRecord,
     IssuedCertificate, KnownIdentity, LocalSecret, Maker, REGISTRARS_MAX, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE,
@@ -110,8 +115,11 @@ pub use proposals::{
     Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
-pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, changes, invitation, members, nodes, organisations, revocation_lists, voters};
+pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached, quotas_of};
+pub use read::{
+    attestations, certificate_rule, changes, invitation, members, nodes, organisations, recoveries, revocation_lists,
+    strict_hands, voters,
+};
 pub use recovery::{REASON_BYTES_MAX, Recovery};
 pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};
 pub use revocation_lists::{
@@ -120,6 +128,8 @@ pub use revocation_lists::{
 pub use revocations::RevocationRecord;
 pub use rules::{RulesOverview, SpokenBy};
 
+pub(crate) use certificate_rule::settle as settle_certificate_rule;
+pub(crate) use nodes::leads_to_wanted;
 pub(crate) use read::{activations, members_record, organisations_in};
 pub(crate) use recovery::note as note_recovery;
 pub(crate) use revocation_lists::{Due, due, publishes_list};
@@ -147,6 +157,7 @@ const HOLDER: &str = "holder";
 const INVITE_ORGANISATION: &str = "invite_organisation";
 const RECORD_LIST: &str = "record_revocation_list";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
+const SET_CERTIFICATE_RULE: &str = "set_certificate_rule";
 const SET_NODE_ROLE: &str = "set_node_role";
 const SET_QUORUM: &str = "set_quorum";
 const SET_QUOTA: &str = "set_quota";
@@ -158,19 +169,20 @@ const TELL_REFUSALS: &str = "tell_refusals";
 
 /// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
 /// quorum it sets.
-static NEEDS_APPROVAL: [(&str, Quorum); 8] = [
+static NEEDS_APPROVAL: [(&str, Quorum); 9] = [
     (ADD_ORGANISATION, Quorum::Majority),
     (ACTIVATE_RULES, Quorum::Majority),
     (ALLOW_NODES, Quorum::Majority),
     (INVITE_ORGANISATION, Quorum::Majority),
     (REMOVE_ORGANISATION, Quorum::Majority),
+    (SET_CERTIFICATE_RULE, Quorum::Majority),
     (SET_NODE_ROLE, Quorum::Majority),
     (SET_QUOTA, Quorum::Majority),
     (SET_QUORUM, Quorum::Majority),
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 44] = [
+const FUNCTIONS: [(&str, &str); 45] = [
     ("activate_rules", "RULES_JSON"),
     (ADD_ORGANISATION, "ORGANISATION_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
@@ -205,6 +217,7 @@ const FUNCTIONS: [(&str, &str); 44] = [
     ("revoke", "ISSUER SERIAL [REASON]"),
     ("revoke_identity", "REVOKE_JSON"),
     ("rules", "none"),
+    (SET_CERTIFICATE_RULE, "RULE_JSON"),
     ("set_node_role", "ROLE_JSON"),
     ("set_quorum", "QUORUM_JSON"),
     ("set_quota", "QUOTA_JSON"),
@@ -251,12 +264,13 @@ const URGENT: [&str; 9] = [
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 31] = [
+const EVENTS: [&str; 32] = [
     "approved",
     "attested",
     "ca_carried",
     "ca_copied",
     "ca_dropped",
+    "certificate_rule_changed",
     "certified",
     "executed",
     "failed",
@@ -326,7 +340,7 @@ impl Chaincode for MspChaincode {
     }
 
     fn control_keys(&self) -> &'static [&'static str] {
-        &["members", "node/", "organisation/", "revoked/", "rules"]
+        &["certificates", "members", "node/", "organisation/", "revoked/", "rules"]
     }
 
     fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {
@@ -351,6 +365,7 @@ impl Chaincode for MspChaincode {
             ("cancel_invitation", [cancel]) => invitations::cancel(ctx, cancel),
             ("nodes", []) => nodes::list(ctx),
             ("join_node", [join]) => join_node::join(ctx, join),
+            (SET_CERTIFICATE_RULE, [rule]) => certificate_rule::set(ctx, rule),
             (SET_NODE_ROLE, [role]) => node_roles::set_role(ctx, role),
             ("organisations", []) => json(&organisations::names(ctx)?),
             ("organisation", [name]) => organisations::show(ctx, name),
@@ -413,6 +428,9 @@ pub(crate) fn found(genesis: &Genesis) -> Result<WriteSet, Rejection> {
         put(store::node_key(node.id).as_bytes(), json(node)?);
     }
     put(store::NEXT_NODE.as_bytes(), json(&next)?);
+    if let Some(rule) = certificate_rule::founding(&nodes) {
+        put(store::CERTIFICATE_RULE.as_bytes(), json(&rule)?);
+    }
     writes.insert(Bytes::from_static(MEMBERS_KEY), Some(members_record(&Membership::new(voters, learners))?));
     Ok(writes)
 }

@@ -5,6 +5,7 @@
 //! allows many) is still the same transaction. The creator signs the body, or the id of a long one.
 
 use crate::block::{PAYLOAD_BYTES_MAX, leaf};
+use crate::call_ref::CallRef;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -25,6 +26,8 @@ pub const ARGUMENTS_MAX: usize = 1024;
 pub const NAME_BYTES_MAX: usize = 128;
 /// Exact length of a nonce.
 pub const NONCE_BYTES: usize = 16;
+/// Exact length of the part of a block's hash in a [`KnownBlock`].
+pub const KNOWN_HASH_BYTES: usize = 8;
 /// Separates these signatures from everything else that the same key may sign (TLS, certificate requests).
 const SIGNATURE_DOMAIN: &[u8] = b"ledgerd transaction v1\0";
 /// The same where the id is signed.
@@ -57,6 +60,30 @@ pub struct Body {
     /// Arguments in order.
     #[prost(bytes = "bytes", repeated, tag = "7")]
     pub args: Vec<Bytes>,
+    /// The newest block that the creator knew, if it names one. The ledger does not look at it; gates measure age by it.
+    #[prost(message, optional, tag = "8")]
+    pub known_block: Option<KnownBlock>,
+}
+
+/// The newest block that a signer knew when it signed. Nobody can predict its hash, so it was signed after that block was made.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct KnownBlock {
+    /// Its height.
+    #[prost(uint64, tag = "1")]
+    pub height: u64,
+    /// The first [`KNOWN_HASH_BYTES`] bytes of the hash of its header.
+    #[prost(bytes = "bytes", tag = "2")]
+    pub hash: Bytes,
+    /// How long the signer had known it by its steady clock, microseconds.
+    #[prost(uint64, tag = "3")]
+    pub known_us: u64,
+}
+
+impl KnownBlock {
+    /// The first bytes of a block's hash, by which [`KnownBlock`] names it.
+    pub fn prefix(hash: &[u8]) -> Option<[u8; KNOWN_HASH_BYTES]> {
+        hash.first_chunk().copied()
+    }
 }
 
 /// The three parts as they are stored and sent.
@@ -89,6 +116,11 @@ impl PartialEq for Transaction {
 }
 
 impl Transaction {
+    /// The name by which others ask for its verdict.
+    pub fn call_ref(&self) -> CallRef {
+        CallRef { id: self.id(), not_after: self.body().not_after }
+    }
+
     /// Signs a body whole, as every network understands it.
     ///
     /// # Errors
@@ -280,6 +312,10 @@ fn check_form(body: &Body) -> Result<(), Rejection> {
             return Err(malformed(&format!("field {name} has {found} bytes instead of {wanted}")));
         }
     }
+    if let Some(found) = body.known_block.as_ref().map(|known| known.hash.len()).filter(|len| *len != KNOWN_HASH_BYTES)
+    {
+        return Err(malformed(&format!("field known_block has {found} bytes of a hash instead of {KNOWN_HASH_BYTES}")));
+    }
     for (name, text) in [("chaincode", &body.chaincode), ("function", &body.function)] {
         if text.is_empty() || text.len() > NAME_BYTES_MAX {
             return Err(malformed(&format!("field {name} has {} bytes instead of 1 to {NAME_BYTES_MAX}", text.len())));
@@ -309,6 +345,7 @@ mod tests {
             chaincode: "abac".into(),
             function: "acquire".into(),
             args: vec![Bytes::new(), "Husky".into()],
+            known_block: None,
         }
     }
 
@@ -370,6 +407,15 @@ mod tests {
                 assert!(refused.message.contains("TransactionBody has fields"), "{refused}");
             }
             assert!(signed(encoded.clone(), unknown).unwrap_err().message.contains("Transaction has fields"));
+        }
+    }
+
+    #[test]
+    fn a_known_block_is_named_by_eight_bytes_of_its_hash() {
+        for (len, fits) in [(0, false), (7, false), (8, true), (32, false)] {
+            let known = KnownBlock { height: 1, hash: vec![1; len].into(), known_us: 0 };
+            let body = Body { known_block: Some(known), ..body() };
+            assert_eq!(signed(body.encode_to_vec(), b"").is_ok(), fits, "{len}");
         }
     }
 

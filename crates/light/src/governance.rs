@@ -13,7 +13,7 @@ use crate::codec::{Reader, put};
 use crate::control::{self, Write};
 use crate::proof::{Ground, Proof};
 use crate::statement::Statement;
-use crate::voters::{Voter, Voters};
+use crate::voters::{CertificateRule, Voter, Voters};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -32,10 +32,12 @@ const VALUE_BYTES_MAX: usize = 1024 * 1024;
 /// Longest encoding of the governing writes of one block: those of a network that begins with all it has.
 pub const CHANGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
+const CERTIFICATE_RULE: &[u8] = b"msp\0certificates";
 const MEMBERS: &[u8] = b"msp\0members";
 const NODES: &[u8] = b"msp\0node/";
 const ORGANISATIONS: &[u8] = b"msp\0organisation/";
 const REVOKED: &[u8] = b"msp\0revoked/";
+const RECOVERIES: &[u8] = b"msp\0recovery/";
 
 /// The governing writes of a block, with their values.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -197,7 +199,17 @@ impl Governance {
             let Node { id, name, organisation } = parse(key, value)?;
             nodes.insert(id, Voter { organisation, name });
         }
-        Ok(Voters { nodes, voters, outgoing })
+        let (rule, recoveries) = (self.certificate_rule()?, self.under(RECOVERIES).count() as u64);
+        Ok(Voters { nodes, voters, outgoing, rule, recoveries })
+    }
+
+    /// How many signatures make a certificate of the next block.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if the record cannot be read.
+    pub fn certificate_rule(&self) -> Result<CertificateRule, Rejection> {
+        let rule = self.state.get(CERTIFICATE_RULE).map(|rule| parse(CERTIFICATE_RULE, rule));
+        Ok(rule.transpose()?.unwrap_or_default())
     }
 
     /// Goes on to the block of a proof, over the changes up to it; later ones are left alone.

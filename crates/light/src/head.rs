@@ -11,7 +11,7 @@ use ledger_identity::{Identity, Role};
 /// In front of the bytes that are signed, so that they are of no other kind.
 const DOMAIN: &[u8] = b"ledgerd head v1\0";
 
-const DOUBLE_DOMAIN: &[u8] = b"ledgerd double head v1\0";
+pub(crate) const DOUBLE_DOMAIN: &[u8] = b"ledgerd double head v1\0";
 /// Most links of a branch: the entries of one message between nodes.
 pub const LINKS_MAX: usize = 1024;
 const LINK_BYTES: usize = 8 + 8 + 32;

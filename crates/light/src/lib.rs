@@ -20,7 +20,7 @@
 //! | [`governance`] | whom to believe at a height, followed from a pinned beginning |
 //! | [`way`] | from where a reader was to the newest proof that it believes |
 //! | [`codec`] | reading hostile bytes in one form |
-//! | [`lie`] | two statements of one node about one height, or two votes of one node in one term |
+//! | [`lie`] | proofs of misbehaviour: two signed things of one node for one place that differ |
 //!
 //! ```
 //! use ledger_base::hash::Hash;
@@ -60,10 +60,10 @@ pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
 pub use governance::{Change, Governance};
 pub use head::{Branch, BranchLink, DoubleHead, Head, block_hash};
-pub use lie::{DoubleVote, Lie};
+pub use lie::{DoubleVote, Fault, Lie, Misbehaviour};
 pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
 pub use transfer::Transfer;
 pub use vote::Vote;
-pub use voters::{Voter, Voters};
+pub use voters::{CertificateRule, Survives, Voter, Voters, strict_quorum};
 pub use way::Way;

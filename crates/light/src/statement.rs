@@ -9,8 +9,8 @@ use ledger_identity::key::SigningKey;
 
 /// In front of the bytes that are signed.
 const DOMAIN: &[u8] = b"ledgerd statement v1\0";
-/// Bytes of a statement, all that is signed.
-pub const STATEMENT_BYTES: usize = DOMAIN.len() + 8 + 8 + 3 * 32;
+/// Bytes of a statement, without the number of the node that signs it.
+pub const STATEMENT_BYTES: usize = DOMAIN.len() + 3 * 8 + 3 * 32;
 /// Longest signature: ECDSA P-256 in DER.
 pub const SIGNATURE_BYTES_MAX: usize = 72;
 /// Longest encoding of a signed statement.
@@ -18,11 +18,14 @@ pub const SIGNED_BYTES_MAX: usize = STATEMENT_BYTES + ENCLOSED_BYTES_MAX;
 /// Longest encoding of a signature with its certificate.
 pub const ENCLOSED_BYTES_MAX: usize = 8 + 4 + CERTIFICATE_BYTES_MAX + 4 + SIGNATURE_BYTES_MAX;
 
-/// The outcome of a block, as a voter states it. An honest node makes one statement for each height, ever.
+/// The outcome of a block, as a voter states it. Its place is network, number of forced recoveries, height and the node that
+/// signs it. An honest node signs one block for each place, ever.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Statement {
     /// Name of the network.
     pub network: Hash,
+    /// Number of forced recoveries before the block.
+    pub recoveries: u64,
     /// Height of the block.
     pub height: u64,
     /// Block time, microseconds since the UNIX epoch. The block's hash covers it. Here it stands for all who do not have
@@ -41,7 +44,7 @@ pub struct Signature {
     pub node: u64,
     /// The node's certificate, DER: keys are renewed, and who checks need not have seen each of them.
     pub certificate: Bytes,
-    /// The signature of [`Statement::to_bytes`], or of [`Vote::to_bytes`](crate::Vote::to_bytes), by the certificate's key.
+    /// The signature of [`Statement::signed_by`], or of [`Vote::to_bytes`](crate::Vote::to_bytes), by the certificate's key.
     pub signature: Bytes,
 }
 
@@ -55,11 +58,12 @@ pub struct Signed {
 }
 
 impl Statement {
-    /// The bytes that are signed.
+    /// Its bytes, without the node that signs it.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(STATEMENT_BYTES);
+        let mut bytes = Vec::with_capacity(STATEMENT_BYTES + 8);
         bytes.extend_from_slice(DOMAIN);
         bytes.extend_from_slice(&self.network.0);
+        bytes.extend_from_slice(&self.recoveries.to_be_bytes());
         bytes.extend_from_slice(&self.height.to_be_bytes());
         bytes.extend_from_slice(&self.time.to_be_bytes());
         bytes.extend_from_slice(&self.block.0);
@@ -67,7 +71,19 @@ impl Statement {
         bytes
     }
 
-    /// Reads the bytes that are signed.
+    /// The bytes that this node signs: the statement and the number of the node.
+    pub fn signed_by(&self, node: u64) -> Vec<u8> {
+        let mut bytes = self.to_bytes();
+        bytes.extend_from_slice(&node.to_be_bytes());
+        bytes
+    }
+
+    /// Do both name the same place, if one node has signed them?
+    pub fn is_at_place_of(&self, other: &Self) -> bool {
+        (self.network, self.recoveries, self.height) == (other.network, other.recoveries, other.height)
+    }
+
+    /// Reads its bytes.
     ///
     /// # Errors
     /// [`Code::TooLarge`], [`Code::Malformed`].
@@ -82,8 +98,8 @@ impl Statement {
         if reader.take(DOMAIN.len())? != DOMAIN {
             return Err(reader.malformed("other first bytes", "those of a statement of version 1"));
         }
-        let (network, height, time) = (reader.hash()?, reader.u64()?, reader.u64()?);
-        Ok(Self { network, height, time, block: reader.hash()?, results: reader.hash()? })
+        let (network, recoveries, height, time) = (reader.hash()?, reader.u64()?, reader.u64()?, reader.u64()?);
+        Ok(Self { network, recoveries, height, time, block: reader.hash()?, results: reader.hash()? })
     }
 
     /// Signs it as a node with this certificate.
@@ -91,7 +107,7 @@ impl Statement {
     /// # Errors
     /// [`Code::Internal`] if the system's randomness fails.
     pub fn sign(&self, node: u64, certificate: Bytes, key: &SigningKey) -> Result<Signed, Rejection> {
-        let signature = Signature::make(node, certificate, key, &self.to_bytes())?;
+        let signature = Signature::make(node, certificate, key, &self.signed_by(node))?;
         Ok(Signed { statement: *self, signature })
     }
 }

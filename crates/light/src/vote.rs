@@ -9,11 +9,14 @@ use ledger_identity::key::SigningKey;
 /// In front of the bytes that are signed, so that they are of no other kind.
 const DOMAIN: &[u8] = b"ledgerd vote v1\0";
 
-/// A voter elects a candidate. An honest voter gives one vote in a term, ever.
+/// A voter elects a candidate. Its place is network, number of forced recoveries, term and voter. An honest voter gives one
+/// vote for each place, ever.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Vote {
     /// Name of the network.
     pub network: Hash,
+    /// Number of forced recoveries that the voter has executed.
+    pub recoveries: u64,
     /// The term.
     pub term: u64,
     /// The node that is to lead in it.
@@ -25,7 +28,7 @@ pub struct Vote {
 impl Vote {
     /// The bytes that are signed.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let numbers = [self.term, self.candidate, self.voter].map(u64::to_be_bytes);
+        let numbers = [self.recoveries, self.term, self.candidate, self.voter].map(u64::to_be_bytes);
         [DOMAIN, &self.network.0, &numbers.concat()].concat()
     }
 

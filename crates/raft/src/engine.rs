@@ -214,7 +214,7 @@ impl Engine {
         let mut engine = Self {
             raw,
             store,
-            queues: Queues::new(),
+            queues: Queues::new(&config.creators),
             pending: VecDeque::new(),
             unpersisted_bytes: 0,
             held: BTreeMap::new(),
@@ -273,6 +273,7 @@ impl Engine {
             Input::ReadIndex { context } => self.read_index(context, out),
             Input::TransferLeadership { .. } | Input::ChangeMembership(_) => self.administer(input, out),
             Input::Campaign => self.campaign(),
+            Input::Exclude(nodes) => self.mandates.exclude(nodes),
             Input::Unreachable { peer } => self.raw.report_unreachable(peer),
         }
         if self.failed {
@@ -327,6 +328,12 @@ impl Engine {
         if let Some(heard) = self.heard.get_mut(&from) {
             *heard = self.ticks;
         }
+        if self.mandates.excludes(from, &message) {
+            return out.push(Output::Ignored {
+                from,
+                reason: "it has lied, by proof, and neither leads nor stands for election",
+            });
+        }
         match message {
             PeerMessage::Raft(mut message) => {
                 match self.check_standing(from, &mut message, out) {
@@ -367,8 +374,8 @@ impl Engine {
             PeerMessage::Mandate(mandate) => self.mandate_shown(from, &mandate, out),
             PeerMessage::MandateWanted(wanted) => self.mandate_wanted(from, wanted.term, out),
             PeerMessage::Head(shown) => self.head_shown(from, &shown, out),
-            // The node gives the one to its certifier, and tells its readers of the other.
-            PeerMessage::Statement(_) | PeerMessage::Early(_) => {}
+            // The node gives these to its certifier and its readers.
+            PeerMessage::Statement(_) | PeerMessage::Evidence(_) | PeerMessage::Early(_) => {}
         }
     }
 

@@ -7,6 +7,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_light::BranchLink;
 use ledger_storage::entry::Entry;
+use std::collections::BTreeSet;
 
 /// How urgent a transaction is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -70,6 +71,9 @@ pub enum Input {
     ChangeMembership(MembershipChange),
     /// Stand for election now, without waiting for the timeout.
     Campaign,
+    /// These nodes have lied, by proof: nothing that they send as leaders or as candidates is taken any more. Replaces the set
+    /// before.
+    Exclude(BTreeSet<u64>),
     /// A message to this peer could not be delivered; replication to it becomes careful.
     Unreachable {
         /// The peer.

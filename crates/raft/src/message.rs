@@ -3,7 +3,8 @@
 //! ```text
 //! message PeerMessage {
 //!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6;
-//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; Early early = 9; Head head = 10; }
+//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; Early early = 9; Head head = 10;
+//!                Evidence evidence = 14; }
 //! }
 //! message Raft {
 //!   uint32 kind        = 1;   // RaftKind; there is no 0
@@ -31,6 +32,7 @@
 //! message MandateWanted { uint64 term = 1; }                  // to a node that speaks as a leader: show your mandate
 //! message Head { uint64 term = 1; uint64 leader = 2; uint64 height = 3; bytes hash = 4;   // the newest that the sender has checked
 //!                bytes signature = 5; bytes vote = 6; }      // the vote of the leader for itself, which has its certificate
+//! message Evidence { bytes proof = 1; }                       // see ledger-light; not for the engine
 //! message Early { bytes transaction = 1; }                    // a signed call that robots hear of before it is ordered; not for the engine
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
 //! ```
@@ -59,6 +61,8 @@ pub(crate) const HASH_BYTES: usize = 32;
 pub(crate) const RECEIPT_BYTES: usize = 32;
 /// Longest signed statement in a message: the certificate of a node (16 KiB), and what is around it.
 pub const STATEMENT_BYTES_MAX: usize = 17 * 1024;
+/// Longest proof of misbehaviour in a message.
+pub const EVIDENCE_BYTES_MAX: usize = ledger_light::lie::MISBEHAVIOUR_BYTES_MAX;
 /// Longest call of which robots hear before it is ordered: a stop with its reason, and the certificate of its creator (16 KiB).
 pub const EARLY_BYTES_MAX: usize = 32 * 1024;
 /// Longest signature of a vote in a message: the certificate of a node (16 KiB), and what is around it.
@@ -87,7 +91,8 @@ pub enum PeerMessage {
     /// From the leader: what you need next was dropped here; fetch it from whoever has it.
     #[prost(message, tag = "4")]
     Behind(LogBegin),
-    /// From a voter to all members: what executing a block gave. Not about ordering, so not for the engine.
+    /// To all members: what executing a block gave, signed by the sender, or by another voter that contradicts others. Not
+    /// about ordering, so not for the engine.
     #[prost(message, tag = "6")]
     Statement(SignedStatement),
     /// From a leader: a majority has elected me in this term.
@@ -102,6 +107,10 @@ pub enum PeerMessage {
     /// From a voter that follows to the others: the newest head that it has checked.
     #[prost(message, tag = "10")]
     Head(LeaderHead),
+    /// To all members: the proof that a node has signed two different things for one place. Not about ordering, so not for
+    /// the engine.
+    #[prost(message, tag = "14")]
+    Evidence(Evidence),
 }
 
 impl PeerMessage {
@@ -113,7 +122,7 @@ impl PeerMessage {
 
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 10")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 10, 14")]
     kind: Option<PeerMessage>,
 }
 
@@ -125,12 +134,20 @@ pub struct LogBegin {
     pub first_index: u64,
 }
 
-/// A statement about a block with the signature of the sender, as `ledger-light` encodes it.
+/// A statement about a block with the signature of a voter, as `ledger-light` encodes it.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct SignedStatement {
     /// Its bytes.
     #[prost(bytes = "bytes", tag = "1")]
     pub signed: Bytes,
+}
+
+/// The proof that a node has signed two different things for one place, as `ledger-light` encodes it.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Evidence {
+    /// Its bytes.
+    #[prost(bytes = "bytes", tag = "1")]
+    pub proof: Bytes,
 }
 
 /// A signed call that was submitted at the sender.
@@ -360,6 +377,7 @@ impl PeerMessage {
             Self::Mandate(mandate) => mandate.check(),
             Self::Statement(statement) => limit(statement.signed.len(), STATEMENT_BYTES_MAX, "bytes of a statement"),
             Self::Head(head) => head.check(),
+            Self::Evidence(evidence) => limit(evidence.proof.len(), EVIDENCE_BYTES_MAX, "bytes of a proof"),
             Self::Early(call) => limit(call.transaction.len(), EARLY_BYTES_MAX, "bytes of a call"),
         }
     }

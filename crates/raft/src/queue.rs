@@ -1,6 +1,9 @@
 //! Transactions that wait to become a block: two lanes, each bounded in count and bytes, and the data lane in time.
 
+mod creators;
 mod fair;
+
+pub use creators::Creators;
 
 use crate::interface::Lane;
 use bytes::Bytes;
@@ -64,10 +67,11 @@ impl Cut {
 }
 
 impl Queues {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(creators: &Creators) -> Self {
+        let queue = |transactions, bytes| Queue::new(transactions, bytes, creators.clone());
         Self {
-            control: Queue::new(CONTROL_QUEUE_TRANSACTIONS_MAX, CONTROL_QUEUE_BYTES_MAX),
-            data: Queue::new(DATA_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX),
+            control: queue(CONTROL_QUEUE_TRANSACTIONS_MAX, CONTROL_QUEUE_BYTES_MAX),
+            data: queue(DATA_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX),
         }
     }
 
@@ -135,7 +139,7 @@ mod tests {
 
     #[test]
     fn control_comes_before_data_that_was_there_first() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         push(&mut queues, Lane::Data, 10);
         push(&mut queues, Lane::Control, 3);
         let cut = queues.cut(1000, FREE);
@@ -144,7 +148,7 @@ mod tests {
 
     #[test]
     fn control_goes_on_while_data_has_to_wait() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         push(&mut queues, Lane::Data, 10);
         assert!(queues.cut(1000, 0).is_empty());
         push(&mut queues, Lane::Control, 3);
@@ -155,7 +159,7 @@ mod tests {
 
     #[test]
     fn a_block_holds_at_least_one_transaction_and_about_the_target() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         for _ in 0..4 {
             push(&mut queues, Lane::Data, 40);
         }
@@ -166,12 +170,12 @@ mod tests {
 
     #[test]
     fn a_block_never_exceeds_the_limits_of_a_payload() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         for _ in 0..=TRANSACTIONS_MAX {
             push(&mut queues, Lane::Data, 0);
         }
         assert_eq!(queues.cut(1000, FREE).data, TRANSACTIONS_MAX);
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         push(&mut queues, Lane::Data, PAYLOAD_BYTES_MAX);
         push(&mut queues, Lane::Data, 1);
         assert_eq!(queues.cut(usize::MAX, FREE).data, 1);
@@ -179,7 +183,7 @@ mod tests {
 
     #[test]
     fn a_full_lane_refuses_and_the_other_does_not() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         for _ in 0..DATA_QUEUE_TRANSACTIONS_MAX {
             assert_eq!(push(&mut queues, Lane::Data, 1), []);
         }
@@ -192,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_lane_is_bounded_in_bytes() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         for _ in 0..DATA_QUEUE_BYTES_MAX / PAYLOAD_BYTES_MAX {
             assert_eq!(push(&mut queues, Lane::Data, PAYLOAD_BYTES_MAX), []);
         }
@@ -202,7 +206,7 @@ mod tests {
 
     #[test]
     fn data_that_waited_too_long_says_so() {
-        let mut queues = Queues::new();
+        let mut queues = Queues::new(&Creators::default());
         for _ in 0..200 {
             push(&mut queues, Lane::Data, 1);
         }

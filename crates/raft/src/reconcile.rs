@@ -6,10 +6,10 @@
 
 use crate::engine::{PeerStatus, Status};
 use crate::interface::Input;
-use ledger::members::{Change, MembershipChange};
+use ledger::members::{Change, MembershipChange, spare_one};
 use ledger_base::mutation::Mutation;
 use std::cmp::Reverse;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How far behind the newest committed block a node may be to become a voter, in blocks: what replication brings within
 /// a moment. Further back, its missing vote would hold up commits. One that needs blocks which the leader has dropped
@@ -23,6 +23,8 @@ pub struct Desired {
     pub voters: BTreeSet<u64>,
     /// The wanted learners.
     pub learners: BTreeSet<u64>,
+    /// While certificates are strict: under which hand each node is.
+    pub strict_hands: Option<BTreeMap<u64, String>>,
 }
 
 /// The next step of a leader towards the wanted members; nothing if all is done, or while something is
@@ -35,6 +37,9 @@ pub struct Desired {
 ///    that is on its way;
 /// 3. a leader that shall lose its own vote hands over to the desired voter that has caught up most, which goes on;
 /// 4. nodes that shall be no members go.
+///
+/// While certificates are strict, no step leads from voters of whom any one can be lost to voters of whom none can. So a voter
+/// that is replaced stays until the new one takes its place.
 ///
 /// A change is made only if a majority of the voters after it answers and is near the end of the log. A network is
 /// never led into a membership that cannot order. So there is always a voter left, too.
@@ -81,7 +86,7 @@ fn change_voters(desired: &Desired, status: &Status, voters: &BTreeSet<u64>) -> 
         .filter(|node| desired.learners.contains(node) || !ledger_base::mutation::active(Mutation::KeepARemovedVoter))
         .collect();
     let after: BTreeSet<u64> = voters.iter().chain(&joining).copied().filter(|node| !leaving.contains(node)).collect();
-    if &after == voters || !can_order(status, &after) {
+    if &after == voters || !can_order(status, &after) || ends_strict(desired, voters, &after) {
         return None;
     }
     let joining = joining.into_iter().map(Change::AddVoter);
@@ -90,6 +95,11 @@ fn change_voters(desired: &Desired, status: &Status, voters: &BTreeSet<u64>) -> 
         false => Change::Remove(node),
     });
     Some(change(joining.chain(leaving)))
+}
+
+fn ends_strict(desired: &Desired, before: &BTreeSet<u64>, after: &BTreeSet<u64>) -> bool {
+    let hands = desired.strict_hands.as_ref();
+    hands.is_some_and(|hands| spare_one(before, hands) && !spare_one(after, hands))
 }
 
 /// A majority of these voters answers and is near the end of the log. (The leader itself does and is.)

@@ -1,9 +1,18 @@
-//! From statements to certificates: the node signs its own, hears those of others, and notices when they are enough.
+//! From statements to certificates: the node signs its own, receives those of others, and notices when they are enough.
 //!
-//! It has no thread, clock or key of its own. It is told of executed blocks, of the log, of time and of the statements of
-//! peers, and says what to send and to keep. It keeps a bounded number of statements of each voter, nothing of
+//! It has no thread, clock or key of its own. It takes executed blocks, the end of the log, time and the statements of
+//! peers, and returns what to send and to keep. It keeps a bounded number of statements of each voter, nothing of
 //! others, and checks each signature once. Checking takes longer than ordering a block, so the thread that
 //! orders never does it.
+//!
+//! **Disputes.** Where a voter has signed another statement than this node about a block, this node passes on all signed
+//! statements that it has about that height, once each. So a voter that signs one block for one node and another block for
+//! another node is seen by both. A peer may pass on statements of others: their signatures are checked at once, and only
+//! so many a second.
+//!
+//! **Restarts.** A node signs one block for each place, whatever disk it finds. So about a block that its log held when it
+//! started, it signs only the statement that its own record has. Without a record it signs nothing about these blocks; the
+//! next one certifies all before it.
 
 mod heard;
 
@@ -14,7 +23,7 @@ use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Certificate, Head, Lie, Signature, Signed, Statement, Transfer, Vote, Voters};
+use ledger_light::{Certificate, Head, Misbehaviour, Signature, Signed, Statement, Transfer, Vote, Voters};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
@@ -31,6 +40,10 @@ const GOVERNING_MAX: usize = 8;
 const TELL_AGAIN_MIN: u64 = 1_000_000;
 /// The longest such time, microseconds.
 const TELL_AGAIN_MAX: u64 = 64_000_000;
+/// Most statements of others, passed on by one peer in a second, whose signatures are checked.
+const PASSED_MAX: u32 = 256;
+/// The second in which they are counted, microseconds.
+const PASSED_TIME: u64 = 1_000_000;
 
 /// The voters whose statements count from a height on: those as of the block before it.
 #[derive(Clone)]
@@ -77,12 +90,34 @@ pub trait Signing {
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], time: u64) -> Result<Identity, Rejection>;
 }
 
+/// A block that is to be certified, as this node has executed it.
+#[derive(Clone, Copy, Debug)]
+pub struct Certifiable {
+    /// Its height.
+    pub height: u64,
+    /// Block time, microseconds since the UNIX epoch.
+    pub time: u64,
+    /// Hash of the block.
+    pub block: Hash,
+    /// Root over the facts that executing it gave.
+    pub results: Hash,
+}
+
+/// The state of a node's disk at its start.
+#[derive(Clone, Debug, Default)]
+pub struct Earlier {
+    /// The end of its log.
+    pub end: u64,
+    /// The newest statements that it has signed, as far as its record has them.
+    pub signed: Vec<Statement>,
+}
+
 /// An event.
 pub enum Event {
     /// A block that is to be certified was executed. Heights grow.
     Executed {
-        /// The node's own statement about it.
-        statement: Statement,
+        /// The result of the block.
+        block: Certifiable,
         /// It changes whom others trust.
         governs: bool,
     },
@@ -90,11 +125,11 @@ pub enum Event {
     Voters(Era),
     /// The log of this node is on its disk up to this height.
     Durable(u64),
-    /// A peer says something.
+    /// A peer has sent a statement.
     Heard {
         /// The peer, as its connection names it.
         from: u64,
-        /// Its statement.
+        /// Its statement, or one of another node that it passes on.
         signed: Signed,
     },
     /// Time has gone on.
@@ -104,8 +139,14 @@ pub enum Event {
 /// An effect: the node must do it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
-    /// Send this to every member. Losing it is allowed.
+    /// Record that the node signs this statement, before the next effect. After a crash it signs the same again only if the
+    /// record has it, so losing the record is allowed.
+    Record(Statement),
+    /// Send this statement of the node to every member. Losing it is allowed.
     Tell(Signed),
+    /// Send this statement of another node to every member: there is another one about the same height. Losing it is
+    /// allowed.
+    Pass(Signed),
     /// Enough have signed.
     Certified {
         /// The certificate.
@@ -113,8 +154,8 @@ pub enum Effect {
         /// Its block changes whom others trust: keep it for as long as the ledger.
         governs: bool,
     },
-    /// A node has said two different things about one height: keep the proof.
-    Lied(Box<Lie>),
+    /// A node has signed two different statements about one height: keep the proof, and send it to every member.
+    Misbehaved(Box<Misbehaviour>),
 }
 
 /// Makes certificates of statements.
@@ -131,27 +172,36 @@ pub struct Certifier<S> {
     durable: u64,
     /// Newest own statement, and when it is told again: the moment, and the pause before it.
     newest: Option<(Signed, u64, u64)>,
+    earlier: Earlier,
+    /// The number of statements of others that each peer has passed on in the second that began then.
+    passed: BTreeMap<u64, (u64, u32)>,
 }
 
 impl<S: Signing> Certifier<S> {
-    /// For this node of this network, with the voters as of its newest block.
-    pub fn new(me: u64, network: Hash, signing: S, era: Era) -> Self {
+    /// For this node of this network, with the voters as of its newest block, and what it found when it started.
+    pub fn new(me: u64, network: Hash, signing: S, era: Era, earlier: Earlier) -> Self {
         let (executed, eras) = (era.from.saturating_sub(1), VecDeque::from([era]));
-        Self { me, network, signing, eras, heights: BTreeMap::new(), executed, durable: 0, newest: None }
+        let (heights, passed) = (BTreeMap::new(), BTreeMap::new());
+        Self { me, network, signing, eras, heights, executed, durable: 0, newest: None, earlier, passed }
     }
 
     /// Takes an event; `now` is steadily growing time in microseconds.
     pub fn step(&mut self, now: u64, event: Event, out: &mut Vec<Effect>) {
         match event {
-            Event::Executed { statement, governs } => self.executed(now, statement, governs, out),
+            Event::Executed { block, governs } => self.executed(now, block, governs, out),
             Event::Voters(era) => self.voters(era),
             Event::Durable(height) => {
                 self.durable = self.durable.max(height);
                 self.sign_what_is_durable(now, out);
             }
-            Event::Heard { from, signed } => self.heard(from, signed, out),
+            Event::Heard { from, signed } => self.heard(now, from, signed, out),
             Event::Time => self.tell_again(now, out),
         }
+    }
+
+    /// Has this node executed the block at this height, and does it still take statements about it?
+    pub fn holds(&self, height: u64) -> bool {
+        self.heights.get(&height).is_some_and(|entry| entry.own.is_some())
     }
 
     /// Does a statement of this node wait until its block is on the disk?
@@ -179,8 +229,10 @@ impl<S: Signing> Certifier<S> {
         self.eras.iter().rfind(|era| era.from <= height)
     }
 
-    fn executed(&mut self, now: u64, statement: Statement, governs: bool, out: &mut Vec<Effect>) {
-        let height = statement.height;
+    fn executed(&mut self, now: u64, block: Certifiable, governs: bool, out: &mut Vec<Effect>) {
+        let Certifiable { height, time, block, results } = block;
+        let recoveries = self.era(height).map_or(0, |era| era.voters.recoveries);
+        let statement = Statement { network: self.network, recoveries, height, time, block, results };
         invariant!(height > self.executed, "blocks are stated in order", "block {height} after {}", self.executed);
         self.executed = height;
         self.heights.entry(height).or_default().own = Some((statement, governs));
@@ -195,10 +247,11 @@ impl<S: Signing> Certifier<S> {
         }
         self.sign_what_is_durable(now, out);
         self.count(height, out);
+        self.dispute(height, out);
     }
 
-    /// Signs what the log holds on the disk: a restart then finds the same block at this height, executes it to the same
-    /// results, and says the same. So this node makes one statement for a height, ever.
+    /// Signs what the log holds on the disk: a restart then finds the same block at this height, or the end of its log is below
+    /// it. What the log held at the start is signed only as it was signed before.
     fn sign_what_is_durable(&mut self, now: u64, out: &mut Vec<Effect>) {
         let durable = self.durable;
         let unsigned = |height: &Height| height.own.is_some() && !height.heard.contains_key(&self.me);
@@ -208,6 +261,10 @@ impl<S: Signing> Certifier<S> {
             let votes = self.era(height).is_some_and(|era| era.voters.is_voter(self.me));
             let Some(entry) = self.heights.get_mut(&height).filter(|_| votes) else { continue };
             let Some((statement, _)) = entry.own else { continue };
+            let is_new = height > self.earlier.end;
+            if !is_new && !self.earlier.signed.contains(&statement) {
+                continue;
+            }
             invariant!(
                 durable >= height,
                 "a voter signs what its own log holds",
@@ -216,6 +273,7 @@ impl<S: Signing> Certifier<S> {
             match self.signing.sign(&statement) {
                 Ok(signed) => {
                     entry.heard.insert(self.me, Heard::good(signed.clone()));
+                    out.extend(is_new.then_some(Effect::Record(statement)));
                     out.push(Effect::Tell(signed.clone()));
                     self.newest = Some((signed, now + TELL_AGAIN_MIN, TELL_AGAIN_MIN));
                 }
@@ -238,13 +296,12 @@ impl<S: Signing> Certifier<S> {
         }
     }
 
-    fn heard(&mut self, from: u64, signed: Signed, out: &mut Vec<Effect>) {
-        let height = signed.statement.height;
-        // A node speaks for itself only, so nobody fills the room of another.
-        if signed.signature.node != from || from == self.me || signed.statement.network != self.network {
+    fn heard(&mut self, now: u64, from: u64, signed: Signed, out: &mut Vec<Effect>) {
+        let (node, height) = (signed.signature.node, signed.statement.height);
+        if node == self.me || from == self.me || signed.statement.network != self.network {
             return;
         }
-        let votes = self.era(height).is_some_and(|era| era.voters.is_voter(from));
+        let votes = self.era(height).is_some_and(|era| era.voters.is_voter(node));
         if !votes && !active(Mutation::CountALearner) {
             return;
         }
@@ -253,18 +310,34 @@ impl<S: Signing> Certifier<S> {
         if height <= self.executed && !known {
             return;
         }
+        let before = self.heights.get(&height).and_then(|entry| entry.heard.get(&node));
+        if before.is_some_and(|before| before.signed.statement == signed.statement) {
+            return;
+        }
+        // Nobody fills the room of another: of what a peer passes on, only what its signer has signed counts.
+        let is_passed_on = node != from;
+        if is_passed_on && !(self.may_pass(now, from) && self.is_good(&signed)) {
+            return;
+        }
         if height > self.executed {
-            self.make_room_ahead(from);
+            self.make_room_ahead(node);
         }
         let entry = self.heights.entry(height).or_default();
-        match entry.heard.get(&from) {
-            None => {
-                entry.heard.insert(from, Heard::unchecked(signed));
-                self.count(height, out);
-            }
-            Some(before) if before.signed.statement == signed.statement => {}
-            Some(_) => self.contradiction(from, signed, out),
+        match entry.heard.get(&node) {
+            None if is_passed_on => drop(entry.heard.insert(node, Heard::good(signed))),
+            None => drop(entry.heard.insert(node, Heard::unchecked(signed))),
+            Some(_) => self.contradiction(signed, is_passed_on, out),
         }
+        self.count(height, out);
+        self.dispute(height, out);
+    }
+
+    /// May this peer pass on another statement now? Counts.
+    fn may_pass(&mut self, now: u64, peer: u64) -> bool {
+        self.passed.retain(|_, (begun, _)| now.saturating_sub(*begun) < PASSED_TIME);
+        let (_, count) = self.passed.entry(peer).or_insert((now, 0));
+        *count = count.saturating_add(1);
+        *count <= PASSED_MAX
     }
 
     /// The oldest of too many statements of one node about blocks that this node has not executed makes room.
@@ -278,24 +351,52 @@ impl<S: Signing> Certifier<S> {
         self.heights.retain(|_, entry| entry.own.is_some() || !entry.heard.is_empty());
     }
 
-    /// A node says something else about a height than before.
-    fn contradiction(&mut self, from: u64, signed: Signed, out: &mut Vec<Effect>) {
-        let height = signed.statement.height;
-        let Some(mut before) = self.heights.get_mut(&height).and_then(|entry| entry.heard.remove(&from)) else {
+    /// A node states something else about a height than before.
+    fn contradiction(&mut self, signed: Signed, is_checked: bool, out: &mut Vec<Effect>) {
+        let (node, height) = (signed.signature.node, signed.statement.height);
+        let Some(mut before) = self.heights.get_mut(&height).and_then(|entry| entry.heard.remove(&node)) else {
             return;
         };
-        if before.may_be_contradicted() && self.is_good(&signed) {
-            if before.good || self.is_good(&before.signed) {
-                before.proved();
-                before.good = true;
-                out.push(Effect::Lied(Box::new(Lie { first: before.signed.clone(), second: signed })));
+        if is_checked || (before.may_be_contradicted() && self.is_good(&signed)) {
+            before.good = before.good || self.is_good(&before.signed);
+            if before.good {
+                let proof = before.contradicted_by(signed);
+                out.extend(proof.map(|proof| Effect::Misbehaved(Box::new(proof))));
             } else {
-                // It never said the first one.
+                // It never signed the first one.
                 before = Heard::good(signed);
             }
         }
-        self.heights.entry(height).or_default().heard.insert(from, before);
-        self.count(height, out);
+        self.heights.entry(height).or_default().heard.insert(node, before);
+    }
+
+    /// Passes on the statements about a height if some voter has signed another one than this node.
+    fn dispute(&mut self, height: u64, out: &mut Vec<Effect>) {
+        let Some(entry) = self.heights.get(&height) else { return };
+        let Some((own, _)) = entry.own else { return };
+        let others = || entry.heard.iter().filter(|(node, _)| **node != self.me);
+        let agree = others().all(|(_, heard)| heard.signed.statement == own);
+        if agree || others().all(|(_, heard)| heard.passed) {
+            return;
+        }
+        let checked: Vec<_> =
+            others().map(|(node, heard)| (*node, heard.good || self.is_good(&heard.signed))).collect();
+        let Some(entry) = self.heights.get_mut(&height) else { return };
+        for (node, good) in checked {
+            match entry.heard.get_mut(&node) {
+                Some(heard) if good => heard.good = true,
+                _ => drop(entry.heard.remove(&node)),
+            }
+        }
+        if entry.heard.values().all(|heard| heard.signed.statement == own) {
+            return;
+        }
+        let me = self.me;
+        let others = entry.heard.iter_mut().filter(|(node, heard)| **node != me && !heard.passed);
+        out.extend(others.map(|(_, heard)| {
+            heard.passed = true;
+            Effect::Pass(heard.signed.clone())
+        }));
     }
 
     /// Is it signed by a node that votes on the height?

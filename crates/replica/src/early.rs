@@ -1,15 +1,21 @@
 //! Which calls a node tells its readers before they are ordered, and how often others may make it look at one.
 //!
 //! An emergency stop reaches a robot this way although the network cannot order anything. The node that takes it in passes it on to
-//! all others. Each of them checks it as if it came from a user of its own, so a node that lies wins nothing by passing on.
+//! all others. Each of them checks it as if it came from a user of its own, so a node that lies wins nothing by passing on. Each
+//! keeps it until it has a verdict or is over, and gives it to the leader.
+
+mod open;
 
 use crate::replica::Now;
+use bytes::Bytes;
 use ledger::Ledger;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_storage::result::Event;
+use open::{OPEN_BYTES_MAX, Open};
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Calls that one node may pass on in a second. Each costs a look, as a submission does.
 const PASSED_ON_MAX: u32 = 32;
@@ -36,6 +42,7 @@ pub struct Early {
 #[derive(Default)]
 struct Known {
     told: VecDeque<Hash>,
+    open: Open,
     /// The calls that each node has passed on in the current second.
     passed_on: BTreeMap<u64, Passed>,
 }
@@ -47,10 +54,55 @@ struct Passed {
 }
 
 impl Early {
+    /// Most bytes that are saved.
+    pub const SAVED_BYTES_MAX: usize = OPEN_BYTES_MAX;
+
     /// Takes a call that a user of this node has submitted. Answers what readers are to be told, if it is such a call.
     pub fn submitted(&self, ledger: &Ledger, transaction: &Transaction, now: Now) -> Option<Arc<Foreseen>> {
         let events = ledger.foresee(transaction, now.clock)?;
-        self.is_first(transaction.id()).then(|| Arc::new(Foreseen { transaction: transaction.clone(), events }))
+        if !self.is_first(transaction.id()) {
+            return None;
+        }
+        self.lock().open.keep(transaction, &organisation(ledger, transaction), now.elapsed);
+        Some(Arc::new(Foreseen { transaction: transaction.clone(), events }))
+    }
+
+    /// The calls that have no verdict yet, for a reader that begins to listen or has missed some.
+    pub fn open(&self, ledger: &Ledger, now: Now) -> Vec<Arc<Foreseen>> {
+        let calls = self.lock().open.calls().into_iter();
+        let foreseen = calls.filter_map(|transaction| {
+            let events = ledger.foresee(&transaction, now.clock)?;
+            Some(Arc::new(Foreseen { transaction, events }))
+        });
+        foreseen.collect()
+    }
+
+    /// The calls that have no verdict yet, as far as this node knows.
+    pub fn calls(&self) -> Vec<Transaction> {
+        self.lock().open.calls()
+    }
+
+    /// Forgets calls that have a verdict or are over. Answers with those to be passed on, and given to this leader, now, whatever their
+    /// verdict will be. To be called often.
+    pub fn tend(&self, ledger: &Ledger, leader: Option<u64>, now: Now) -> Vec<Bytes> {
+        self.lock().open.tend(ledger, leader, now.elapsed)
+    }
+
+    /// The bytes to be saved, at most [`Early::SAVED_BYTES_MAX`] bytes, if that has changed since it was asked for last.
+    pub fn changed(&self) -> Option<Vec<u8>> {
+        self.lock().open.changed()
+    }
+
+    /// Keeps what was saved before the node started.
+    ///
+    /// # Errors
+    /// [`Code::Corrupt`](ledger_base::rejection::Code::Corrupt).
+    pub fn restore(&self, ledger: &Ledger, saved: &[u8]) -> Result<(), Rejection> {
+        self.lock().open.restore(saved, |transaction| organisation(ledger, transaction))?;
+        for call in self.calls() {
+            self.is_first(call.id());
+        }
+        Ok(())
     }
 
     /// Takes a call that another node passes on; as [`Early::submitted`]. Nothing, if that node passes on too many.
@@ -61,12 +113,17 @@ impl Early {
         self.submitted(ledger, transaction, now)
     }
 
+    fn lock(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn knows(&self, id: Hash) -> bool {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).told.contains(&id)
+        self.lock().told.contains(&id)
     }
 
     fn is_first(&self, id: Hash) -> bool {
-        let told = &mut self.known.lock().unwrap_or_else(PoisonError::into_inner).told;
+        let mut known = self.lock();
+        let told = &mut known.told;
         if told.contains(&id) {
             return false;
         }
@@ -79,13 +136,20 @@ impl Early {
 
     fn may_pass_on(&self, from: u64, elapsed: u64) -> bool {
         let second = elapsed / SECOND;
-        let passed_on = &mut self.known.lock().unwrap_or_else(PoisonError::into_inner).passed_on;
+        let mut known = self.lock();
+        let passed_on = &mut known.passed_on;
         // Who passes on must be a member now, so there are few.
         passed_on.retain(|_, passed| passed.second == second);
         let passed = passed_on.entry(from).or_insert(Passed { second, calls: 0 });
         passed.calls += 1;
         passed.calls <= PASSED_ON_MAX
     }
+}
+
+/// The organisation of the signer; empty if the ledger does not know its certificate yet.
+fn organisation(ledger: &Ledger, transaction: &Transaction) -> String {
+    let name = ledger.creator_name(&transaction.creator()).unwrap_or_default();
+    name.split_once('/').map(|(organisation, _)| organisation.to_owned()).unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -109,7 +173,7 @@ mod tests {
         for number in 0..u32::try_from(2 * REMEMBERED_MAX).unwrap_or(u32::MAX) {
             assert!(early.is_first(id(number)));
         }
-        let known = early.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = early.lock();
         assert_eq!(known.told.len(), REMEMBERED_MAX);
     }
 

@@ -1,5 +1,6 @@
 //! Execution: applies committed blocks, and tells everybody whom it concerns.
 
+use crate::budgets::Budgets;
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::Rejection;
 use ledger_base::{costly_invariant, invariant};
@@ -23,6 +24,8 @@ pub struct Executor {
     ledger: Arc<Ledger>,
     /// In the order in which they see a block.
     observers: Vec<Arc<dyn Observer>>,
+    /// Counts every block before the observers see it.
+    budgets: Arc<Budgets>,
     /// Block time at which a chaincode has something to do next, as of the newest block; [`u64::MAX`] if never.
     deadline: AtomicU64,
 }
@@ -30,9 +33,20 @@ pub struct Executor {
 impl Executor {
     /// Of this ledger. The first observers see a block first: those whom somebody waits for.
     pub fn new(ledger: Arc<Ledger>, observers: Vec<Arc<dyn Observer>>) -> Self {
-        let executor = Self { ledger, observers, deadline: AtomicU64::new(u64::MAX) };
+        let executor = Self { ledger, observers, budgets: Arc::default(), deadline: AtomicU64::new(u64::MAX) };
         executor.look_at_deadline();
         executor
+    }
+
+    /// The same, counting for these budgets.
+    #[must_use]
+    pub fn counting(self, budgets: Arc<Budgets>) -> Self {
+        Self { budgets, ..self }
+    }
+
+    /// How much identities, organisations and services have sent.
+    pub fn budgets(&self) -> &Arc<Budgets> {
+        &self.budgets
     }
 
     /// The ledger that blocks are applied to.
@@ -54,6 +68,7 @@ impl Executor {
             "it stands at {} after block {wanted}",
             self.ledger.tip().height
         );
+        self.budgets.executed(&outcome, &self.ledger);
         for observer in &self.observers {
             observer.executed(&outcome, &self.ledger);
         }

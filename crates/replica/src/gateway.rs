@@ -3,8 +3,8 @@
 //! | module | what is there |
 //! |---|---|
 //! | `entrance` | [`Entrance`]: what is refused without looking closer; the lane of a call |
-//! | `share` | [`Shares`]: how much of one identity may be in flight |
-//! | `turns` | [`Turns`]: who looks at transactions now, in turns between identities |
+//! | `share` | [`Shares`]: how much of one identity and one organisation may be in flight |
+//! | `turns` | [`Turns`]: who looks at transactions now, in turns between organisations, and within each between identities |
 //! | `line` | what has come over one stream: order of lanes, and what waited too long |
 //! | `held` | what the state refuses, until it is known whether the state is current, and what waits behind it |
 //! | `admission` | [`Admitting`]: order a transaction, answer it, or hold it |
@@ -24,4 +24,4 @@ pub use entrance::{Call, Entrance, Turned};
 pub use held::Item;
 pub use line::{Arrived, Ticket};
 pub use share::{InFlight, Share, Shares};
-pub use turns::{Turn, Turns};
+pub use turns::{Applicant, Turn, Turns};

@@ -17,6 +17,7 @@
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `clock` | [`Clock`]: the time of a ledger, which never goes back |
 //! | [`space`] | what is accepted with the space that the disk has, and who says that it is full |
+//! | `budgets` | [`Budgets`]: bytes and messages a second of identities, organisations and services |
 //! | `timing` | [`Timing`]: ticks, elections, and how long data waits |
 //! | `in_place` | which blocks the thread that orders executes itself |
 //! | `early` | [`Early`]: which calls readers hear of before they are ordered |
@@ -52,6 +53,7 @@
 
 #![forbid(unsafe_code)]
 
+mod budgets;
 pub mod catch_up;
 pub mod certifier;
 mod clock;
@@ -61,6 +63,7 @@ mod early;
 mod executor;
 pub mod gateway;
 mod in_place;
+pub mod offsets;
 pub mod opening;
 mod reads;
 mod replica;
@@ -73,6 +76,7 @@ mod voting;
 mod waiters;
 pub mod witness;
 
+pub use budgets::{BURST, Budgets};
 pub use clock::Clock;
 pub use early::{Early, Foreseen};
 pub use executor::{Executor, Observer, in_turns};

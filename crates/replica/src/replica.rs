@@ -14,12 +14,13 @@ use crate::timing::Timing;
 use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
+use ledger_base::hash::Hash;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::{DoubleHead, DoubleVote};
+use ledger_light::Misbehaviour;
 use ledger_raft::{
-    Ballots, ClockDoubt, Contradiction, Desired, Engine, EngineConfig, ExecutedBlocks, Input, PeerMessage, RoleChange,
-    Secret, Status,
+    Ballots, ClockDoubt, Contradiction, Creators, Desired, Engine, EngineConfig, ExecutedBlocks, Input, PeerMessage,
+    RoleChange, Secret, Status,
 };
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -141,10 +142,8 @@ pub enum Effect {
         /// Why.
         reason: &'static str,
     },
-    /// A voter has voted for two candidates in one term. The proof is to be kept.
-    VotedTwice(Box<DoubleVote>),
-    /// A leader has signed two logs in one term. The proof is to be kept.
-    TwoHeads(Box<DoubleHead>),
+    /// A node has signed two different things for one place. The proof is to be kept, and sent to all.
+    Misbehaved(Box<Misbehaviour>),
     /// Another node has another chain. It is to be shown: people must decide.
     Contradicted(Contradiction),
     /// The node cannot go on.
@@ -212,6 +211,11 @@ impl<W: Waiter> Replica<W> {
         config.heartbeat_tick = settings.timing.heartbeat_ticks();
         config.data_wait_us = settings.timing.data_wait;
         config.secret = settings.secret;
+        let ledger = Arc::clone(executor.ledger());
+        let organisation = move |creator: &Hash| {
+            ledger.counted_for(creator).map(|identity| Hash::of(&[identity.organisation.as_bytes()]))
+        };
+        config.creators = Creators::new(organisation);
         let executed = Arc::clone(&executor) as Arc<dyn ExecutedBlocks>;
         let engine = Engine::new(config, store, executed, ballots)
             .map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
@@ -240,6 +244,10 @@ impl<W: Waiter> Replica<W> {
     /// Takes one event, and appends what the node must do to `out`.
     pub fn step(&mut self, now: Now, event: Event, out: &mut Vec<Effect>) {
         match event {
+            Event::Input(Input::Message { from, message: PeerMessage::Forward(forwarded) }) => {
+                let within = self.within_budgets(now, from, forwarded, out);
+                self.order(now, Input::Message { from, message: PeerMessage::Forward(within) }, out);
+            }
             Event::Input(input) => self.order(now, input, out),
             Event::Time { full } => self.time(now, full, out),
             Event::Written(result) => self.written(now, result, out),

@@ -23,6 +23,11 @@ pub const MESSAGES_FREE_BYTES_MIN: u64 = 16 << 20;
 pub const ENDS_FREE_BYTES_MIN: u64 = 1 << 20;
 /// Size of the reserve: the largest block fits twice, with what follows it.
 pub const RESERVE_BYTES: u64 = 16 << 20;
+/// An organisation has one part in so many of what is free for messages written in a second. It has less the fuller the disk
+/// is, and needs 12 minutes for half of what is left.
+const ORGANISATION_PART: u64 = 1024;
+/// It has so many bytes a second in any case, while messages are accepted: robots are driven and report with less.
+const ORGANISATION_BYTES_MIN: u64 = 1 << 20;
 /// The warning begins below one part in so many of the disk.
 const LOW_PART: u64 = 10;
 /// The warning ends when so much of the disk more than that is free, one part in so many: it does not come and go.
@@ -180,6 +185,12 @@ impl Space {
     /// The finding of the last look.
     pub fn measured(&self) -> Measured {
         self.measured
+    }
+
+    /// Bytes of transactions a second that are accepted of one organisation.
+    pub fn organisation_bytes(&self) -> u64 {
+        let free = self.measured.free.saturating_sub(MESSAGES_FREE_BYTES_MIN);
+        (free / ORGANISATION_PART).max(ORGANISATION_BYTES_MIN)
     }
 
     /// Why a call is not accepted, if it is not.
@@ -349,5 +360,14 @@ mod tests {
         let refused = space.check(|| false).map_err(|refused| (refused.code, refused.found, refused.wanted));
         let wanted = "16 MiB free, and 16 MiB for the reserve".into();
         assert_eq!(refused, Err((Code::DiskFull, "3.0 MiB of 1.0 GiB free".into(), wanted)));
+    }
+
+    #[test]
+    fn an_organisation_has_less_the_fuller_the_disk_is_and_something_while_messages_are_accepted() {
+        let share =
+            |free| Space::of(String::new(), &mut Disk { free, reserve: Reserve::Impossible }).organisation_bytes();
+        assert_eq!(share(8 * GIB), (8 * GIB - MESSAGES_FREE_BYTES_MIN) / ORGANISATION_PART);
+        assert!(share(4 * GIB) < share(8 * GIB) && share(2 * GIB) < share(4 * GIB));
+        assert_eq!(share(MESSAGES_FREE_BYTES_MIN), ORGANISATION_BYTES_MIN);
     }
 }

@@ -15,8 +15,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// A leader's certificate is looked at again after this time, microseconds: it may have been revoked.
 const LEADER_KNOWN_MAX: u64 = 1_000_000;
-/// The number of forced recoveries that signatures name.
-pub(crate) const RECOVERIES: u64 = 0;
 
 /// Signs and checks for the engine of one node.
 pub struct Voting<S> {
@@ -42,19 +40,19 @@ impl<S: Signing> Voting<S> {
         Self { ledger, signing, leader: Mutex::default() }
     }
 
-    fn vote(&self, ballot: Ballot) -> Vote {
+    fn vote(&self, ballot: Ballot, recoveries: u64) -> Vote {
         let Ballot { term, candidate, voter } = ballot;
-        Vote { network: self.ledger.network(), term, candidate, voter }
+        Vote { network: self.ledger.network(), recoveries, term, candidate, voter }
     }
 
-    fn transfer(&self, handover: Handover) -> Transfer {
+    fn transfer(&self, handover: Handover, recoveries: u64) -> Transfer {
         let Handover { term, leader, to } = handover;
-        Transfer { network: self.ledger.network(), recoveries: RECOVERIES, term, leader, to }
+        Transfer { network: self.ledger.network(), recoveries, term, leader, to }
     }
 
-    fn head(&self, head: LogHead) -> Head {
+    fn head(&self, head: LogHead, recoveries: u64) -> Head {
         let LogHead { term, leader, height, hash } = head;
-        Head { network: self.ledger.network(), recoveries: RECOVERIES, leader, term, height, hash }
+        Head { network: self.ledger.network(), recoveries, leader, term, height, hash }
     }
 
     /// The leader that has given itself this vote.
@@ -71,8 +69,9 @@ impl<S: Signing> Voting<S> {
         let (term, number) = (head.term, head.leader);
         let signature = Signature::from_bytes(vote)?;
         let identity = self.signing.identify(&self.ledger.msps(), &signature.certificate, now)?;
-        let ballot = self.vote(Ballot { term, candidate: number, voter: number });
-        self.ledger.voters()?.check_vote(&ballot, &signature, &identity)?;
+        let voters = self.ledger.voters()?;
+        let ballot = self.vote(Ballot { term, candidate: number, voter: number }, voters.recoveries);
+        voters.check_vote(&ballot, &signature, &identity)?;
         let identity = Arc::new(identity);
         let vote = Bytes::copy_from_slice(vote);
         *known = Some(Leader { vote, identity: Arc::clone(&identity), number, term, at: now });
@@ -82,33 +81,40 @@ impl<S: Signing> Voting<S> {
 
 impl<S: Signing + Send + Sync> Ballots for Voting<S> {
     fn sign(&self, ballot: Ballot) -> Result<Bytes, Rejection> {
-        self.signing.sign_vote(&self.vote(ballot)).map(|signature| signature.to_bytes())
+        let vote = self.vote(ballot, self.ledger.recoveries()?);
+        self.signing.sign_vote(&vote).map(|signature| signature.to_bytes())
     }
 
     fn check(&self, ballot: Ballot, signed: &[u8], now: u64) -> Result<(), Rejection> {
         let signature = Signature::from_bytes(signed)?;
         let identity = self.signing.identify(&self.ledger.msps(), &signature.certificate, now)?;
-        self.ledger.voters()?.check_vote(&self.vote(ballot), &signature, &identity)
+        let voters = self.ledger.voters()?;
+        voters.check_vote(&self.vote(ballot, voters.recoveries), &signature, &identity)
     }
 
     fn sign_handover(&self, handover: Handover) -> Result<Bytes, Rejection> {
-        self.signing.sign_transfer(&self.transfer(handover)).map(|signature| signature.to_bytes())
+        self.signing
+            .sign_transfer(&self.transfer(handover, self.ledger.recoveries()?))
+            .map(|signature| signature.to_bytes())
     }
 
     fn check_handover(&self, handover: Handover, signed: &[u8], now: u64) -> Result<(), Rejection> {
         let signature = Signature::from_bytes(signed)?;
         let identity = self.signing.identify(&self.ledger.msps(), &signature.certificate, now)?;
-        self.ledger.voters()?.check_transfer(&self.transfer(handover), &signature, &identity)
+        let voters = self.ledger.voters()?;
+        voters.check_transfer(&self.transfer(handover, voters.recoveries), &signature, &identity)
     }
 
     fn sign_head(&self, head: LogHead) -> Result<(Bytes, Bytes), Rejection> {
-        let Signature { certificate, signature, .. } = self.signing.sign_head(&self.head(head))?;
+        let Signature { certificate, signature, .. } =
+            self.signing.sign_head(&self.head(head, self.ledger.recoveries()?))?;
         Ok((certificate, signature))
     }
 
     fn check_head(&self, head: LogHead, vote: &[u8], signature: &[u8], now: u64) -> Result<(), Rejection> {
         let leader = self.leader(head, vote, now)?;
-        let verified = leader.public_key.verify(&self.head(head).to_bytes(), signature);
+        let head = self.head(head, self.ledger.recoveries()?);
+        let verified = leader.public_key.verify(&head.to_bytes(), signature);
         verified.map_err(|error| Rejection::told(Code::BadSignature, &error.to_string()))
     }
 }

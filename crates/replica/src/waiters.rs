@@ -54,6 +54,8 @@ pub struct Executed<'a> {
     pub index: u32,
     /// Block time, microseconds since the UNIX epoch.
     pub time: u64,
+    /// The hash of its block, if it was executed just now.
+    pub block: Option<Hash>,
     /// The verdict.
     pub result: &'a TransactionResult,
 }
@@ -62,11 +64,12 @@ impl<'a> Executed<'a> {
     /// The verdict on a transaction that was executed before.
     pub fn recorded(id: Hash, record: &'a TransactionRecord) -> Self {
         let TransactionRecord { height, index, time, result } = record;
-        Self { id, height: *height, index: *index, time: *time, result }
+        Self { id, height: *height, index: *index, time: *time, block: None, result }
     }
 
     fn in_block(id: Hash, outcome: &Outcome, index: u32, result: &'a TransactionResult) -> Self {
-        Self { id, height: outcome.header.height, index, time: outcome.header.time, result }
+        let (height, time) = (outcome.header.height, outcome.header.time);
+        Self { id, height, index, time, block: Some(outcome.hash), result }
     }
 }
 

@@ -130,7 +130,7 @@ impl Node {
             timing: Timing { tick: TICK, election_ticks: 20, ..Timing::default() },
             secret: Secret::default(),
         };
-        let desired = Desired { voters: [1].into(), learners: [].into() };
+        let desired = Desired { voters: [1].into(), ..Desired::default() };
         let (log, executes, waits) = (Arc::clone(&store), Arc::clone(&executor), Arc::clone(&waiters));
         let replica = Replica::start(&settings, log, executes, waits, desired, Arc::new(Names));
         let mut node = Self {
@@ -203,6 +203,7 @@ impl Node {
             chaincode: "notes".into(),
             function: function.into(),
             args: Vec::new(),
+            known_block: None,
         };
         Transaction::sign(&body, &self.key).unwrap().with_certificate(self.certificate.clone()).unwrap()
     }

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
 
 mod barrier;
+mod budgets;
 mod catch_up;
 mod chaos;
 mod clocks;

@@ -5,7 +5,8 @@ use ledger_base::rejection::Code;
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
 
 fn wish(voters: &[u64], learners: &[u64]) -> Desired {
-    Desired { voters: voters.iter().copied().collect(), learners: learners.iter().copied().collect() }
+    let [voters, learners] = [voters, learners].map(|nodes| nodes.iter().copied().collect());
+    Desired { voters, learners, strict_hands: None }
 }
 
 /// Sets the wish and lets traffic run until the members are those; answers with the number of blocks that took.

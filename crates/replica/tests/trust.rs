@@ -58,6 +58,7 @@ impl World {
             chaincode: "msp".into(),
             function: function.into(),
             args: vec![Bytes::copy_from_slice(statement.as_bytes())],
+            known_block: None,
         };
         let transaction = Transaction::sign(&body, &node.key).unwrap();
         Attested { transaction: transaction.encoded().clone(), certificate: node.certificate.clone() }

@@ -1,13 +1,25 @@
 //! A program of your own beside a bridge, over shared memory: `shared_memory say /cmd_vel`, or `shared_memory hear /cmd_vel`.
 //! It needs iceoryx2 and nothing of ours. The contract stands at the top of `src/shm.rs`.
 
-use std::{error::Error, time::Duration};
+use std::{error::Error, fs, os::unix::fs::MetadataExt, time::Duration};
 
-use iceoryx2::prelude::{NodeBuilder, ServiceName, ipc_threadsafe::Service};
+use iceoryx2::prelude::{Config, NodeBuilder, Path, SemanticString, ServiceName, ipc_threadsafe::Service};
+
+/// The directory in which the bridge of this user is. A file `iceoryx2.toml` with its `root-path` says the same to all programs.
+fn config() -> Result<Config, Box<dyn Error>> {
+    let directory = match std::env::var("XDG_RUNTIME_DIR") {
+        Ok(session) if session.starts_with('/') => format!("{session}/iceoryx2"),
+        _ => format!("/tmp/iceoryx2-{}", fs::metadata("/proc/self")?.uid()),
+    };
+    let mut config = Config::global_config().clone();
+    config.global.set_root_path(&Path::new(directory.as_bytes())?);
+    Ok(config)
+}
 
 /// Publishes a message, its CDR with the header of four bytes, so often. A publisher that leaves takes with it whatever was not read.
 pub(crate) fn say(topic: &str, message: &[u8], count: u64) -> Result<(), Box<dyn Error>> {
-    let (node, name) = (NodeBuilder::new().create::<Service>()?, ServiceName::new(&format!("rt{topic}"))?);
+    let (node, name) =
+        (NodeBuilder::new().config(&config()?).create::<Service>()?, ServiceName::new(&format!("rt{topic}"))?);
     let data = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<[u8; 32]>().open_or_create()?;
     let news = node.service_builder(&name).event().open_or_create()?.notifier_builder().create()?;
     let port = data.publisher_builder().initial_max_slice_len(message.len()).create()?;
@@ -26,7 +38,8 @@ pub(crate) fn say(topic: &str, message: &[u8], count: u64) -> Result<(), Box<dyn
 
 /// Takes messages until `take` has enough.
 pub(crate) fn hear(topic: &str, mut take: impl FnMut(&[u8]) -> bool) -> Result<(), Box<dyn Error>> {
-    let (node, name) = (NodeBuilder::new().create::<Service>()?, ServiceName::new(&format!("rt{topic}"))?);
+    let (node, name) =
+        (NodeBuilder::new().config(&config()?).create::<Service>()?, ServiceName::new(&format!("rt{topic}"))?);
     let data = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<[u8; 32]>().open_or_create()?;
     let news = node.service_builder(&name).event().open_or_create()?.listener_builder().create()?;
     let port = data.subscriber_builder().create()?;

@@ -12,7 +12,6 @@ use std::{
 };
 
 use iceoryx2::{
-    config::Config,
     node::{NodeBuilder, NodeState, NodeView},
     prelude::{CallbackProgression, ServiceName},
     service::ipc_threadsafe,
@@ -24,7 +23,7 @@ use ros_bridge::{
     mark::Mark,
     names::TopicName,
     queue::{Incoming, Limits},
-    shm::{Node, Subscriber},
+    shm::{self, Node, Subscriber},
 };
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -64,7 +63,7 @@ async fn samples_pass_between_two_nodes_and_grow() {
 async fn a_service_that_an_application_opened_with_smaller_limits_is_used_as_it_is() {
     let topic = topic("small");
     let name = ServiceName::new(&topic.dds()).unwrap();
-    let application = NodeBuilder::new().create::<ipc_threadsafe::Service>().unwrap();
+    let application = NodeBuilder::new().config(&shm::config().unwrap()).create::<ipc_threadsafe::Service>().unwrap();
     let data = application.service_builder(&name).publish_subscribe::<[u8]>().user_header::<[u8; 32]>();
     let data = data.max_publishers(2).max_subscribers(2).max_nodes(2).subscriber_max_buffer_size(1);
     let data = data.enable_safe_overflow(false).create().unwrap();
@@ -173,7 +172,7 @@ async fn a_dropped_subscriber_leaves_the_service() {
     let topic = topic("leave");
     let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let publisher = here.publisher(&topic).await.unwrap();
-    for _ in 0..3 * ros_bridge::shm::SUBSCRIBERS_MAX {
+    for _ in 0..3 * shm::SUBSCRIBERS_MAX {
         let subscriber = there.subscriber(&topic, Limits::default()).await.unwrap();
         drop(subscriber);
     }
@@ -191,7 +190,7 @@ async fn a_killed_process_does_not_stand_in_the_way_of_the_next() {
     let node = Node::open(0, "here", [1; 16]).await.unwrap();
     let mut subscriber = node.subscriber(&topic, Limits::default()).await.unwrap();
     // More often than there are places for publishers, so that the dead ones must have been removed.
-    for _ in 0..ros_bridge::shm::PUBLISHERS_MAX + 2 {
+    for _ in 0..shm::PUBLISHERS_MAX + 2 {
         let mut child = start_child(&topic);
         let before = next(&mut subscriber).await;
         assert_eq!(before.sample, sample(9, 52));
@@ -255,7 +254,7 @@ async fn killed_subscribers_take_nothing_from_another_one_and_leave_no_node_behi
         Node::open(0, "there", [2; 16]).await.unwrap().subscriber(&topic, Limits::default()).await.unwrap();
     let mut killed = Vec::new();
     // More often than there are places for subscribers.
-    for number in 0..u8::try_from(ros_bridge::shm::SUBSCRIBERS_MAX + 2).unwrap() {
+    for number in 0..u8::try_from(shm::SUBSCRIBERS_MAX + 2).unwrap() {
         let mut child = start(&topic, "child_listens_until_it_is_killed");
         let mut pause = tokio::time::interval(Duration::from_millis(5));
         let both = async {
@@ -273,7 +272,7 @@ async fn killed_subscribers_take_nothing_from_another_one_and_leave_no_node_behi
     // The next node to start takes away what is left of them.
     let _next = Node::open(0, "next", [4; 16]).await.unwrap();
     let mut left = Vec::new();
-    iceoryx2::node::Node::<ipc_threadsafe::Service>::list(Config::global_config(), |state| {
+    iceoryx2::node::Node::<ipc_threadsafe::Service>::list(&shm::config().unwrap(), |state| {
         if let NodeState::Dead(view) = state {
             left.push(view.id().pid::<ipc_threadsafe::Service>().unwrap().value().cast_unsigned());
         }
@@ -282,6 +281,36 @@ async fn killed_subscribers_take_nothing_from_another_one_and_leave_no_node_behi
     .unwrap();
     left.retain(|pid| killed.contains(pid));
     assert_eq!(left, [0; 0]);
+}
+
+#[test]
+fn shared_memory_through_a_link_is_rejected_and_otherwise_below_the_directory_of_the_session() {
+    let session = tempfile::tempdir().unwrap();
+    let said = || {
+        let mut child = Command::new(env::current_exe().unwrap());
+        child.args(["--exact", "shm::child_says_whether_it_opens_shared_memory", "--nocapture"]);
+        let child = child.env(CHILD_TOPIC, "").env("XDG_RUNTIME_DIR", session.path());
+        String::from_utf8_lossy(&child.output().unwrap().stdout).into_owned()
+    };
+    let (elsewhere, own) = (session.path().join("elsewhere"), session.path().join("iceoryx2"));
+    std::fs::create_dir(&elsewhere).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, &own).unwrap();
+    let refused = said();
+    assert!(refused.contains("is not safe to use") && refused.contains("a link"), "{refused}");
+    assert_eq!(std::fs::read_dir(&elsewhere).unwrap().count(), 0);
+    std::fs::remove_file(&own).unwrap();
+    let opened = said();
+    assert!(opened.contains("opened") && own.join("nodes").exists(), "{opened}");
+}
+
+/// Not a test of its own: a process with a session of its own.
+#[tokio::test]
+async fn child_says_whether_it_opens_shared_memory() {
+    let Ok(_) = env::var(CHILD_TOPIC) else { return };
+    match Node::open(0, "child", [6; 16]).await {
+        Ok(_) => println!("opened"),
+        Err(error) => println!("{error}"),
+    }
 }
 
 fn start_child(topic: &TopicName) -> Child {

@@ -12,27 +12,26 @@ use std::str::FromStr;
 /// Shortest age that can be set, microseconds.
 pub const AGE_MIN_US: u64 = 10 * 60 * 1_000_000;
 
-/// Blocks of this time are kept in any case, however large, microseconds: twice as long as a transaction may be
-/// repeated, and its verdict asked for.
+/// Blocks of this time are kept in any case while they are not [`SIZE_PARTS_MAX`] times as large as the size that is set, microseconds. It is twice as long as a transaction may be repeated, and its verdict asked for.
 pub const KEPT_MIN_US: u64 = 4 * 60 * 1_000_000;
 
 const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
 
+/// However new blocks are, no more of them are kept than so many times the size that is set: a flood fills a disk in seconds.
+pub const SIZE_PARTS_MAX: u64 = 2;
+
 /// Smallest limit of the size, bytes: several segments at their default size.
 pub const SIZE_MIN_BYTES: u64 = 64 << 20;
 
-/// A setting of the node. Reads and prints as `forever`, an age like `30d` or `12h`, or a size like `20GiB` or
-/// `500MiB`.
+/// A setting of the node. Reads and prints as `forever`, an age like `30d` or `12h`, a size like `20GiB` or `500MiB`, or both
+/// like `30d,20GiB`. Then blocks are dropped that are beyond one of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub enum Retention {
-    /// Everything is kept.
-    #[default]
-    Forever,
+pub struct Retention {
     /// Blocks older than this are dropped, microseconds of block time.
-    Age(u64),
+    age: Option<u64>,
     /// The oldest blocks are dropped when finished segments are larger than this, bytes.
-    Size(u64),
+    size: Option<u64>,
 }
 
 /// The known extent of a node's blocks.
@@ -48,6 +47,9 @@ pub struct Kept<'a> {
 }
 
 impl Retention {
+    /// Everything is kept.
+    pub const FOREVER: Self = Self { age: None, size: None };
+
     /// From which block on this node keeps its blocks and what follows from them: to be given to
     /// [`BlockStore::prune`](crate::block_store::BlockStore::prune). 0: nothing is dropped.
     pub fn keep_from(&self, kept: &Kept<'_>) -> u64 {
@@ -56,24 +58,24 @@ impl Retention {
         let mut keep_from = 0;
         for segment in kept.finished {
             let newest = segment.next_index.saturating_sub(1);
-            // Short evaluation matters: the block time is read from disk.
-            let wanted = match self {
-                Self::Forever => false,
-                Self::Age(_) => true,
-                Self::Size(bytes_max) => bytes > *bytes_max,
-            };
-            if !wanted || newest > snapshot {
-                break;
-            }
-            let age_min = if let Self::Age(age) = self { *age } else { 0 };
-            let limit = kept.time.saturating_sub(age_min.max(KEPT_MIN_US));
-            if (kept.time_of)(newest).is_none_or(|time| time >= limit) {
+            if newest > snapshot || !self.drops(newest, bytes, kept) {
                 break;
             }
             bytes -= segment.bytes;
             keep_from = segment.next_index;
         }
         keep_from
+    }
+
+    /// Is a segment dropped, with this newest block, if so many bytes are kept with it? The time of the block is read from
+    /// disk, so it is asked for only where it matters.
+    fn drops(&self, newest: u64, bytes: u64, kept: &Kept<'_>) -> bool {
+        let beyond = |times: u64| self.size.is_some_and(|size| bytes > size.saturating_mul(times));
+        let is_older = |age: u64| {
+            let limit = kept.time.saturating_sub(age.max(KEPT_MIN_US));
+            (kept.time_of)(newest).is_some_and(|time| time < limit)
+        };
+        beyond(SIZE_PARTS_MAX) || (beyond(1) && is_older(0)) || self.age.is_some_and(is_older)
     }
 }
 
@@ -90,33 +92,44 @@ impl FromStr for Retention {
                 .wanted(wanted)
         };
         if text == "forever" {
-            return Ok(Self::Forever);
+            return Ok(Self::FOREVER);
         }
-        let split = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-        let (number, unit) = text.split_at(split);
-        let number = |factor: u64| number.parse::<u64>().ok().and_then(|number| number.checked_mul(factor));
-        let find = |units: &[(&str, u64)]| units.iter().find(|(name, _)| *name == unit).and_then(|(_, f)| number(*f));
-        match (find(&AGES), find(&SIZES)) {
-            (Some(age), _) if age >= AGE_MIN_US => Ok(Self::Age(age)),
-            (Some(_), _) => Err(refuse("at least 10min")),
-            (_, Some(size)) if size >= SIZE_MIN_BYTES => Ok(Self::Size(size)),
-            (_, Some(_)) => Err(refuse("at least 64MiB")),
-            _ => Err(refuse("forever, an age like 30d, 12h or 90min, or a size like 2TiB, 20GiB or 500MiB")),
+        let mut retention = Self::FOREVER;
+        for part in text.split(',') {
+            let split = part.find(|c: char| !c.is_ascii_digit()).unwrap_or(part.len());
+            let (number, unit) = part.split_at(split);
+            let number = |factor: u64| number.parse::<u64>().ok().and_then(|number| number.checked_mul(factor));
+            let find =
+                |units: &[(&str, u64)]| units.iter().find(|(name, _)| *name == unit).and_then(|(_, f)| number(*f));
+            match (find(&AGES), find(&SIZES)) {
+                (Some(age), _) if age < AGE_MIN_US => return Err(refuse("at least 10min")),
+                (_, Some(size)) if size < SIZE_MIN_BYTES => return Err(refuse("at least 64MiB")),
+                (Some(age), _) if retention.age.is_none() => retention.age = Some(age),
+                (_, Some(size)) if retention.size.is_none() => retention.size = Some(size),
+                _ => {
+                    return Err(refuse(
+                        "forever, an age like 30d, 12h or 90min, a size like 2TiB, 20GiB or 500MiB, or both: 30d,20GiB",
+                    ));
+                }
+            }
         }
+        Ok(retention)
     }
 }
 
 impl fmt::Display for Retention {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (number, units) = match self {
-            Self::Forever => return f.write_str("forever"),
-            Self::Age(age) => (*age, AGES),
-            Self::Size(size) => (*size, SIZES),
+        let shown = |number: u64, units: [(&str, u64); 3]| {
+            // The smallest unit, if none divides it: no such value is ever read.
+            let fits = units.iter().find(|(_, factor)| number.is_multiple_of(*factor)).or(units.last());
+            let (unit, factor) = fits.copied().unwrap_or(("", 1));
+            format!("{}{unit}", number / factor)
         };
-        // The smallest unit, if none divides it: no such value is ever read.
-        let fits = units.iter().find(|(_, factor)| number % factor == 0).or(units.last());
-        let (unit, factor) = fits.copied().unwrap_or(("", 1));
-        write!(f, "{}{unit}", number / factor)
+        match (self.age.map(|age| shown(age, AGES)), self.size.map(|size| shown(size, SIZES))) {
+            (None, None) => f.write_str("forever"),
+            (Some(one), None) | (None, Some(one)) => f.write_str(&one),
+            (Some(age), Some(size)) => write!(f, "{age},{size}"),
+        }
     }
 }
 
@@ -163,6 +176,13 @@ mod tests {
     }
 
     #[test]
+    fn where_age_and_size_are_set_blocks_beyond_one_of_them_are_dropped() {
+        assert_eq!(kept_from("600min,1GiB", Some(1000)), 401, "beyond the age");
+        assert_eq!(kept_from("1d,300MiB", Some(1000)), 701, "beyond the size");
+        assert_eq!(kept_from("1d,1GiB", Some(1000)), 0);
+    }
+
+    #[test]
     fn nothing_is_dropped_that_no_snapshot_holds() {
         assert_eq!(kept_from("64MiB", None), 0);
         assert_eq!(kept_from("64MiB", Some(500)), 501);
@@ -170,27 +190,50 @@ mod tests {
         assert_eq!(kept_from("10min", Some(250)), 201);
     }
 
+    /// From where one segment of so many bytes is kept, whose newest block is that old, or of unknown age.
+    fn one_kept_from(bytes: u64, age: Option<u64>) -> u64 {
+        let finished = [Finished { first_index: 1, next_index: 11, bytes }];
+        let time_of = |_| age.map(|_| 5 * MINUTE);
+        let time = 5 * MINUTE + age.unwrap_or(1000 * MINUTE);
+        let kept = Kept { finished: &finished, oldest_snapshot: Some(10), time, time_of: &time_of };
+        Retention { age: None, size: Some(SIZE_MIN_BYTES) }.keep_from(&kept)
+    }
+
     #[test]
-    fn blocks_of_the_last_minutes_are_kept_however_large() {
-        let finished = [Finished { first_index: 1, next_index: 11, bytes: 1 << 40 }];
-        for (age, keep_from) in [(KEPT_MIN_US, 0), (KEPT_MIN_US + 1, 11)] {
-            let time_of = |_| Some(5 * MINUTE);
-            let kept =
-                Kept { finished: &finished, oldest_snapshot: Some(10), time: 5 * MINUTE + age, time_of: &time_of };
-            assert_eq!(Retention::Size(SIZE_MIN_BYTES).keep_from(&kept), keep_from);
-            let unknown = |_| None;
-            let kept = Kept { time_of: &unknown, ..kept };
-            assert_eq!(Retention::Size(SIZE_MIN_BYTES).keep_from(&kept), 0);
+    fn blocks_of_the_last_minutes_are_kept_up_to_twice_the_size() {
+        let twice = SIZE_PARTS_MAX * SIZE_MIN_BYTES;
+        assert_eq!(one_kept_from(twice, Some(KEPT_MIN_US)), 0);
+        assert_eq!(one_kept_from(twice, Some(KEPT_MIN_US + 1)), 11);
+        assert_eq!(one_kept_from(twice, None), 0, "its age is not known");
+        for age in [Some(0), Some(KEPT_MIN_US), None] {
+            assert_eq!(one_kept_from(twice + 1, age), 11, "a flood");
         }
     }
 
     #[test]
     fn a_setting_prints_as_it_is_read() {
-        for text in ["forever", "30d", "12h", "90min", "20GiB", "500MiB", "2TiB"] {
+        for text in ["forever", "30d", "12h", "90min", "20GiB", "500MiB", "2TiB", "30d,20GiB"] {
             assert_eq!(text.parse::<Retention>().unwrap().to_string(), text);
         }
         assert_eq!("24h".parse::<Retention>().unwrap().to_string(), "1d");
-        for text in ["", "never", "9min", "63MiB", "30", "d", "-1d", "1.5h", "99999999999999TiB", "1 d"] {
+        assert_eq!("20GiB,30d".parse::<Retention>().unwrap().to_string(), "30d,20GiB");
+        for text in [
+            "",
+            "never",
+            "9min",
+            "63MiB",
+            "30",
+            "d",
+            "-1d",
+            "1.5h",
+            "99999999999999TiB",
+            "1 d",
+            "1d,2d",
+            "1GiB,2GiB",
+            "1d,",
+            "forever,1d",
+            "1d,63MiB",
+        ] {
             assert_eq!(text.parse::<Retention>().unwrap_err().code, Code::BadConfiguration, "{text}");
         }
     }

@@ -19,7 +19,8 @@ use std::{
 };
 
 /// Brings up the network and hides the shared memory of others; then becomes the command that follows.
-const ALONE: &str = "mount -t tmpfs tmpfs /dev/shm && mkdir -p -m 1777 /tmp/iceoryx2 && mount -t tmpfs tmpfs /tmp/iceoryx2 \
+const ALONE: &str = "mount -t tmpfs tmpfs /dev/shm && mkdir -p /tmp/ledgerd-test-session \
+    && mount -t tmpfs -o mode=700 tmpfs /tmp/ledgerd-test-session && export XDG_RUNTIME_DIR=/tmp/ledgerd-test-session \
     && ip link set lo up && exec \"$0\" \"$@\"";
 /// Set inside the namespace to the name of the test.
 const INSIDE: &str = "LEDGERD_TEST_NAMESPACE";

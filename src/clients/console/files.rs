@@ -30,6 +30,7 @@ const FILES: &[File] = &files! {
     "data/messages.js"
     "data/payload.js"
     "data/proof.js"
+    "data/route.js"
     "data/session.js"
     "data/transaction.js"
     "pages/block.js"

@@ -1,16 +1,14 @@
 //! Rejects requests for other hosts and from other pages ([`Names`](crate::clients::http::Names)), and sets the headers of every answer.
 
 use super::Shared;
-use crate::clients::http::{Rejected, host_of};
+use crate::clients::http::{foreign, host_of};
 use crate::process::config;
 use axum::extract::{Request, State};
-use axum::http::StatusCode;
 use axum::http::header::{
     CONTENT_SECURITY_POLICY, HeaderName, HeaderValue, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::middleware::Next;
-use axum::response::{IntoResponse, Response};
-use ledger_base::rejection::{Code, Rejection};
+use axum::response::Response;
 use std::net::{Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 
@@ -27,6 +25,9 @@ const HEADERS: [(HeaderName, &str); 7] = [
     (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     (HeaderName::from_static("permissions-policy"), "camera=(), microphone=(), geolocation=(), payment=(), usb=()"),
 ];
+
+/// Advice for a request by another name.
+const NEXT: &str = "set [console] name in ledgerd.toml to the name that browsers use";
 
 /// The origin of a request: what its browser calls this console.
 #[derive(Clone)]
@@ -52,15 +53,6 @@ pub(super) fn address(scheme: &str, settings: &config::Console, reached: &str, l
     }
 }
 
-/// The answer to a request that is not meant for this console.
-fn foreign() -> Response {
-    let rejection = Rejection::new(Code::Untrusted, "the request is not for this console")
-        .found("a host that is no name of it, or a page of another origin")
-        .wanted("an address, or a name of the console, and its own page in the header origin")
-        .next("set [console] name in ledgerd.toml to the name that browsers use");
-    Rejected::from(rejection).with_status(StatusCode::FORBIDDEN).into_response()
-}
-
 /// Answers requests that are meant for this console.
 pub(super) async fn guarded(State(shared): State<Arc<Shared>>, mut request: Request, next: Next) -> Response {
     let mut answer = match shared.names.origin(request.headers(), request.method()) {
@@ -68,7 +60,7 @@ pub(super) async fn guarded(State(shared): State<Arc<Shared>>, mut request: Requ
             request.extensions_mut().insert(Origin(origin));
             next.run(request).await
         }
-        None => foreign(),
+        None => foreign("this console", NEXT),
     };
     for (name, value) in HEADERS {
         answer.headers_mut().insert(name, HeaderValue::from_static(value));

@@ -48,13 +48,18 @@ impl Intake {
     ) -> Result<Arrived<Client>, Box<SubmitResponse>> {
         let SubmitRequest { transaction: encoded, min_height, first_attempt } = request;
         let (payload_bytes_max, space) = (self.payload_bytes_max, &self.ordering.storage.space);
+        let clock = self.peers.monitor.check_clock();
         let elapsed = self.ordering.clock.elapsed();
         memory::has_carried(encoded.len());
         let entrance = Entrance { ledger: &self.ordering.storage.ledger, payload_bytes_max, elapsed };
         let (since, committed) = (Instant::now(), self.ordering.meters.commit.clone());
         let client = |place| Client { answers: answers.clone(), place, since, committed };
         let call = Call { encoded, min_height, first_attempt };
-        entrance.enter(call, share, |ends| space.check(ends), client).map_err(|Turned { refusal, reason }| {
+        let room = |ends: &dyn Fn() -> bool| match clock {
+            Err(wrong) if !ends() => Err(wrong),
+            _ => space.check(ends),
+        };
+        entrance.enter(call, share, room, client).map_err(|Turned { refusal, reason }| {
             self.rejections.record(self.ordering.clock.now(), &refusal);
             Box::new(refused(id_of(&refusal).as_ref(), &reason))
         })
@@ -66,6 +71,8 @@ impl Intake {
             ledger: &self.ordering.storage.ledger,
             waiters: &self.ordering.waiters,
             retries: &self.retries,
+            budgets: &self.ordering.budgets,
+            organisation_bytes: self.ordering.storage.space.organisation_bytes(),
             now: self.ordering.clock.both(),
             wait_max: self.wait_max,
         }

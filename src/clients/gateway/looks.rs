@@ -24,7 +24,7 @@ impl Looks {
 
     /// A turn, if nobody is before us.
     pub(super) fn try_turn(self: &Arc<Self>, lane: Lane, share: &Share) -> Option<Look> {
-        let turn = self.turns().take(lane, share.number())?;
+        let turn = self.turns().take(lane, share.applicant())?;
         Some(Look { looks: Arc::clone(self), turn })
     }
 
@@ -32,11 +32,11 @@ impl Looks {
     pub(super) async fn turn(self: &Arc<Self>, lane: Lane, share: &Share) -> Look {
         let (turn, told) = {
             let mut turns = self.turns();
-            match turns.take(lane, share.number()) {
+            match turns.take(lane, share.applicant()) {
                 Some(turn) => (turn, None),
                 None => {
                     let (waiter, told) = oneshot::channel();
-                    (turns.wait(lane, share.number(), waiter), Some(told))
+                    (turns.wait(lane, share.applicant(), waiter), Some(told))
                 }
             }
         };

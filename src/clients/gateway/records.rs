@@ -15,6 +15,9 @@ use std::sync::Arc;
 use std::time::Duration;
 use tonic::Status;
 
+/// The chaincode that knows the members.
+const MSP: &str = "msp";
+
 /// The state, blocks and transactions of a node.
 pub(crate) struct Records {
     /// The ledger, its blocks, and readers that wait for a current state.
@@ -27,6 +30,10 @@ pub(crate) struct Records {
 
 impl Records {
     pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
+        // Who looks for the fault must see the nodes: `ledgerctl network status` and `doctor` ask for them so.
+        if !request.may_be_stale || request.chaincode != MSP {
+            self.peers.monitor.check_clock().map_err(|rejection| status(&rejection))?;
+        }
         // A current state has every height that any node has told.
         let reached = match request.may_be_stale {
             true => self.ordering.reads.reach_height(request.min_height).await,

@@ -9,9 +9,10 @@ use crate::peers::Peers;
 use crate::process::config::Limits;
 use ledger::msp;
 use ledger_api::tls::TlsIdentity;
-use ledger_api::v1::{CertificateStatus, PeerStatus, StatusResponse};
+use ledger_api::v1::{CertificateRule, CertificateStatus, PeerStatus, StatusResponse};
 use ledger_base::rejection::Rejection;
 use ledger_identity::certificate::Certificate;
+use ledger_light::Survives;
 use ledger_raft::{ClockDoubt, Role};
 use ledger_replica::gateway::Shares;
 use std::sync::{Arc, OnceLock};
@@ -83,6 +84,15 @@ impl Description {
         let now = self.ordering.clock.both();
         // Where several vote, the others judge the clock.
         let doubt = now.doubt.filter(|_| voters().eq([self.me.id])).map(ClockDoubt::refusal);
+        let rule = self.ordering.storage.ledger.voters()?;
+        let Survives { crashes, lie, silence } = rule.survives();
+        let rule = CertificateRule {
+            needed: u32::try_from(rule.quorum()).unwrap_or(u32::MAX),
+            strict_since: rule.rule.strict_since,
+            survives_crashes: u32::try_from(crashes).unwrap_or(u32::MAX),
+            survives_lie: lie,
+            survives_silence: silence,
+        };
         let mut status = StatusResponse {
             version: env!("CARGO_PKG_VERSION").into(),
             network: self.ordering.storage.ledger.network().0.to_vec().into(),
@@ -100,9 +110,10 @@ impl Description {
             // Ordering reports now and then; what is executed is committed in any case.
             committed: ordering.as_ref().map_or(0, |ordering| ordering.commit).max(tip.height),
             last_index: ordering.as_ref().map_or(0, |ordering| ordering.last).max(tip.height),
-            clock: now.clock.max(tip.time),
+            clock: now.clock.saturating_add_signed(self.peers.monitor.clock_off()).max(tip.time),
             wall_clock: self.ordering.clock.wall(),
             attention: Vec::new(),
+            certificate_rule: Some(rule),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.ordering.storage.ledger.registry().names().into_iter().map(str::to_owned).collect(),
             refused: self.rejections.counts(),
@@ -117,6 +128,7 @@ impl Description {
             divergence: self.peers.monitor.describe(),
             certified: self.peers.certificates.certified(),
             lies: self.peers.certificates.lies(&self.ordering.directory),
+            faults: self.peers.certificates.faults(&self.ordering.directory),
             in_flight: self.shares.in_flight() as u64,
             in_flight_max: self.limits.in_flight_max,
             waiting_control: ordering.as_ref().map_or(0, |ordering| ordering.control.transactions as u64),
@@ -126,6 +138,7 @@ impl Description {
             disk_total_bytes: self.ordering.storage.space.measured().total,
             disk_accepts: self.ordering.storage.space.accepts().word().into(),
             certificates: self.certificates(),
+            open_stops: self.peers.early_stops.status(),
             console: self.console.get().cloned().unwrap_or_default(),
             voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
             voters_connected: u32::try_from(voters().filter(|id| self.peers.reachability.is_connected(*id)).count())

@@ -7,6 +7,7 @@ use super::audience::Listener;
 use super::{Audience, Questions, check, status};
 use crate::clients::rejections::Rejections;
 use crate::ordering::Ordering;
+use crate::ordering::waiters::known_hash;
 use crate::peers::Peers;
 use crate::storage::blocks::Interest;
 use bytes::Bytes;
@@ -37,6 +38,8 @@ const HEARTBEAT_MIN: Duration = Duration::from_millis(50);
 const FILTER_MAX: usize = 1024;
 /// After this many blocks without a matching event, a subscriber that catches up is told how far it is.
 const BLOCKS_PER_PROGRESS: u64 = 1024;
+/// Most blocks whose hashes come with one delivery.
+const HEADS_MAX: u64 = 1024;
 /// A subscriber to whom nothing is sent learns at the latest after this that it may read no more.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 
@@ -68,7 +71,7 @@ impl Subscriptions {
                     .wanted(format!("at most {FILTER_MAX} of each")),
             ));
         }
-        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early, proofs } = request;
+        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early, proofs, heads } = request;
         let wanted = Wanted::new(chaincode, subjects, names);
         if let Err(refused) = self.may_follow(&reader, &wanted).await {
             return Err(self.refuse_reader(&reader, &wanted, &refused));
@@ -96,6 +99,7 @@ impl Subscriptions {
             interest,
             early,
             proofs,
+            heads: heads.then(|| next.saturating_sub(1)),
             next,
             deliveries,
             sent,
@@ -169,6 +173,8 @@ struct Subscription {
     early: Option<broadcast::Receiver<Arc<Foreseen>>>,
     /// It wants proofs.
     proofs: bool,
+    /// The height up to which it was told the hashes of blocks, if it wants them.
+    heads: Option<u64>,
     /// The next height to look at.
     next: u64,
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
@@ -185,6 +191,10 @@ struct Subscription {
 
 impl Subscription {
     async fn run(mut self, heartbeat: Option<Duration>) {
+        // Before any message of the stream: a robot takes none that a stop without a verdict forbids.
+        if !self.tell_early(None).await {
+            return;
+        }
         loop {
             let going_on = match self.catch_up().await {
                 Ok(true) => match self.check() {
@@ -210,7 +220,7 @@ impl Subscription {
                 biased;
                 () = self.deliveries.closed() => return,
                 foreseen = foreseen(&mut self.early) => {
-                    if !self.tell_early(&foreseen).await {
+                    if !self.tell_early(foreseen).await {
                         return;
                     }
                 }
@@ -232,7 +242,7 @@ impl Subscription {
             self.next = self.next.max(first);
             while self.next <= reached {
                 while let Some(foreseen) = foreseen(&mut self.early).now_or_never() {
-                    if !self.tell_early(&foreseen).await {
+                    if !self.tell_early(foreseen).await {
                         return Ok(false);
                     }
                 }
@@ -286,17 +296,52 @@ impl Subscription {
     async fn progress(&mut self) -> bool {
         // Who waits for a height that is yet to come has not seen what is before it.
         let height = self.next.saturating_sub(1).min(self.node.ordering.storage.blocks.height());
-        self.send(Delivery { height, time: self.node.ordering.storage.ledger.tip().time, ..Delivery::default() }).await
+        let tip = self.node.ordering.storage.ledger.tip();
+        let block_hash = if tip.height == height { tip.hash.0.to_vec().into() } else { Bytes::new() };
+        self.send(Delivery { height, time: tip.time, block_hash, ..Delivery::default() }).await
     }
 
-    async fn send(&mut self, delivery: Delivery) -> bool {
+    async fn send(&mut self, mut delivery: Delivery) -> bool {
+        if !delivery.early {
+            delivery.heads = self.heads_until(delivery.height);
+        }
         let there = self.deliveries.send(Ok(delivery)).await.is_ok();
         self.sent = Instant::now();
         there
     }
 
-    /// Tells of a call that is not ordered yet. False if the subscriber is gone.
-    async fn tell_early(&mut self, foreseen: &Foreseen) -> bool {
+    /// The hashes of the blocks since the last delivery, as far as they are at hand.
+    fn heads_until(&mut self, height: u64) -> Bytes {
+        let Some(told) = &mut self.heads else { return Bytes::new() };
+        let from = told.saturating_add(1).max(height.saturating_sub(HEADS_MAX - 1)).max(1);
+        *told = height.max(*told);
+        let mut heads = Vec::new();
+        for outcome in (from..=height).map(|height| self.node.ordering.storage.blocks.recent(height)) {
+            match outcome {
+                Some(outcome) => heads.extend_from_slice(&known_hash(&outcome.hash)),
+                // Only those behind it are without a gap.
+                None => heads.clear(),
+            }
+        }
+        heads.into()
+    }
+
+    /// Tells of a call that is not ordered yet; of all of them, if it is not said which one. False if the subscriber is gone.
+    async fn tell_early(&mut self, foreseen: Option<Arc<Foreseen>>) -> bool {
+        let open = match foreseen {
+            Some(foreseen) => vec![foreseen],
+            None if self.early.is_some() => self.node.peers.early_stops.open_calls(),
+            None => Vec::new(),
+        };
+        for foreseen in open {
+            if !self.tell_of(&foreseen).await {
+                return false;
+            }
+        }
+        true
+    }
+
+    async fn tell_of(&mut self, foreseen: &Foreseen) -> bool {
         let wanted = foreseen.events.iter().filter(|event| self.wanted.admits(event));
         let readable = wanted.filter(|event| self.node.ordering.storage.ledger.may_read(&self.reader, event).is_ok());
         let mut transaction = foreseen.transaction.encoded().clone();
@@ -339,6 +384,7 @@ impl Subscription {
             block_hash: outcome.hash.0.to_vec().into(),
             early: false,
             proof: Bytes::new(),
+            heads: Bytes::new(),
         })
     }
 
@@ -382,15 +428,13 @@ fn record(event: Event, (index, transaction): (u32, Bytes), certificate: Bytes) 
     EventRecord { chaincode, name, subject, payload, index, transaction, certificate }
 }
 
-/// The next call that is told before it is ordered; waits for ever where nobody asked for them. Cancelling it loses nothing.
-async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Arc<Foreseen> {
+/// The next call that is told before it is ordered; none if some were missed. Waits for ever where nobody asked for them. Cancelling
+/// it loses nothing.
+async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Option<Arc<Foreseen>> {
     let Some(calls) = early else { return pending().await };
-    loop {
-        match calls.recv().await {
-            Ok(foreseen) => return foreseen,
-            // Those that were missed come in their blocks.
-            Err(broadcast::error::RecvError::Lagged(_)) => {}
-            Err(broadcast::error::RecvError::Closed) => return pending().await,
-        }
+    match calls.recv().await {
+        Ok(foreseen) => Some(foreseen),
+        Err(broadcast::error::RecvError::Lagged(_)) => None,
+        Err(broadcast::error::RecvError::Closed) => pending().await,
     }
 }

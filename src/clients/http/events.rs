@@ -28,6 +28,7 @@ pub(super) async fn events(
         heartbeat_ms: given.number("heartbeat_ms")?,
         early: given.is_on("early")?,
         proofs: given.is_on("proofs")?,
+        heads: false,
     };
     let deliveries = api.gateway.subscribe(call(caller, request)).await?.into_inner();
     Ok(lines::answer(deliveries, DeliveryFacts::from))

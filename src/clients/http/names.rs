@@ -3,9 +3,12 @@
 //! A page of somebody else can make a browser send requests here: these say so in `Origin`. And its owner can let its own name
 //! point to this machine (DNS rebinding): these requests have that name in `Host`.
 
+use super::rejections::Rejected;
 use axum::extract::Request;
 use axum::http::header::{HOST, HeaderName, ORIGIN};
-use axum::http::{HeaderMap, Method};
+use axum::http::{HeaderMap, Method, StatusCode};
+use axum::response::{IntoResponse, Response};
+use ledger_base::rejection::{Code, Rejection};
 use std::net::IpAddr;
 
 /// Where a browser says whether a request comes from a page of the same origin.
@@ -34,6 +37,15 @@ pub(super) fn host(request: &Request) -> Option<String> {
 /// Does a page in a browser send this?
 pub(super) fn is_of_other_page(headers: &HeaderMap) -> bool {
     headers.contains_key(ORIGIN) || headers.contains_key(SITE)
+}
+
+/// The answer to a request that is not meant for a page, such as `this console`.
+pub(crate) fn foreign(page: &str, next: &str) -> Response {
+    let rejection = Rejection::new(Code::Untrusted, format!("the request is not for {page}"))
+        .found("a host that is no name of it, or a page of another origin")
+        .wanted("an address, or a name of it, in the header host, and no other page in the header origin")
+        .next(next);
+    Rejected::from(rejection).with_status(StatusCode::FORBIDDEN).into_response()
 }
 
 impl Names {

@@ -1,4 +1,7 @@
-//! Refusals that are not on the ledger yet: one line for each identity, function, service and code, and one for the rest.
+//! Refusals that are not on the ledger yet: one line for each identity, function, service and code.
+//!
+//! A report has a bounded number of lines. When they are used up, those of the organisation with the most lines are folded, and within it those of the identity with the most. They become one line of that identity, then one line of that organisation. So many different
+//! refusals of one identity hide no refusal of another organisation, and none of another identity while that has fewer lines.
 
 use ledger::msp::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSED_TEXT_MAX, Refused, TellRefusals};
 use ledger::transaction::NAME_BYTES_MAX;
@@ -36,7 +39,7 @@ pub(crate) struct Gathered {
     named: BTreeMap<Key, Refused>,
     /// Bytes of `named`, at most.
     bytes: usize,
-    /// Those beyond so many different ones.
+    /// Those of more organisations than there are lines.
     others: Option<Refused>,
 }
 
@@ -68,27 +71,143 @@ impl Gathered {
     fn fold(&mut self, refused: Refused) {
         let Refused { who, chaincode, subject, function, code, .. } = &refused;
         let key = (who.clone(), chaincode.clone(), subject.clone(), function.clone(), *code);
-        if let Some(known) = self.named.get_mut(&key) {
-            return join(known, refused);
+        // Nobody has signed these, so that they are nobody's share.
+        if who.is_empty() && *code == 0 {
+            return self.add_others(refused);
         }
-        let bytes = self.bytes + LINE_BYTES + key.0.len() + key.1.len() + key.2.len();
-        if refused.code != 0 && self.named.len() < NAMED_MAX && bytes <= NAMED_BYTES_MAX {
-            self.bytes = bytes;
-            self.named.insert(key, refused);
-            return;
+        while !self.named.contains_key(&key) && !self.has_room(&key) {
+            let group = self.largest(&key.0);
+            match self.named.keys().filter(|key| group.has(&key.0)).count() {
+                // There are more organisations than lines.
+                0 => return self.add_others(refused),
+                1 => {
+                    self.fold_lines(&group, 1);
+                    return self.add_rest(&group.line(), refused);
+                }
+                _ => {
+                    let has_line = self.named.contains_key(&rest_key(&group.line()));
+                    self.fold_lines(&group, if has_line { 1 } else { 2 });
+                }
+            }
         }
+        self.add_line(key, refused);
+    }
+
+    /// Is a line with this key within the bounds?
+    fn has_room(&self, key: &Key) -> bool {
+        self.named.len() < NAMED_MAX && self.bytes + bytes(key) <= NAMED_BYTES_MAX
+    }
+
+    fn add_line(&mut self, key: Key, refused: Refused) {
+        match self.named.get_mut(&key) {
+            Some(known) => join(known, refused),
+            None => {
+                self.bytes += bytes(&key);
+                self.named.insert(key, refused);
+            }
+        }
+    }
+
+    fn add_others(&mut self, refused: Refused) {
+        let rest = rest(refused, "");
         match &mut self.others {
-            Some(others) => join(others, rest(refused)),
-            None => self.others = Some(rest(refused)),
+            Some(others) => join(others, rest),
+            None => self.others = Some(rest),
+        }
+    }
+
+    /// Adds them to the line of a group.
+    fn add_rest(&mut self, line: &str, refused: Refused) {
+        match line {
+            "" => self.add_others(refused),
+            line => self.add_line(rest_key(line), rest(refused, line)),
+        }
+    }
+
+    /// The group whose lines are folded for a line of `newcomer`: of the organisation with the most lines, the identity with the most.
+    /// Where each identity has one line, it is the organisation. The newcomer's line counts, and of two groups its own is taken.
+    fn largest(&self, newcomer: &str) -> Group {
+        let (crowd, _) = self.most(newcomer, |who| Some(organisation(who)));
+        match self.most(newcomer, |who| (organisation(who) == crowd).then_some(who)) {
+            (identity, lines) if lines > 1 => Group::Identity(identity),
+            _ => Group::Organisation(crowd),
+        }
+    }
+
+    fn most<'a>(&'a self, newcomer: &'a str, group: impl Fn(&'a str) -> Option<&'a str>) -> (String, usize) {
+        let mut lines: BTreeMap<&str, usize> = BTreeMap::new();
+        let all = self.named.keys().map(|key| &*key.0).chain([newcomer]);
+        all.filter_map(&group).for_each(|name| *lines.entry(name).or_default() += 1);
+        let own = group(newcomer);
+        let most = lines.into_iter().max_by_key(|(name, lines)| (*lines, Some(*name) == own));
+        most.map_or_else(Default::default, |(name, lines)| (name.to_owned(), lines))
+    }
+
+    /// Folds so many lines of a group into its own one, those with the fewest refusals first.
+    fn fold_lines(&mut self, group: &Group, count: usize) {
+        let line = group.line();
+        let rest_key = rest_key(&line);
+        let of_group = self.named.iter().filter(|(key, _)| group.has(&key.0) && **key != rest_key);
+        let mut keys: Vec<_> = of_group.map(|(key, refused)| (refused.count, key.clone())).collect();
+        keys.sort_by_key(|(count, _)| *count);
+        for (_, key) in keys.into_iter().take(count) {
+            if let Some(refused) = self.named.remove(&key) {
+                self.bytes -= bytes(&key);
+                self.add_rest(&line, refused);
+            }
         }
     }
 }
 
-/// Without what differs from one to the other.
-fn rest(refused: Refused) -> Refused {
+/// Lines that are folded together.
+enum Group {
+    /// Those of an identity; empty where no signature was verified.
+    Identity(String),
+    /// Those of all identities of an organisation.
+    Organisation(String),
+}
+
+impl Group {
+    fn has(&self, who: &str) -> bool {
+        match self {
+            Self::Identity(identity) => who == identity,
+            Self::Organisation(name) => organisation(who) == name,
+        }
+    }
+
+    /// The name of their line.
+    fn line(&self) -> String {
+        match self {
+            Self::Organisation(name) if !name.is_empty() => format!("{name}/*"),
+            Self::Organisation(name) | Self::Identity(name) => name.clone(),
+        }
+    }
+}
+
+/// The key of the line of a group.
+fn rest_key(line: &str) -> Key {
+    (line.to_owned(), String::new(), String::new(), String::new(), 0)
+}
+
+/// Bytes of a line, at most.
+fn bytes(key: &Key) -> usize {
+    LINE_BYTES + key.0.len() + key.1.len() + key.2.len()
+}
+
+/// The organisation of an identity; empty if no signature was verified.
+fn organisation(who: &str) -> &str {
+    who.split('/').next().unwrap_or_default()
+}
+
+/// The same refusals without what differs from one to the other, as those of this name.
+fn rest(refused: Refused, who: &str) -> Refused {
     let Refused { count, first, last, sample, .. } = refused;
-    let [who, chaincode, function, subject, found] = std::array::from_fn(|_| String::new());
-    let why = "further refusals of other identities, services or codes".to_owned();
+    let [chaincode, function, subject, found] = std::array::from_fn(|_| String::new());
+    let why = match who {
+        "" => "further refusals of other identities, services or codes",
+        _ => "further refusals about other services, functions or codes",
+    };
+    let (who, why) = (who.to_owned(), why.to_owned());
     Refused { who, chaincode, function, subject, code: 0, count, first, last, sample, why, found }
 }
 
@@ -176,6 +295,62 @@ mod tests {
             prop_assert_eq!(told, refused.len() as u64);
             prop_assert!(gathered.is_empty());
         }
+    }
+
+    fn refusal(who: &str, subject: usize) -> One {
+        let (who, subject) = (who.to_owned(), format!("Robot{subject}/cmd_vel"));
+        One { who, subject, function: "acquire".into(), code: 3002, ..One::default() }
+    }
+
+    /// The lines of an identity that name a service, and the refusals in all its lines.
+    fn told_of(told: &TellRefusals, who: &str) -> (usize, u64) {
+        let lines = told.refusals.iter().filter(|line| line.who == who);
+        (lines.clone().filter(|line| line.code != 0).count(), lines.map(|line| line.count).sum())
+    }
+
+    #[test]
+    fn an_accomplice_with_many_different_refusals_hides_none_of_somebody_else() {
+        for accomplice in ["Org1/Accomplice", "Org2/Accomplice", ""] {
+            for thief_first in [true, false] {
+                let mut gathered = Gathered::default();
+                let order: Vec<(&str, usize)> = match thief_first {
+                    true => (0..28).map(|at| ("Org1/Thief", at)).chain((0..90).map(|at| (accomplice, at))).collect(),
+                    false => (0..90).map(|at| (accomplice, at)).chain((0..28).map(|at| ("Org1/Thief", at))).collect(),
+                };
+                order.iter().for_each(|(who, subject)| gathered.add(refusal(who, *subject)));
+                let told = gathered.take().unwrap();
+                assert_eq!(told_of(&told, "Org1/Thief"), (28, 28), "{accomplice:?} {thief_first}");
+                assert_eq!(told_of(&told, accomplice).1, 90, "{accomplice:?} {thief_first}");
+                assert!(told.refusals.len() <= REFUSALS_MAX);
+            }
+        }
+    }
+
+    #[test]
+    fn many_identities_of_one_organisation_hide_no_refusal_of_another_one() {
+        let mut gathered = Gathered::default();
+        (0..28).for_each(|at| gathered.add(refusal("Org1/Thief", at)));
+        (0..200).for_each(|at| gathered.add(refusal(&format!("Org2/Puppet{at}"), at)));
+        let told = gathered.take().unwrap();
+        assert_eq!(told_of(&told, "Org1/Thief"), (28, 28));
+        let of_puppets = told.refusals.iter().filter(|line| line.who.starts_with("Org2/"));
+        assert_eq!(of_puppets.map(|line| line.count).sum::<u64>(), 200);
+        assert!(told.refusals.iter().any(|line| line.who == "Org2/*" && line.count > 1));
+    }
+
+    #[test]
+    fn a_folded_line_keeps_the_name_of_its_identity_and_no_line_is_of_two_organisations() {
+        let mut gathered = Gathered::default();
+        for org in 0..90 {
+            (0..3).for_each(|at| gathered.add(refusal(&format!("Org{org}/P{at}"), at)));
+        }
+        let told = gathered.take().unwrap();
+        assert_eq!(sum(&told), 270);
+        let of = |org: usize| told.refusals.iter().filter(|line| line.who.starts_with(&format!("Org{org}/"))).count();
+        assert!((0..NAMED_MAX).all(|org| of(org) == 1), "{told:?}");
+        let mut alone = Gathered::default();
+        (0..90).for_each(|at| alone.add(refusal("Org1/Thief", at)));
+        assert_eq!(told_of(&alone.take().unwrap(), "Org1/Thief").1, 90, "nothing of it is anonymous");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Interface from ordering to the later subsystems.
 
 use ledger::Refusal;
-use ledger_light::{DoubleHead, DoubleVote};
+use ledger_light::Misbehaviour;
 use ledger_raft::{Contradiction, PeerMessage};
 use ledger_replica::Known;
 
@@ -13,10 +13,8 @@ pub(crate) trait Outlet: Send + Sync {
     fn answered(&self, question: u64, answer: Known);
     /// Ordering rejected a call, at this time of the node.
     fn rejected(&self, now: u64, refusal: &Refusal);
-    /// A voter has voted for two nodes in one term.
-    fn voted_twice(&self, proof: Box<DoubleVote>);
-    /// A leader has signed two logs in one term.
-    fn two_heads(&self, proof: Box<DoubleHead>);
+    /// A node has signed two different things for one place.
+    fn misbehaved(&self, proof: Box<Misbehaviour>);
     /// The log of another node contradicts the one of this node.
     fn contradicted(&self, found: Contradiction);
 }

@@ -3,6 +3,7 @@
 use super::Dialer;
 use super::pace::{Cause, Paces};
 use crate::ordering::directory::Member;
+use crate::process::config::DialRules;
 use bytes::Bytes;
 use hyper_util::rt::TokioIo;
 use ledger::msp::never_dialled;
@@ -130,32 +131,42 @@ impl Dialer {
     async fn open(&self, member: &Member) -> Result<Channel, String> {
         let trust = ServerTrust::Network(Arc::clone(&self.trust));
         let config = client_config_expecting(Some(self.identity.clone()), trust, &member.full_name());
-        open((&member.address, self.network), config).await
+        // An organisation knows where its own nodes are.
+        let rules = (member.organisation != self.organisation).then(|| Arc::clone(&self.rules));
+        open((&member.address, self.network), rules, config).await
     }
 
     /// A connection to some node whose certificate comes from a CA with this fingerprint: for a node whose ledger does
     /// not know the others yet.
     pub(crate) async fn first_contact(&self, address: &str, ca: Hash) -> Result<Channel, String> {
         let config = client_config(Some(self.identity.clone()), ServerTrust::Fingerprint(ca.0));
-        open((address, self.network), config).await
+        open((address, self.network), None, config).await
     }
 }
 
 /// Connects with an address that nodes dial, whatever a name leads to.
-async fn connect(address: &str) -> io::Result<TcpStream> {
+async fn connect(address: &str, rules: Option<&DialRules>) -> io::Result<TcpStream> {
     let found = tokio::net::lookup_host(address).await?;
-    TcpStream::connect(&*dialled(address, found)?).await
+    TcpStream::connect(&*dialled(address, rules, found)?).await
 }
 
-/// Those of the addresses behind a name that nodes dial.
-fn dialled(address: &str, found: impl Iterator<Item = SocketAddr>) -> io::Result<Vec<SocketAddr>> {
+/// Those of the addresses behind a name that nodes dial. The rules are those for other organisations.
+fn dialled(
+    address: &str,
+    rules: Option<&DialRules>,
+    found: impl Iterator<Item = SocketAddr>,
+) -> io::Result<Vec<SocketAddr>> {
     let mut refused = None;
-    let allowed = found.take(LOOKED_UP_MAX).filter(|found| match never_dialled(found.ip()) {
-        Some(kind) => {
-            refused = Some(format!("{address} leads to {}, {kind}, which no node dials", found.ip()));
-            false
-        }
-        None => true,
+    let allowed = found.take(LOOKED_UP_MAX).filter(|found| {
+        let (never, here) = (never_dialled(found.ip()), rules.and_then(|rules| rules.refusal(*found)));
+        refused = match (never, here) {
+            (Some(kind), _) => Some(format!("{address} leads to {}, {kind}, which no node dials", found.ip())),
+            (None, Some(kind)) => {
+                Some(format!("{address} leads to {found}, {kind}, which [peers] allow in ledgerd.toml does not name"))
+            }
+            (None, None) => return true,
+        };
+        false
     });
     let allowed: Vec<_> = allowed.collect();
     match (allowed.is_empty(), refused) {
@@ -164,13 +175,17 @@ fn dialled(address: &str, found: impl Iterator<Item = SocketAddr>) -> io::Result
     }
 }
 
-async fn open((address, network): (&str, Hash), config: Result<ClientConfig, TlsError>) -> Result<Channel, String> {
+async fn open(
+    (address, network): (&str, Hash),
+    rules: Option<Arc<DialRules>>,
+    config: Result<ClientConfig, TlsError>,
+) -> Result<Channel, String> {
     let tls = TlsConnector::from(Arc::new(config.map_err(|error| error.to_string())?));
     let address = address.to_owned();
     let connect = tower::service_fn(move |_: Uri| {
-        let (tls, address) = (tls.clone(), address.clone());
+        let (tls, address, rules) = (tls.clone(), address.clone(), rules.clone());
         async move {
-            let socket = connect(&address).await?;
+            let socket = connect(&address, rules.as_deref()).await?;
             socket.set_nodelay(true)?;
             let name = server_name(Some(&network)).map_err(io::Error::other)?;
             Ok::<_, io::Error>(TokioIo::new(tls.connect(name, socket).await?))
@@ -246,11 +261,26 @@ mod tests {
     fn a_name_that_leads_to_forbidden_addresses_is_dialled_only_at_the_others() {
         let found = |addresses: &[&str]| {
             let addresses: Vec<SocketAddr> = addresses.iter().map(|address| address.parse().unwrap()).collect();
-            dialled("deceiving.example:7450", addresses.into_iter())
+            dialled("deceiving.example:7450", None, addresses.into_iter())
         };
         assert_eq!(found(&["10.0.0.4:7450", "169.254.169.254:7450"]).unwrap(), ["10.0.0.4:7450".parse().unwrap()]);
         let refused = found(&["169.254.169.254:7450", "[fe80::1]:7450"]).unwrap_err().to_string();
         assert!(refused.contains("deceiving.example:7450") && refused.contains("link-local"), "{refused}");
         assert!(found(&[]).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_name_of_another_organisation_leads_to_no_service_of_this_machine() {
+        let rules = DialRules::new("10.0.0.4:7450", &[]);
+        let found = |rules, address: &str| {
+            dialled("deceiving.example:7450", rules, [address.parse().unwrap()].into_iter())
+                .map_err(|error| error.to_string())
+        };
+        for (address, kind) in [("127.0.0.1:7451", "of this machine itself"), ("10.0.0.5:22", "a privileged port")] {
+            let refused = found(Some(&rules), address).unwrap_err();
+            assert!(refused.contains(address) && refused.contains(kind), "{refused}");
+            assert_eq!(found(None, address).unwrap().len(), 1, "nodes of its own organisation are dialled there");
+        }
+        assert_eq!(found(Some(&rules), "10.0.0.5:7450").unwrap().len(), 1);
     }
 }

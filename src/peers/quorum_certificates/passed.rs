@@ -152,8 +152,14 @@ mod tests {
     use ledger_light::{Certificate, Statement};
 
     fn proof(height: u64) -> Proof {
-        let statement =
-            Statement { network: Hash::ZERO, height, time: height * EVERY_US, block: Hash::ZERO, results: Hash::ZERO };
+        let statement = Statement {
+            network: Hash::ZERO,
+            recoveries: 0,
+            height,
+            time: height * EVERY_US,
+            block: Hash::ZERO,
+            results: Hash::ZERO,
+        };
         Proof { certificate: Certificate { statement, signatures: Vec::new() }, facts: Vec::new() }
     }
 

@@ -42,6 +42,11 @@ impl Recent {
         self.lock().last_key_value().map(|(_, certificate)| certificate.clone())
     }
 
+    /// The one of the block at a height.
+    pub(super) fn of(&self, height: u64) -> Option<Certificate> {
+        self.lock().get(&height).cloned()
+    }
+
     /// The first one of a block at or after a height.
     pub(super) fn at_or_after(&self, height: u64) -> Option<Certificate> {
         self.lock().range(height..).next().map(|(_, certificate)| certificate.clone())
@@ -92,7 +97,8 @@ mod tests {
     use ledger_light::Statement;
 
     fn certificate(height: u64) -> Certificate {
-        let statement = Statement { network: Hash::ZERO, height, time: 1, block: Hash::ZERO, results: Hash::ZERO };
+        let statement =
+            Statement { network: Hash::ZERO, recoveries: 0, height, time: 1, block: Hash::ZERO, results: Hash::ZERO };
         Certificate { statement, signatures: Vec::new() }
     }
 

@@ -14,12 +14,13 @@ use ledger_api::v1::{
 };
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::ReceiptKey;
+use ledger_raft::{Lane, ReceiptKey};
 use ledger_replica::catch_up::{Holding, store_holds};
 use ledger_replica::company::Point;
+use ledger_replica::gateway::{InFlight, Shares};
 use ledger_replica::trust;
 use std::sync::Arc;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
@@ -27,7 +28,8 @@ use tonic::Status;
 const MESSAGE_BYTES: usize = 1024 * 1024;
 /// Messages read ahead for a node that is slower than this one's disk.
 const AHEAD_MAX: usize = 2;
-/// Streams of blocks at a time; each takes a thread while it reads. Those who are no members leave half of them free.
+/// Streams of blocks and snapshots at a time; each takes a thread while it reads. Organisations share them as they share the
+/// places of a gateway. Those who are no members are one organisation, and leave half of them free.
 const STREAMS_MAX: usize = 8;
 
 /// A reader: a member, or a node of an organisation of the network that is no member, such as one that was removed.
@@ -39,14 +41,14 @@ pub(crate) struct Source {
     monitor: Arc<ChainMonitor>,
     /// Makes receipts for what this node holds.
     receipts: ReceiptKey,
-    streams: Arc<Semaphore>,
+    streams: Shares,
 }
 
 impl Source {
     /// Gives what is in the node's stores.
     pub(crate) fn new(ordering: &Arc<Ordering>, monitor: &Arc<ChainMonitor>, receipts: ReceiptKey) -> Arc<Self> {
         let (ordering, monitor) = (Arc::clone(ordering), Arc::clone(monitor));
-        Arc::new(Self { ordering, monitor, receipts, streams: Arc::new(Semaphore::new(STREAMS_MAX)) })
+        Arc::new(Self { ordering, monitor, receipts, streams: Shares::new(STREAMS_MAX) })
     }
 
     fn storage(&self) -> &Storage {
@@ -110,12 +112,7 @@ impl Source {
         Ok(ReceiverStream::new(stream))
     }
 
-    fn send_blocks(
-        &self,
-        mut next: u64,
-        messages: &mpsc::Sender<Result<BlockEntries, Status>>,
-        _permit: OwnedSemaphorePermit,
-    ) {
+    fn send_blocks(&self, mut next: u64, messages: &mpsc::Sender<Result<BlockEntries, Status>>, _permit: InFlight) {
         loop {
             let committed = self.committed();
             if next > committed {
@@ -160,13 +157,8 @@ impl Source {
         Ok(DigestResponse { digest: digest.0.to_vec().into(), block_hash: hash.0.to_vec().into() })
     }
 
-    fn permit(&self, reader: &Reader) -> Result<OwnedSemaphorePermit, Status> {
-        let overloaded =
-            || to_status(&Rejection::new(Code::Overloaded, "too many nodes fetch from here").next("ask another node"));
-        if reader.is_none() && self.streams.available_permits() <= STREAMS_MAX / 2 {
-            return Err(overloaded());
-        }
-        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| overloaded())
+    fn permit(&self, reader: &Reader) -> Result<InFlight, Status> {
+        permit(&self.streams, reader).map_err(|overloaded| to_status(&overloaded))
     }
 
     /// The manifest of the newest snapshot that two organisations attest, and the transactions that attest it. While there is
@@ -225,5 +217,52 @@ impl Source {
             value_hash: write.value.map(|hash| hash.0.to_vec().into()).unwrap_or_default(),
         });
         WritesResponse { known: true, writes: writes.collect() }
+    }
+}
+
+/// A stream for a reader, until it is dropped.
+fn permit(streams: &Shares, reader: &Reader) -> Result<InFlight, Rejection> {
+    let overloaded = |wanted: &str| {
+        Rejection::new(Code::Overloaded, "too many nodes fetch from here").wanted(wanted).next("ask another node")
+    };
+    if reader.is_none() && streams.in_flight() >= STREAMS_MAX / 2 {
+        return Err(overloaded("a node of this network, or fewer streams than half"));
+    }
+    let name = reader.as_ref().map_or_else(String::new, Member::full_name);
+    let refused = |refused: Rejection| match refused.code {
+        Code::Overloaded => overloaded("at most as many streams of an organisation as are free"),
+        _ => refused,
+    };
+    streams.of(name).place(Lane::Data, 0).map_err(refused)
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn node(organisation: &str, id: u64) -> Reader {
+        let (name, address) = (format!("node{id}"), String::new());
+        Some(Member { id, name, organisation: organisation.into(), address, wanted: None, actual: None })
+    }
+
+    #[test]
+    fn the_nodes_of_one_organisation_leave_half_of_the_streams_to_others_and_one_node_some_to_its_own() {
+        let streams = Shares::new(STREAMS_MAX);
+        let all = |reader: Reader| std::iter::from_fn(|| permit(&streams, &reader).ok()).collect::<Vec<_>>();
+        let one = all(node("Org1", 1));
+        let crowd: Vec<_> = (2..30).flat_map(|id| all(node("Org1", id))).collect();
+        assert!(!crowd.is_empty() && one.len() + crowd.len() <= STREAMS_MAX / 2, "{} and {}", one.len(), crowd.len());
+        let refused = permit(&streams, &node("Org1", 30)).err().unwrap();
+        assert!(refused.code == Code::Overloaded && refused.wanted.contains("organisation"), "{refused}");
+        permit(&streams, &node("Org2", 31)).unwrap();
+    }
+
+    #[test]
+    fn those_who_are_no_members_leave_half_of_the_streams_free() {
+        let streams = Shares::new(STREAMS_MAX);
+        let strangers: Vec<_> = std::iter::from_fn(|| permit(&streams, &None).ok()).collect();
+        assert!((1..=STREAMS_MAX / 2).contains(&strangers.len()), "{}", strangers.len());
+        permit(&streams, &node("Org1", 1)).unwrap();
     }
 }

@@ -40,7 +40,7 @@ fn the_shipped_file_lists_every_setting_with_its_default() {
     assert_default(parse(&uncommented));
 
     // Settings that exist are those that an unknown one is compared with.
-    for section in ["", "member", "limits", "storage", "order", "ca", "log"] {
+    for section in ["", "member", "limits", "storage", "order", "peers", "ca", "log"] {
         let text = if section.is_empty() { "zzz = 1".into() } else { format!("{section}.zzz = 1") };
         let told = fault(&text);
         let known = told.lines().find_map(|line| line.trim().strip_prefix("wanted  one of ")).unwrap();
@@ -69,6 +69,13 @@ fn settings_replace_defaults() {
     assert_eq!(config.limits.in_flight_max, 65_536);
     assert_eq!((config.log.level, config.log.format), (LevelFilter::DEBUG, LogFormat::Json));
     assert_eq!(config.ca.certificate_days, 16);
+}
+
+#[test]
+fn addresses_that_are_dialled_all_the_same_are_read_and_faults_name_them() {
+    let config = parse("[peers]\nallow = ['*:443', '127.0.0.1:7451']").unwrap();
+    assert_eq!(config.allow, ["*:443", "127.0.0.1:7451"].map(|text| text.parse().unwrap()));
+    assert!(fault("[peers]\nallow = ['everything']").contains("\"everything\""));
 }
 
 #[test]

@@ -1,8 +1,10 @@
 //! A data directory from a backup, marked so that no voter comes back that has forgotten its votes.
 
+use super::settings::differences;
 use super::{CONFIG_FILE, FILE_BYTES_MAX, Manifest, PAPERS, own};
 use crate::node::NodeBuilder;
 use crate::process::config::Config;
+use crate::process::terminal::{asked, eprint_line};
 use crate::storage::files::RESTORED_FILE;
 use crate::storage::files::{CERTIFICATE_FILE, KEY_FILE};
 use crate::tools::verify::verified;
@@ -10,9 +12,13 @@ use ledger_api::tls::TlsIdentity;
 use ledger_base::durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, SNAPSHOTS_DIRECTORY};
-use std::fs::{self, File};
+use std::fs::{self, DirBuilder, File};
 use std::io::ErrorKind;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+
+/// Most directories of restores that were interrupted, which are all kept.
+const UNFINISHED_MAX: u32 = 100;
 
 /// The arguments of `ledgerd restore`.
 #[derive(Clone, Debug, clap::Args)]
@@ -21,27 +27,59 @@ pub(crate) struct RestoreOptions {
     /// The backup.
     #[arg(value_name = "DIR")]
     directory: PathBuf,
-    /// The node's configuration; that of the backup is put there if it does not exist.
+    /// The node's configuration. If it does not exist, that of the backup is shown, and put there if you agree.
     #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
     pub(crate) config: PathBuf,
+    /// Take over the configuration of the backup without being asked.
+    #[arg(long)]
+    take_config: bool,
 }
 
 impl RestoreOptions {
-    /// Puts the configuration of the backup in its place, if there is none.
+    /// The text of the backup's configuration, if there is none here and the operator agrees to it.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if the backup has none, or it cannot be written.
-    pub(crate) fn provide_config(&self) -> Result<(), Rejection> {
+    /// [`Code::BadFile`] if the backup has none; [`Code::LastOne`] if it is not agreed to, or nobody can be asked.
+    pub(crate) fn config_of_backup(&self) -> Result<Option<String>, Rejection> {
         if fs::symlink_metadata(&self.config).is_ok() {
-            return Ok(());
+            return Ok(None);
         }
-        // A directory without a manifest is no backup, whatever else is in it.
+        let text = self.backed_up()?;
+        let mut shown = vec![format!("{} does not exist. The backup has these settings:", self.config.display())];
+        shown.extend(
+            text.lines()
+                .filter(|line| !line.trim().is_empty() && !line.starts_with('#'))
+                .map(|line| format!("  {line}")),
+        );
+        if let Ok(config) = Config::parse(&text, &self.config) {
+            shown.push(format!(
+                "So the node keeps its data in {}, and listens on {}.",
+                config.data.display(),
+                config.listen
+            ));
+        }
+        if self.take_config {
+            shown.iter().for_each(|line| eprint_line(line));
+            return Ok(Some(text));
+        }
+        let refused = |wanted: &str| {
+            Rejection::new(Code::LastOne, "the configuration of the backup was not taken over")
+                .found(shown.join("\n"))
+                .wanted(wanted)
+                .next("write a configuration for this machine and name it with --config, or agree with --take-config")
+        };
+        match asked(&shown, "take these settings over? type yes: ") {
+            Some(true) => Ok(Some(text)),
+            Some(false) => Err(refused("yes")),
+            None => Err(refused("a terminal, to ask whether these settings are right here")),
+        }
+    }
+
+    /// The configuration in the backup. A directory without a manifest is no backup, whatever else is in it.
+    fn backed_up(&self) -> Result<String, Rejection> {
         let _whole = Manifest::read(&self.directory)?;
         let text = read(&self.directory.join(CONFIG_FILE), FILE_BYTES_MAX)?;
-        if let Some(parent) = self.config.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-            create_directory(parent)?;
-        }
-        replace(&self.config, &text, PUBLIC_MODE)
+        Ok(String::from_utf8_lossy(&text).into_owned())
     }
 }
 
@@ -50,7 +88,14 @@ impl RestoreOptions {
 /// # Errors
 /// [`Code::BadFile`] if the directory is no whole backup, or the data directory is in use; [`Code::BadConfiguration`] if it is
 /// of another node; the fault of the blocks, with file and byte. Then nothing was restored.
-pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &Config) -> Result<String, Rejection> {
+///
+/// `taken` is the text of the configuration if it is that of the backup. It is put in its place when all the rest is right.
+pub(crate) fn restore(
+    builder: &NodeBuilder,
+    options: &RestoreOptions,
+    config: &Config,
+    taken: Option<&str>,
+) -> Result<String, Rejection> {
     let from = &options.directory;
     let manifest = Manifest::read(from)?;
     check_node(config, &manifest)?;
@@ -68,11 +113,21 @@ pub(crate) fn restore(builder: &NodeBuilder, options: &RestoreOptions, config: &
             ))
             .next("take another backup"));
     }
-    place(from, &config.data)?;
+    let mut notes = String::new();
+    match taken {
+        Some(text) => provide(&options.config, text)?,
+        None => notes += &other_settings(&options.config, &options.backed_up()?),
+    }
+    if let Some(kept) = place(from, &config.data)? {
+        notes += &format!(
+            "kept     {}, which an earlier restore may have left: remove it if nothing in it is needed\n",
+            kept.display()
+        );
+    }
     let file = config.file.display();
     Ok(format!(
         "node     {}, restored in {} with the blocks up to {}\n\
-         It does not start as it is: it may have voted and confirmed blocks since the backup was made.\n\n\
+         {notes}It does not start as it is: it may have voted and confirmed blocks since the backup was made.\n\n\
          next, if another node of the network runs:\n  ledgerd rejoin --config {file}\n\
          next, if all the others are lost for good:\n  ledgerd recover --force-single --config {file}",
         manifest.node,
@@ -132,14 +187,69 @@ fn check_free(data: &Path) -> Result<(), Rejection> {
         .next("move it away first, if nothing in it is needed"))
 }
 
-/// Copies what a node starts from: all of it or nothing, whatever crashes.
-fn place(from: &Path, data: &Path) -> Result<(), Rejection> {
-    let unfinished = data.with_extension("restoring");
-    remove(&unfinished)?;
-    create_directory(&unfinished)?;
-    copy(from, &unfinished, GENESIS_FILE)?;
+/// Puts the configuration in its place.
+fn provide(path: &Path, text: &str) -> Result<(), Rejection> {
+    if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        create_directory(parent)?;
+    }
+    replace(path, text.as_bytes(), PUBLIC_MODE)
+}
+
+/// The settings of the configuration that is used and in which the backup has others, a line each; empty if there are none.
+fn other_settings(path: &Path, backup: &str) -> String {
+    let here = read(path, FILE_BYTES_MAX).unwrap_or_default();
+    let differ = differences(&String::from_utf8_lossy(&here), backup);
+    if differ.is_empty() {
+        return String::new();
+    }
+    let lines: String = differ.iter().map(|line| format!("  {line}\n")).collect();
+    format!("settings {} is used, and differs from the configuration of the backup:\n{lines}", path.display())
+}
+
+/// Makes a directory beside the data directory, and never uses one that is there; with the first one that was there.
+fn fresh(data: &Path) -> Result<(PathBuf, Option<PathBuf>), Rejection> {
+    let name = data.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if let Some(parent) = data.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        create_directory(parent)?;
+    }
+    let mut kept = None;
+    for number in 0..UNFINISHED_MAX {
+        let end = if number == 0 { String::new() } else { format!("-{number}") };
+        let directory = data.with_file_name(format!("{name}.restoring{end}"));
+        match DirBuilder::new().mode(0o700).create(&directory) {
+            Ok(()) => return Ok((directory, kept)),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => kept = kept.or(Some(directory)),
+            Err(error) => return Err(ledger_base::durable::failed("make", &directory, &error)),
+        }
+    }
+    Err(Rejection::new(Code::BadFile, format!("there is no room beside {}", data.display()))
+        .found(format!("{UNFINISHED_MAX} directories {name}.restoring"))
+        .wanted("at most some that earlier restores have left")
+        .next("remove them if nothing in them is needed"))
+}
+
+/// Copies what a node starts from: all of it or nothing, whatever crashes. Answers with a directory of that kind that was there before
+/// and was kept.
+fn place(from: &Path, data: &Path) -> Result<Option<PathBuf>, Rejection> {
+    let (unfinished, kept) = fresh(data)?;
+    let placed = fill(from, &unfinished).and_then(|()| match fs::remove_dir(data) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_base::durable::failed("remove", data, &error)),
+        _ => rename(&unfinished, data),
+    });
+    match placed {
+        Ok(()) => Ok(kept),
+        Err(fault) => {
+            // It is ours. If it cannot be removed, the next restore keeps it and says so.
+            let _left = fs::remove_dir_all(&unfinished);
+            Err(fault)
+        }
+    }
+}
+
+fn fill(from: &Path, unfinished: &Path) -> Result<(), Rejection> {
+    copy(from, unfinished, GENESIS_FILE)?;
     for (name, _) in PAPERS.into_iter().filter(|(name, _)| from.join(name).exists()) {
-        copy(from, &unfinished, name)?;
+        copy(from, unfinished, name)?;
     }
     for directory in [BLOCKS_DIRECTORY, SNAPSHOTS_DIRECTORY] {
         copy_directory(&from.join(directory), &unfinished.join(directory))?;
@@ -147,11 +257,7 @@ fn place(from: &Path, data: &Path) -> Result<(), Rejection> {
     fs::copy(from.join(super::MANIFEST_FILE), unfinished.join(RESTORED_FILE))
         .and_then(|_| File::open(unfinished.join(RESTORED_FILE))?.sync_all())
         .map_err(|error| ledger_base::durable::failed("write", &unfinished.join(RESTORED_FILE), &error))?;
-    sync_directory(&unfinished)?;
-    match fs::remove_dir(data) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(ledger_base::durable::failed("remove", data, &error)),
-        _ => rename(&unfinished, data),
-    }
+    sync_directory(unfinished)
 }
 
 /// The verified blocks of a backup, for a node that comes back under a new number.
@@ -182,15 +288,6 @@ impl<'a> CopiedBlocks<'a> {
             copy_directory(&self.0.join(directory), &data.join(directory))?;
         }
         sync_directory(data)
-    }
-}
-
-fn remove(directory: &Path) -> Result<(), Rejection> {
-    match fs::remove_dir_all(directory) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(ledger_base::durable::failed("remove", directory, &error))
-        }
-        _ => Ok(()),
     }
 }
 

@@ -45,15 +45,12 @@ impl Chain {
         let mut nonce = self.turn.lock().unwrap();
         *nonce += 1;
         let time = self.time.fetch_add(SECOND, Ordering::Relaxed) + SECOND;
-        let body = Body {
-            network: Bytes::copy_from_slice(&self.ledger.network().0),
-            creator: Bytes::copy_from_slice(&Hash::of(&[&by.certificate]).0),
-            nonce: [&nonce.to_be_bytes()[..], &[0; 8]].concat().into(),
-            not_after: time + 60 * SECOND,
-            chaincode: "msp".into(),
-            function: function.into(),
-            args: vec![argument.clone()],
-        };
+        let [network, creator] =
+            [self.ledger.network(), Hash::of(&[&by.certificate])].map(|hash| Bytes::copy_from_slice(&hash.0));
+        let nonce = [&nonce.to_be_bytes()[..], &[0; 8]].concat().into();
+        let (not_after, chaincode, function) = (time + 60 * SECOND, "msp".into(), function.into());
+        let args = vec![argument.clone()];
+        let body = Body { network, creator, nonce, not_after, chaincode, function, args, known_block: None };
         let signed = Transaction::sign(&body, &by.key).unwrap().with_certificate(by.certificate.clone()).unwrap();
         let data = Payload { time, transactions: vec![signed.encoded().clone()] }.to_bytes();
         let entry = Entry { index: self.ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data };
@@ -100,7 +97,8 @@ fn service(chain: &Arc<Chain>, document: &Bytes, data: &Path, id: u64) -> Enrolm
     let authorities = Arc::new(Authorities::open(data, (365, 7)).unwrap());
     let genesis = (Genesis::from_bytes(document).unwrap().0, document.clone());
     let directory = Arc::new(Directory::read(&chain.ledger));
-    let surroundings = OwnNode { me: member, identity: tls, directory, cut_off: Box::new(|| false) };
+    let (cut_off, clock_off) = (Box::new(|| false), Box::new(|| 0));
+    let surroundings = OwnNode { me: member, identity: tls, directory, cut_off, clock_off };
     EnrolmentService::new(authorities, Arc::clone(&chain.ledger), surroundings, genesis, client, || NOW)
 }
 

@@ -117,6 +117,7 @@ pub(super) fn play(it: &mut Printed) {
         ("network organisations", &[]),
         ("network proposals", &[]),
         ("network quorums", &[]),
+        ("network certificates", &[]),
         ("network rules", &[]),
     ] {
         it.run(&admin, name, rest);
@@ -176,7 +177,9 @@ pub(super) fn play(it: &mut Printed) {
     let [evidence, genesis] = ["stop.evidence", "genesis.json"].map(|name| files.path().join(name));
     let [evidence, genesis] = [&evidence, &genesis].map(|path| path.to_string_lossy());
     it.run(&owner, "prove", &[&transaction, "--file", &evidence, "--genesis", &genesis]);
+    owner.run(&["stop", "Turtlebot4", "--reason", "demo"]).ok();
     it.run(&owner, "light", &["Turtlebot4"]);
+    owner.run(&["resume", "Turtlebot4"]).ok();
     let data = dev.data().to_string_lossy().into_owned();
     it.run(&owner, "ledger archive", &[&data, "--to", &files.path().join("archive").to_string_lossy()]);
     it.run(&admin, "identity revoke", &["Farhad"]);

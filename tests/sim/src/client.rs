@@ -27,7 +27,7 @@ use crate::node::{Answer, Reply, Request, What};
 use crate::people::{CERTIFICATES, Person};
 use crate::world::{Event, World};
 use bytes::Bytes;
-use ledger::transaction::{Body, Transaction};
+use ledger::transaction::{Body, KnownBlock, Transaction};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Class, Code};
 use ledger_contract::Envelope;
@@ -55,6 +55,8 @@ pub struct Client {
     pub grants: BTreeMap<String, (u64, u64)>,
     /// By how much the nodes' time is ahead of virtual time.
     ahead: u64,
+    /// The newest block of which its node has told, and when.
+    known: Option<(u64, Hash, u64)>,
     /// Everything about an earlier attempt is void.
     pub attempt: u64,
     /// Counts its crashes: each begins a new session.
@@ -88,6 +90,20 @@ struct Granted {
 }
 
 impl Client {
+    /// Its node has told of a block.
+    fn knows(&mut self, height: u64, block: Option<Hash>, now: u64) {
+        if let Some(hash) = block.filter(|_| self.known.is_none_or(|(known, ..)| height > known)) {
+            self.known = Some((height, hash, now));
+        }
+    }
+
+    /// The newest block that it knows, as its commands name it.
+    fn known_block(&self, now: u64) -> Option<KnownBlock> {
+        let (height, hash, since) = self.known?;
+        let hash = Bytes::copy_from_slice(&KnownBlock::prefix(&hash.0)?);
+        Some(KnownBlock { height, hash, known_us: now - since })
+    }
+
     fn new(person: &str, gateway: u64) -> Self {
         Self {
             person: person.to_owned(),
@@ -96,6 +112,7 @@ impl Client {
             seen: 0,
             grants: BTreeMap::new(),
             ahead: EPOCH,
+            known: None,
             attempt: 0,
             session: 0,
             doing: None,
@@ -125,6 +142,7 @@ impl Client {
         self.attempt += 1;
         self.session += 1;
         self.seen = 0;
+        self.known = None;
         self.grants.clear();
         self.circle.crash();
         self.doing = None;
@@ -207,7 +225,10 @@ impl World {
                 let introduce = !client.introduced || self.random.clients.percent(10);
                 let nonce = self.random.clients.number();
                 let whose = &self.people.all[person];
-                let transaction = sign(whose, self.network, nonce, not_after, (chaincode, function, args), introduce);
+                let known = client.known_block(self.now);
+                let call = (chaincode, function, args);
+                let transaction = sign_knowing(whose, self.network, nonce, not_after, call, introduce, known);
+                self.invariants.gate.signed(transaction.id(), self.now);
                 let encoded = transaction.encoded().clone();
                 let kind = Kind::Submit { id: transaction.id(), encoded: encoded.clone() };
                 (kind, What::Submit { transaction: encoded, first_attempt: true })
@@ -276,7 +297,8 @@ impl World {
             return Ok(());
         }
         let result = match answer {
-            Answer::Verdict { height, index, code, response } => {
+            Answer::Verdict { height, index, block, code, response } => {
+                client.knows(height, block, now);
                 let id = match &self.history.operations[operation].kind {
                     Kind::Submit { id, .. } => *id,
                     Kind::Read { .. } => Hash::ZERO,
@@ -417,8 +439,21 @@ pub fn sign(
     network: Hash,
     nonce: u64,
     not_after: u64,
+    call: (&str, &str, Vec<Bytes>),
+    introduce: bool,
+) -> Transaction {
+    sign_knowing(whose, network, nonce, not_after, call, introduce, None)
+}
+
+/// Signs a call that names the newest block that the signer knows.
+pub fn sign_knowing(
+    whose: &Person,
+    network: Hash,
+    nonce: u64,
+    not_after: u64,
     (chaincode, function, mut args): (&str, &str, Vec<Bytes>),
     introduce: bool,
+    known_block: Option<KnownBlock>,
 ) -> Transaction {
     // No two commands are alike: what reaches a robot names its transaction. Envelopes are not alike anyway.
     let in_the_clear = |payload: &&mut Bytes| function == "set" && Envelope::parse(payload).is_none();
@@ -433,6 +468,7 @@ pub fn sign(
         chaincode: chaincode.into(),
         function: function.into(),
         args,
+        known_block,
     };
     let transaction = Transaction::sign(&body, &whose.key).unwrap();
     if introduce { transaction.with_certificate(whose.certificate.clone()).unwrap() } else { transaction }

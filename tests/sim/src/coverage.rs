@@ -172,6 +172,8 @@ pub struct Coverage {
     pub lies: u64,
     /// Proofs of lies.
     pub lies_proved: u64,
+    /// Proofs of faults.
+    pub faults_proved: u64,
     /// Engines that could not write what they had when they ended, for lack of space.
     pub full_at_end: u64,
     /// Messages at a robot's gate: what passed, and why others did not.
@@ -194,6 +196,8 @@ pub struct Coverage {
     pub unbelieved: BTreeMap<Code, u64>,
     /// Bridges of robots that started anew.
     pub reopened: u64,
+    /// Stops that came to the robot before they were ordered.
+    pub early_stops: u64,
     /// Facts checked by the oracle.
     pub checks: u64,
 }
@@ -275,6 +279,7 @@ impl Coverage {
         self.questions += other.questions;
         self.believed += other.believed;
         self.reopened += other.reopened;
+        self.early_stops += other.early_stops;
         self.seeds += other.seeds;
         self.time += other.time;
         self.blocks += other.blocks;
@@ -289,6 +294,7 @@ impl Coverage {
         self.certificates += other.certificates;
         self.lies += other.lies;
         self.lies_proved += other.lies_proved;
+        self.faults_proved += other.faults_proved;
         self.full_at_end += other.full_at_end;
         self.checks += other.checks;
     }
@@ -379,7 +385,8 @@ impl fmt::Display for Coverage {
         writeln!(f, "in place          {} times", self.in_place)?;
         writeln!(f, "attestations      {}", self.attestations)?;
         writeln!(f, "certificates      {}", self.certificates)?;
-        writeln!(f, "lies              {} told, {} proved", self.lies, self.lies_proved)?;
+        let (proved, faults) = (self.lies_proved, self.faults_proved);
+        writeln!(f, "lies              {} told, {proved} proved, and {faults} faults", self.lies)?;
         writeln!(
             f,
             "robots            {} questions, {} answers believed, {} starts anew",

@@ -18,7 +18,7 @@ use bytes::Bytes;
 use ledger::{Ledger, Rules};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
-use ledger_light::{Certificate, Proof};
+use ledger_light::{Certificate, Proof, Statement};
 use ledger_raft::{Desired, Lane};
 use ledger_replica::catch_up::{Ballot, Holding, Look};
 use ledger_replica::certifier::Certifier;
@@ -74,6 +74,8 @@ pub struct Node {
     pub rules: SeenRules,
     /// The proofs of blocks that changed who governs, on its disk.
     pub governing: BTreeMap<u64, Proof>,
+    /// The newest statements that it has signed.
+    pub signed: VecDeque<Statement>,
 }
 
 /// The process of a node.
@@ -214,9 +216,9 @@ impl Waiter for Client {
     fn answer(self, answer: &Told<'_>) {
         let (transaction, answer) = match answer {
             Told::Executed(told) => {
-                let (height, index) = (told.height, told.index);
+                let (height, index, block) = (told.height, told.index, told.block);
                 let (code, response) = (told.result.code(), told.result.response.clone());
-                (told.id, Answer::Verdict { height, index, code, response })
+                (told.id, Answer::Verdict { height, index, block, code, response })
             }
             Told::Refused { id, reason } => (*id, Answer::Refused(Refused::unordered(reason.code))),
         };
@@ -303,6 +305,8 @@ pub enum Answer {
         height: u64,
         /// See `height`.
         index: u32,
+        /// The hash of the block, if it was executed just now.
+        block: Option<Hash>,
         /// The verdict.
         code: Code,
         /// The response.
@@ -389,6 +393,7 @@ impl Node {
             speaks: Rules::NEWEST,
             rules: SeenRules::default(),
             governing: BTreeMap::new(),
+            signed: VecDeque::new(),
         }
     }
 }

@@ -13,7 +13,7 @@ use rcgen::{
     BasicConstraints, CertificateParams, CertifiedIssuer, CustomExtension, DistinguishedName, DnType, IsCa, KeyPair,
     KeyUsagePurpose, PKCS_ED25519, SerialNumber, date_time_ymd,
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How many certificates each person has: after a revocation they go on with the next.
 pub const CERTIFICATES: usize = 3;
@@ -174,9 +174,14 @@ impl People {
         self.all.iter().find(|person| person.fingerprint() == *fingerprint)
     }
 
-    /// How many identities there are.
-    pub fn identities(&self) -> usize {
-        PEOPLE.len() + ROBOTS.len()
+    /// How many turns others may have before an identity's next one: its organisation has one after each other
+    /// organisation, and it has one after each other identity of its organisation.
+    pub fn turns_of_others(&self, who: &str) -> usize {
+        let people = PEOPLE.iter().map(|(organisation, ..)| *organisation);
+        let all: Vec<&str> = people.chain(ROBOTS.iter().map(|(organisation, ..)| *organisation)).collect();
+        let own = who.split_once('/').map_or(who, |(organisation, _)| organisation);
+        let organisations: BTreeSet<&str> = all.iter().copied().collect();
+        organisations.len() * all.iter().filter(|organisation| **organisation == own).count()
     }
 
     /// Index of a person's `nth` certificate.

@@ -4,6 +4,7 @@ use crate::client::BRIDGE;
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::confidential;
 use bytes::Bytes;
+use ledger::CallRef;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_confidential::Keyring;
@@ -60,8 +61,8 @@ pub struct Robot {
     pub questions: u64,
     /// Services that wait for an answer to a question that was asked at that time or later.
     pub waiting: Vec<(usize, u64)>,
-    /// The newest answer, and when it was asked for.
-    pub answered: Option<(u64, Standing)>,
+    /// The newest answer, when it was asked for, and for which stops.
+    pub answered: Option<(u64, BTreeSet<CallRef>, Standing)>,
     /// When it looks after itself next.
     pub wakes_at: u64,
     /// The transactions that its node has told of, by the message in them.
@@ -72,6 +73,10 @@ pub struct Robot {
     pub old: Vec<(Bytes, Proof)>,
     /// Deliveries that the liar holds back.
     pub held_back: Vec<Delivery>,
+    /// The heights of the first and the last block of whose hashes it was told since its start, without a gap.
+    pub heads: Option<(u64, u64)>,
+    /// Since when nothing goes wrong any more.
+    pub calm_since: Option<u64>,
 }
 
 /// A service of the robot.
@@ -93,6 +98,8 @@ pub struct Stream {
     pub start: u64,
     /// The next height that the node looks at.
     pub next: u64,
+    /// The height up to which it has told the hashes of blocks.
+    pub heads: u64,
     /// Creators whose certificate it has shown, by the subject of the events.
     pub shown: BTreeSet<(String, Hash)>,
     /// When it was opened.
@@ -116,6 +123,10 @@ pub struct Delivery {
     pub time: u64,
     /// The events.
     pub events: Vec<Told>,
+    /// Did they not happen yet?
+    pub early: bool,
+    /// The first bytes of the hashes of the blocks since the last delivery.
+    pub heads: Vec<u8>,
 }
 
 /// An event as a node tells it.
@@ -148,6 +159,8 @@ pub struct Question {
     pub asked: u64,
     /// Its transaction.
     pub id: Hash,
+    /// The stops whose verdicts it asks for.
+    pub stops: BTreeSet<CallRef>,
     /// The answer of the function, when there is one.
     pub response: Option<Bytes>,
 }
@@ -193,6 +206,8 @@ impl Robot {
             passed: BTreeSet::new(),
             old: Vec::new(),
             held_back: Vec::new(),
+            heads: None,
+            calm_since: None,
         };
         robot.open(services, &governance, 0);
         robot
@@ -219,6 +234,7 @@ impl Robot {
         self.members = Members::of(founded).unwrap();
         (self.stream, self.question, self.answered) = (None, None, None);
         (self.next, self.waiting) = (0, Vec::new());
+        self.heads = None;
     }
 
     /// Its clocks.

@@ -39,7 +39,7 @@ use crate::plan::Plan;
 use crate::robot::Robot;
 use crate::trace::Trace;
 use bytes::Bytes;
-use ledger::members::Membership;
+use ledger::members::{Membership, spare_one};
 use ledger::msp::NodeRecord;
 use ledger::network::{FoundingNode, Genesis};
 use ledger::{Chaincode, Outcome, Rules};
@@ -163,6 +163,8 @@ pub struct World {
     pub blocks: Vec<Block>,
     /// The members after the block of each height; the first are those of the genesis.
     pub members: Vec<Membership>,
+    /// Were certificates of the next block strict, as of each block?
+    pub(crate) strict: Vec<bool>,
     /// Name of the network.
     pub network: Hash,
     pub(crate) genesis: Bytes,
@@ -253,6 +255,7 @@ impl World {
             }
             nodes.insert(id, node);
         }
+        let hand = |id| (id, organisation_of(id, plan.organisations));
         let mut world = Self {
             now: 0,
             people: Arc::clone(people),
@@ -263,6 +266,7 @@ impl World {
             trace: Trace::new(keep_text),
             blocks: Vec::new(),
             members: vec![Membership::new(1..=voters, voters + 1..=all)],
+            strict: vec![spare_one(&(1..=voters).collect(), &(1..=voters).map(hand).collect())],
             network,
             genesis,
             clients: Vec::new(),
@@ -276,7 +280,11 @@ impl World {
             replacement: None,
             records: Vec::new(),
             operating: (None, 0),
-            desired: Desired { voters: (1..=voters).collect(), learners: (voters + 1..=all).collect() },
+            desired: Desired {
+                voters: (1..=voters).collect(),
+                learners: (voters + 1..=all).collect(),
+                strict_hands: None,
+            },
             activation: None,
             access: None,
             forges_next: false,

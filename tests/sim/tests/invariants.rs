@@ -9,6 +9,7 @@ use ledger::members::Membership;
 use ledger::msp::{NodeRecord, NodeRole};
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
+use ledger_gate::gate::Refused;
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind, HardState};
@@ -244,6 +245,44 @@ fn a_task_past_a_line_is_noticed_and_whoever_holds_the_service_is_passed_over() 
 }
 
 #[test]
+fn an_interrupted_task_keeps_its_priority() {
+    let people = Arc::new(People::new());
+    let terms =
+        Terms { mode: "exclusive", sharing: r#"{"on_conflict":"preempt","priority":"attribute:rank","queue_max":3}"# };
+    let submit = Call::Submit { service: "R/cmd_vel".into(), task: "{}".into() };
+    let task = |id: u64, who: &str, state: &str, reason: &str| {
+        format!(r#"{{"id":{id},"submitter":"{who}","state":"{state}","reason":"{reason}"}}"#)
+    };
+    let turn = |who: &str, id: Option<u64>| {
+        let mut overtaken = NobodyIsOvertaken::new(Arc::clone(&people));
+        let mut height = 0;
+        let mut execute = |who: &str, call: &Call, events: &[(&str, String)]| {
+            height += 1;
+            let (outcome, transactions) = with(call, people.index(who, 0).unwrap(), &people, height);
+            let outcome = events.iter().fold(outcome, |outcome, (name, payload)| event(outcome, name, payload));
+            overtaken.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
+        };
+        execute("Org2/admin", &Call::Configure { service: "R/cmd_vel".into(), terms }, &[]);
+        execute("Org1/admin", &submit, &[("task", task(1, "Org1/admin", "running", ""))]);
+        // Priority 1 takes the place of priority 0.
+        let interrupted = ("task", task(1, "Org1/admin", "waiting", "preempted"));
+        execute("Org1/Farhad", &submit, &[interrupted, ("task", task(2, "Org1/Farhad", "running", ""))]);
+        execute(
+            "Org1/Farhad",
+            &Call::Acquire { service: "R/cmd_vel".into(), lease_ms: None },
+            &[("queued", place("Org1/Farhad", 1))],
+        );
+        let id = id.map(|id| format!(r#","task":{id}"#)).unwrap_or_default();
+        let granted = format!(r#"{{"holder":"{who}","epoch":3,"mode":"exclusive"{id}}}"#);
+        let mut outcome = event(block(5, Hash::ZERO), "granted", &granted);
+        outcome.events[0].index = None;
+        overtaken.executed(&at(1, &outcome))
+    };
+    turn("Org1/Farhad", None).unwrap();
+    turn("Org1/admin", Some(1)).unwrap_err();
+}
+
+#[test]
 fn one_reader_more_than_the_owner_allows_is_noticed() {
     let people = People::new();
     let terms = Terms { mode: "limited", sharing: r#"{"subscribers":1}"# };
@@ -402,7 +441,7 @@ fn a_message_that_passes_a_gate_without_a_right_twice_out_of_order_or_late_is_no
     let mut gate = GateKeepsTheRules::new(Arc::clone(&people), SECOND);
     gate.executed(&at(1, &event(block(1, Hash::ZERO), "granted", &grant("Org1/Salma", 3))), SECOND);
     let pass = |gate: &mut GateKeepsTheRules, transaction: &Transaction, now| {
-        gate.passed(&Passed { opening: 1, service: "R/cmd_vel", transaction, now, wall: now })
+        gate.passed(&Passed { opening: 1, service: "R/cmd_vel", transaction, now, wall: now, by_block: false })
     };
     pass(&mut gate, &set(salma, 3, 7), 2 * SECOND).unwrap();
     pass(&mut gate, &set(salma, 3, 7), 2 * SECOND).unwrap_err();
@@ -415,4 +454,32 @@ fn a_message_that_passes_a_gate_without_a_right_twice_out_of_order_or_late_is_no
     gate.moves("R/cmd_vel", 2 * SECOND).unwrap();
     gate.moves("R/cmd_vel", 3 * SECOND).unwrap_err();
     pass(&mut gate, &set(salma, 3, 11), 2 * SECOND + SECOND / 2 + 3000).unwrap_err();
+}
+
+#[test]
+fn a_message_that_names_a_block_and_passes_too_late_or_is_rejected_though_it_is_new_is_noticed() {
+    const SECOND: u64 = 1_000_000;
+    let people = Arc::new(People::new());
+    let salma = people.index("Org1/Salma", 0).unwrap();
+    let mut gate = GateKeepsTheRules::new(Arc::clone(&people), SECOND);
+    gate.executed(&at(1, &event(block(1, Hash::ZERO), "granted", &grant("Org1/Salma", 3))), SECOND);
+    let signed = |gate: &mut GateKeepsTheRules, seq| {
+        let call = Call::Set { service: "R/cmd_vel".into(), epoch: 3, seq };
+        // The clock of the signer is an hour ahead: that makes nothing younger.
+        let transaction = sign(&people.all[salma], Hash::ZERO, seq, 3600 * SECOND, call.transaction(), true);
+        gate.signed(transaction.id(), 2 * SECOND);
+        transaction
+    };
+    let pass = |gate: &mut GateKeepsTheRules, transaction: &Transaction, now| {
+        gate.passed(&Passed { opening: 1, service: "R/cmd_vel", transaction, now, wall: 0, by_block: true })
+    };
+    let on_time = signed(&mut gate, 7);
+    pass(&mut gate, &on_time, 3 * SECOND).unwrap();
+    let late = signed(&mut gate, 8);
+    pass(&mut gate, &late, 5 * SECOND + SECOND / 2).unwrap_err();
+    let refused = |gate: &GateKeepsTheRules, refused, now| gate.refused("R/cmd_vel", &late, refused, now);
+    refused(&gate, Refused::TooOld, 2 * SECOND + SECOND / 4).unwrap_err();
+    refused(&gate, Refused::UnknownBlock, 2 * SECOND).unwrap_err();
+    refused(&gate, Refused::TooOld, 3 * SECOND).unwrap();
+    refused(&gate, Refused::StaleEpoch, 2 * SECOND).unwrap();
 }

@@ -7,18 +7,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
+from ledgerd.codes import Kind
 from ledgerd.context import Context
 from ledgerd.events import Deliveries, Events, Messages, Wanted
 from ledgerd.grant import COMMAND_TTL, Acquiring, Asked, Grant, Published, payloads
 from ledgerd.in_flight import Committed
 from ledgerd.process import Process
-from ledgerd.refusal import Refusal, of_verdict
+from ledgerd.refusal import Refusal, of_verdict, refusal
 from ledgerd.renewal import renew_if_due
 from ledgerd.senders import ABAC, Senders
 from ledgerd.session import CONNECT_MAX, Session
@@ -31,6 +33,11 @@ TTL: Final = 30.0
 """How long after now a call may still be executed, in seconds. Longer than the deadline, or a late retry expires instead of
 being answered.
 """
+
+_AGAIN: Final = 0.5
+"""Pause before a stop that is not in force is signed and sent again, in seconds."""
+_NAMED_MAX: Final = 64
+"""Most calls that a resume names."""
 
 __all__ = ["Acquiring", "Client", "Context", "Grant", "connect"]
 
@@ -88,7 +95,10 @@ class Client:
         session = self._session
         context, not_after = session.context, self.now() + int(ttl * 1_000_000)
         own = context.chain[0]
-        transaction = prepare(call, network=context.network, certificate=own, key=context.key, not_after=not_after)
+        known = session.known_block()
+        transaction = prepare(
+            call, network=context.network, certificate=own, key=context.key, not_after=not_after, known_block=known
+        )
         if session.in_flight.introduced != own:
             transaction = transaction.introduced(own)
         return await session.in_flight.add(transaction, own, session.deadline)
@@ -146,14 +156,38 @@ class Client:
         ended: list[dict[str, Any]] = await self._answer("release", service, holder)
         return ended
 
-    async def stop(self, robot: str, reason: str | None = None) -> dict[str, Any]:
-        """Stops a robot, or all with "*": whoever commands it loses it, and nobody gets it until it is resumed."""
-        done: dict[str, Any] = await self._answer("stop", robot, reason)
-        return done
+    async def stop(self, robot: str, reason: str | None = None, *, timeout: float | None = None) -> dict[str, Any]:
+        """Stops a robot, or all with "*": whoever commands it loses it, and nobody gets it until it is resumed.
+
+        Robots are notified at once. It returns when the stop is in force; until then it is signed and sent again. After `timeout`
+        seconds it raises `Unreachable` (TIMEOUT): the stop is not in force, repeat it.
+        """
+        last: list[Refusal] = []
+
+        async def until_in_force() -> dict[str, Any]:
+            while True:
+                try:
+                    done: dict[str, Any] = await self._answer("stop", robot, reason)
+                    return done
+                except Refusal as refused:
+                    if refused.kind is not Kind.UNREACHABLE and refused.name not in ("EXPIRED", "NOT_AFTER_TOO_FAR"):
+                        raise
+                    last[:] = [refused]
+                await asyncio.sleep(_AGAIN)
+
+        try:
+            return await asyncio.wait_for(until_in_force(), timeout)
+        except asyncio.TimeoutError:
+            found = f"the last answer: {last[0].message} [{last[0].code}]" if last else "no answer"
+            message = f"the stop of {robot} is not in force: repeat it"
+            raise refusal("TIMEOUT", message, found=found, wanted="its verdict in a block", next="stop it again") from None
 
     async def resume(self, robot: str, reason: str | None = None) -> dict[str, Any]:
-        """Lets a stopped robot be commanded again."""
-        done: dict[str, Any] = await self._answer("resume", robot, reason)
+        """Lets a stopped robot be commanded again. Stops of it that have no verdict yet are cancelled."""
+        open_stops = [stop for stop in (await self.status()).open_stops if robot == "*" or stop.robot in (robot, "*")]
+        calls = [f"{stop.id.hex()}:{stop.not_after}" for stop in open_stops[:_NAMED_MAX]]
+        words = [reason or "", *calls] if calls else [reason]
+        done: dict[str, Any] = await self._answer("resume", robot, *words)
         return done
 
     async def _answer(self, function: str, *words: str | None) -> Any:

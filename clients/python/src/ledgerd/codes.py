@@ -82,6 +82,7 @@ CODES: Final[dict[int, tuple[str, Kind]]] = {
     4005: ("BEHIND", Kind.UNREACHABLE),
     4006: ("SHUTTING_DOWN", Kind.UNREACHABLE),
     4007: ("CLOCK_JUMPED", Kind.UNREACHABLE),
+    4008: ("CLOCK_OUT_OF_BOUNDS", Kind.UNREACHABLE),
     5001: ("DISK_FULL", Kind.FAILURE),
     5002: ("CORRUPT", Kind.FAILURE),
     5003: ("DISK_FAILED", Kind.FAILURE),

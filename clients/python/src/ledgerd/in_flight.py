@@ -23,7 +23,7 @@ IN_FLIGHT_MAX: Final = 8192
 
 # These are one node's trouble, and another one may have none of it.
 _OWN: Final = {"BEHIND", "DISK_FULL"}
-_ELSEWHERE: Final = {*_OWN, "NO_LEADER", "SHUTTING_DOWN", "UNREACHABLE"}
+_ELSEWHERE: Final = {*_OWN, "NO_LEADER", "SHUTTING_DOWN", "UNREACHABLE", "CLOCK_OUT_OF_BOUNDS"}
 
 
 @dataclass(frozen=True)

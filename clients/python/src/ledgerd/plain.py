@@ -111,12 +111,16 @@ class Client:
         """Gives a service back, or leaves its line; an admin of the robot's owner takes it back from `holder`."""
         return self._run(self._client.release(service, holder))
 
-    def stop(self, robot: str, reason: str | None = None) -> dict[str, Any]:
-        """Stops a robot, or all with "*": whoever commands it loses it, and nobody gets it until it is resumed."""
-        return self._run(self._client.stop(robot, reason))
+    def stop(self, robot: str, reason: str | None = None, *, timeout: float | None = None) -> dict[str, Any]:
+        """Stops a robot, or all with "*": whoever commands it loses it, and nobody gets it until it is resumed.
+
+        Robots are notified at once. It returns when the stop is in force; until then it is signed and sent again. After `timeout`
+        seconds it raises `Unreachable` (TIMEOUT): the stop is not in force, repeat it.
+        """
+        return self._run(self._client.stop(robot, reason, timeout=timeout))
 
     def resume(self, robot: str, reason: str | None = None) -> dict[str, Any]:
-        """Lets a stopped robot be commanded again."""
+        """Lets a stopped robot be commanded again. Stops of it that have no verdict yet are cancelled."""
         return self._run(self._client.resume(robot, reason))
 
     def publish(self, service: str, *messages: object, ttl: float = COMMAND_TTL) -> Published:

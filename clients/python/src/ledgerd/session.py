@@ -19,8 +19,10 @@ from ledgerd.in_flight import RETRY_AFTER, Effect, InFlight
 from ledgerd.link import Link
 from ledgerd.refusal import Refusal, refusal
 from ledgerd.reaching import Found, Reach
+from ledgerd.transaction import KNOWN_HASH_BYTES
 from ledgerd.v1 import enrolment_pb2 as enrolment
 from ledgerd.v1 import gateway_pb2 as api
+from ledgerd.v1 import transaction_pb2 as signed
 
 _LOG: Final = logging.getLogger("ledgerd")
 
@@ -58,6 +60,8 @@ class Session:
         # The node's clock less our monotonic one, microseconds.
         self._clock = 0
         self._clock_doubted = False
+        # The newest block that the connected node has told of: height, part of its hash, and when (monotonic clock, microseconds).
+        self._known: tuple[int, bytes, int] | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._closed = False
 
@@ -99,6 +103,18 @@ class Session:
         """Takes note of a height that a node has told."""
         self.seen = max(self.seen, height)
 
+    def knows(self, height: int, block_hash: bytes) -> None:
+        """Takes note of a block of which the node tells. The hash may be longer than the part by which it is named, or missing."""
+        if len(block_hash) >= KNOWN_HASH_BYTES and (self._known is None or height > self._known[0]):
+            self._known = height, block_hash[:KNOWN_HASH_BYTES], time.monotonic_ns() // 1000
+
+    def known_block(self) -> signed.KnownBlock | None:
+        """The newest block of which the node has told, as a transaction names it now."""
+        if self._known is None:
+            return None
+        height, block_hash, since = self._known
+        return signed.KnownBlock(height=height, hash=block_hash, known_us=time.monotonic_ns() // 1000 - since)
+
     async def up(self) -> Link:
         """The connection, as soon as there is one. Raises why there will be none if waiting does not cure it."""
         async with self._change:
@@ -134,7 +150,7 @@ class Session:
                 if refused.kind is not Kind.UNREACHABLE:
                     raise
                 last = refused
-                own = self.in_flight.several and refused.name in ("NO_LEADER", "BEHIND")
+                own = self.in_flight.several and refused.name in ("NO_LEADER", "BEHIND", "CLOCK_OUT_OF_BOUNDS")
                 leave = own or refused.name == "SHUTTING_DOWN"
             except (asyncio.TimeoutError, TimeoutError):
                 leave = True
@@ -196,6 +212,9 @@ class Session:
 
     async def _install(self, found: Found) -> None:
         self._set_clock(found.told.clock, found.asked)
+        # A node before it may have told of blocks that do not exist.
+        self._known = None
+        self.knows(found.told.height, found.told.block_hash)
         self._learn(found.told, found.link.address)
         self._unwanted.clear()
         self._requests = asyncio.Queue()
@@ -246,8 +265,12 @@ class Session:
     async def _read(self, link: Link, call: grpc.aio.StreamStreamCall[api.SubmitRequest, api.SubmitResponse]) -> None:
         async for answer in call:
             self.see(answer.height)
+            self.knows(answer.height, answer.block_hash)
             if answer.height > 0 and self.now() > answer.time + _BLOCK_AGE_MAX:
                 self._clock_doubted = True
+            elif self.now() < answer.time:
+                # Another leader's clock is ahead of the one that was told. What is dated by that one would expire too early.
+                self._clock = answer.time - time.monotonic_ns() // 1000
             effect = self.in_flight.answer(answer)
             if effect is Effect.LEAVE and self.in_flight.several:
                 self.leave(link)

@@ -15,6 +15,8 @@ from ledgerd.refusal import refusal
 from ledgerd.v1 import transaction_pb2 as signed
 
 PREFIX: Final = b"ledgerd transaction v1\0"
+# Length of the part of a block's hash by which a signer names it.
+KNOWN_HASH_BYTES: Final = 8
 """Stands in front of the body in what is signed."""
 
 P256_ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
@@ -48,8 +50,12 @@ class Call:
     args: tuple[bytes, ...]
 
 
-def prepare(call: Call, *, network: bytes, certificate: bytes, key: PrivateKey, not_after: int) -> Prepared:
-    """Signs a call. It is not executed after the block time `not_after`, microseconds since the UNIX epoch."""
+def prepare(
+    call: Call, *, network: bytes, certificate: bytes, key: PrivateKey, not_after: int, known_block: signed.KnownBlock | None = None
+) -> Prepared:
+    """Signs a call. It is not executed after the block time `not_after`, microseconds since the UNIX epoch. Gates measure its age by
+    the newest block that its signer knew.
+    """
     body = signed.TransactionBody(
         network=network,
         creator=hashlib.sha256(certificate).digest(),
@@ -58,6 +64,7 @@ def prepare(call: Call, *, network: bytes, certificate: bytes, key: PrivateKey, 
         chaincode=call.chaincode,
         function=call.function,
         args=call.args,
+        known_block=known_block,
     ).SerializeToString()
     encoded = signed.Transaction(body=body, signature=sign(key, PREFIX + body)).SerializeToString()
     return Prepared(hashlib.sha256(body).digest(), encoded)

@@ -1,21 +1,24 @@
 //! `declare`: the state of a robot, certified by the voters.
 
 use crate::arguments::Arguments;
-use crate::calls::views;
+use crate::calls::{emergency, views};
 use crate::lifecycle::holders;
 use crate::policy::decider::Decider;
+use crate::records::cancelled;
 use crate::records::target::Target;
 use crate::records::task::Kept;
 use crate::records::{robot, store, task};
 use bytes::Bytes;
-use ledger::Context;
+use ledger::{CallRef, Context};
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Declaration, Grant, NEXT_MAX, RunningTask, Task};
 
-/// `declare ROBOT`: writes the robot's record once more, so that voters certify this block, and with it the answer. So a
-/// reader that believes no single node learns how the robot stands.
+/// `declare ROBOT [CALL...]`: writes the robot's record once more, so that voters certify this block, and with it the answer. So a
+/// reader that trusts no single node learns the robot's state. Of the stops that it names (`ID:NOT_AFTER`), the answer lists those
+/// that are settled.
 pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let args = Arguments::new("declare ROBOT", args, 1, 1)?;
+    let args = Arguments::new("declare ROBOT [CALL...]", args, 1, 1 + emergency::NAMED_MAX)?;
+    let named = emergency::named(args, 1)?;
     let robot = robot::find(ctx, args.text(0, "ROBOT")?)?;
     store::write(ctx, &store::robot_key(&robot.name), &robot)?;
     let mut grants = Vec::new();
@@ -24,7 +27,13 @@ pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     }
     let told = views::asset(ctx, decider, &robot)?;
     let tasks = running(ctx, &grants)?;
-    store::json(&Declaration { robot: told, grants, tasks })
+    let mut settled = Vec::new();
+    for CallRef { id, not_after } in named {
+        if ctx.is_settled(&id, not_after) || cancelled::has(ctx, &robot.name, &id)? {
+            settled.push(id.to_string());
+        }
+    }
+    store::json(&Declaration { robot: told, grants, tasks, settled })
 }
 
 /// The tasks that these grants serve.

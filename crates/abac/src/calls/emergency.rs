@@ -8,15 +8,33 @@ use crate::records::robot::Robot;
 use crate::records::target::Target;
 use crate::records::{robot, store};
 use bytes::Bytes;
-use ledger::Context;
+use ledger::{CallRef, Context};
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Direction, Emergency};
 
+/// Most calls that one call names.
+pub(crate) const NAMED_MAX: usize = 64;
 /// Stands for all robots that the caller may stop or resume.
 const ALL: &str = "*";
 
 pub(crate) fn reason(args: Arguments<'_>) -> Result<String, Rejection> {
-    if args.has(1) { args.text(1, "REASON").map(str::to_owned) } else { Ok(String::new()) }
+    // A resume without a reason that names calls has an empty one before them.
+    let given = args.rest(1).first().is_some_and(|reason| args.rest(2).is_empty() || !reason.is_empty());
+    if given { args.text(1, "REASON").map(str::to_owned) } else { Ok(String::new()) }
+}
+
+/// The calls that the arguments name, from this index on.
+///
+/// # Errors
+/// [`ledger_base::rejection::Code::BadArgument`].
+pub(crate) fn named(args: Arguments<'_>, index: usize) -> Result<Vec<CallRef>, Rejection> {
+    let named = index..index.saturating_add(args.rest(index).len());
+    named
+        .map(|at| {
+            let text = args.text(at, "CALL")?;
+            text.parse().map_err(|wrong: Rejection| args.bad(at, "CALL", wrong.found, &wrong.wanted))
+        })
+        .collect()
 }
 
 /// The robots that are meant, all of which the caller may stop or resume.

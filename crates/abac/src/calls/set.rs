@@ -107,6 +107,18 @@ pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
     Some(Foretold { response, events: vec![message] })
 }
 
+/// The service that a `set` names, and how many messages it has.
+pub(crate) fn publishes(args: &[Bytes]) -> Option<(&str, u64)> {
+    let service = std::str::from_utf8(args.first()?).ok()?;
+    Some((service, args.len().saturating_sub(3).max(1) as u64))
+}
+
+/// How many messages an event of a `set` reports.
+pub(crate) fn published(event: &Event) -> Option<u64> {
+    let event: MessageEvent = serde_json::from_slice(&event.payload).ok()?;
+    Some(event.count)
+}
+
 /// Checks that every payload starts as CDR does, or is an envelope under the same content key as the others; returns how many they
 /// are, and that key.
 fn check_payloads(args: Arguments<'_>) -> Result<(u64, Option<u64>), Rejection> {

@@ -7,10 +7,10 @@ use crate::lifecycle::follow_up::Ending;
 use crate::lifecycle::settle::settle;
 use crate::policy::action::RobotAction;
 use crate::policy::decider::Decider;
-use crate::records::{grant, stopped, store};
+use crate::records::{cancelled, grant, stopped, store};
 use bytes::Bytes;
 use ledger::Context;
-use ledger_base::rejection::Rejection;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{EmergencyAnswer, Reason, Stopped};
 
 /// `stop ROBOT|* [REASON]`: ends every grant of its command services, and gives none until it is resumed.
@@ -18,8 +18,12 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
     let args = Arguments::new("stop ROBOT|* [REASON]", args, 1, 2)?;
     let reason = emergency::reason(args)?;
     let by = ctx.submitter()?.id();
-    let (mut robots, mut unchanged, mut ending) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut robots, mut unchanged, mut ending, mut cancelled) = (Vec::new(), Vec::new(), Vec::new(), false);
     for robot in emergency::chosen(ctx, decider, args, RobotAction::Stop)? {
+        if cancelled::has(ctx, &robot.name, &ctx.transaction())? {
+            cancelled = true;
+            continue;
+        }
         if stopped::of(ctx, &robot.name)?.is_some() {
             unchanged.push(robot.name);
             continue;
@@ -37,6 +41,12 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
             ctx.emit("stopped", &robot.name, told);
         }
         robots.push(robot.name);
+    }
+    if cancelled && robots.is_empty() && unchanged.is_empty() {
+        return Err(Rejection::new(Code::Refused, "a resume has cancelled this stop before it was ordered")
+            .found("its id among the cancelled ones")
+            .wanted("a stop that was signed after the resume")
+            .next("repeat the stop if the robot must stand still"));
     }
     let ended = settle(ctx, ending)?;
     store::json(&EmergencyAnswer { robots, unchanged, ended })

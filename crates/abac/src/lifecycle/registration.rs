@@ -18,6 +18,7 @@ pub(crate) fn put(
     if before.is_none() {
         robots::check_quota(ctx, &robot.organisation)?;
     }
+    robots::check_budgets(ctx, &robot)?;
     robot::write(ctx, &mut robot)?;
     robots::tell(ctx, &robot, if before.is_some() { "updated" } else { "registered" })?;
     before.map_or(Ok(Vec::new()), |before| ends::robot_changed(ctx, decider, before, &robot))

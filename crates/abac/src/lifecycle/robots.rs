@@ -34,6 +34,38 @@ pub(crate) fn check_quota(ctx: &mut Context<'_>, organisation: &str) -> Result<(
     Err(quota_reached(organisation, "robots", most, "remove a robot that nobody uses: ledgerctl robot remove NAME"))
 }
 
+/// Refuses a budget of a service that is larger than its owner's quota. The owner lowers it alone; with a larger quota, which
+/// other organisations approve, it may be larger.
+pub(crate) fn check_budgets(ctx: &mut Context<'_>, robot: &Robot) -> Result<(), Rejection> {
+    let sharing = || robot.services.iter().map(|service| &service.sharing);
+    if sharing().all(|sharing| sharing.bytes_per_s.is_none() && sharing.messages_per_s.is_none()) {
+        return Ok(());
+    }
+    let quotas = quotas(ctx, &robot.organisation)?;
+    for service in &robot.services {
+        let kinds = [
+            ("service_bytes_per_s", service.sharing.bytes_per_s, quotas.service_bytes_per_s),
+            ("service_messages_per_s", service.sharing.messages_per_s, quotas.service_messages_per_s),
+        ];
+        for (kind, wanted, quota) in kinds {
+            if let Some(wanted) = wanted.filter(|wanted| *wanted > quota) {
+                let organisation = &robot.organisation;
+                return Err(Rejection::new(
+                    Code::QuotaReached,
+                    format!("the budget of {} is larger than the quota of {organisation}", robot.service_id(service)),
+                )
+                .found(wanted.to_string())
+                .wanted(format!("at most {quota}: the quota {kind} of {organisation}"))
+                .next(format!(
+                    "set less; or propose a larger quota: ledgerctl network propose msp set_quota \
+                     '{{\"organisation\":\"{organisation}\",\"{kind}\":{wanted}}}'"
+                )));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// The quotas of an organisation.
 pub(crate) fn quotas(ctx: &mut Context<'_>, organisation: &str) -> Result<Quotas, Rejection> {
     let quotas = ctx.call("msp", "quotas", &[Bytes::copy_from_slice(organisation.as_bytes())])?;

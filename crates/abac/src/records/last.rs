@@ -111,6 +111,7 @@ mod tests {
             height: 1,
             time: 0,
             transaction,
+            executed: &|_, _| false,
             meter: &meter,
         };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());

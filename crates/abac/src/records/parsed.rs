@@ -89,6 +89,7 @@ mod tests {
             height: 1,
             time: 0,
             transaction: Hash::ZERO,
+            executed: &|_, _| false,
             meter: &Meter::of_query(),
         };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());

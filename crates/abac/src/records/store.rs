@@ -24,6 +24,7 @@
 //! | `submitted/<issuer>/<serial>/<task>` | nothing: finds the tasks of a certificate that have not ended |
 //! | `times/<service>␀<time, 16 hex digits>/<task>` | nothing: orders tasks by the time at which they join the line or expire |
 //! | `ended/<service>␀<time>/<task>` | nothing: orders the tasks of a service that have ended; the newest 16 are kept |
+//! | `cancelled/<robot>` | stops that a `resume` has cancelled before they were ordered |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
 //! | `door/<service>` | the last report of a side door of the service |
 //! | `reader/<service>␀<reader>` | a reader of a confidential service, with its reading key, as the next three |
@@ -259,6 +260,11 @@ pub(crate) fn parse_task(key: &[u8], prefix: &[u8]) -> Option<(u64, u64)> {
 /// The key of the stop of a robot.
 pub(crate) fn stopped_key(robot: &str) -> Vec<u8> {
     ["stopped/", robot].concat().into_bytes()
+}
+
+/// The key of the cancelled stops of a robot.
+pub(crate) fn cancelled_key(robot: &str) -> Vec<u8> {
+    ["cancelled/", robot].concat().into_bytes()
 }
 
 /// The key of the last report of a side door of a service.

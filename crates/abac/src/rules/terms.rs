@@ -4,6 +4,7 @@ use super::Rule;
 use super::priority::Source;
 use crate::arguments::shown;
 use crate::records::grant::HOLDERS_MAX;
+use ledger::msp::QUOTAS_MAX;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{OnConflict, Sharing};
 
@@ -55,12 +56,12 @@ impl Terms {
 }
 
 /// The settings that go with every rule.
-const OF_ALL: [&str; 1] = ["confidential"];
+const OF_ALL: [&str; 3] = ["confidential", "bytes_per_s", "messages_per_s"];
 
 /// The range of a number among the settings, and its unit.
 type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
 
-const BOUNDS: [Bounds; 9] = [
+const BOUNDS: [Bounds; 11] = [
     ("publishers", |sharing| sharing.publishers, 1, HOLDERS_MAX as u64, ""),
     ("subscribers", |sharing| sharing.subscribers, 1, HOLDERS_MAX as u64, ""),
     ("queue_max", |sharing| sharing.queue_max, 1, QUEUE_MAX, ""),
@@ -70,6 +71,8 @@ const BOUNDS: [Bounds; 9] = [
     ("idle_release_ms", |sharing| sharing.idle_release_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("confirm", |sharing| sharing.confirm, 1, CONFIRM_MAX, ""),
     ("confirm_within_ms", |sharing| sharing.confirm_within_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+    ("bytes_per_s", |sharing| sharing.bytes_per_s, 1, QUOTAS_MAX.service_bytes_per_s, ""),
+    ("messages_per_s", |sharing| sharing.messages_per_s, 1, QUOTAS_MAX.service_messages_per_s, ""),
 ];
 
 /// Checks the settings of a service on this topic.

@@ -207,6 +207,26 @@ fn an_organisation_that_fills_its_quota_of_robots_keeps_no_other_from_adding_one
 }
 
 #[test]
+fn an_owner_lowers_the_budget_of_a_service_alone_and_raises_it_up_to_the_quota_only() {
+    let mut fleet = Fleet::empty();
+    fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "open")]);
+    let budget =
+        |bytes: u64, messages: u64| format!(r#"{{"sharing":{{"bytes_per_s":{bytes},"messages_per_s":{messages}}}}}"#);
+    fleet.ok(&owner(), "configure", &["Turtlebot4", &budget(1_000, 10)]);
+    fleet.ok(
+        &owner(),
+        "configure",
+        &["Turtlebot4", &budget(QUOTAS.service_bytes_per_s, QUOTAS.service_messages_per_s)],
+    );
+    for more in [budget(QUOTAS.service_bytes_per_s + 1, 10), budget(1_000, QUOTAS.service_messages_per_s + 1)] {
+        let refused = fleet.refused(&owner(), Code::QuotaReached, "configure", &["Turtlebot4", &more]);
+        assert!(refused.message.contains("Turtlebot4/cmd_vel") && refused.advice().contains("set_quota"), "{refused}");
+    }
+    fleet.refused(&owner(), Code::BadArgument, "configure", &["Turtlebot4", &budget(0, 10)]);
+    fleet.refused(&admin1(), Code::NotOwner, "configure", &["Turtlebot4", &budget(1_000, 10)]);
+}
+
+#[test]
 fn who_mistypes_the_name_of_a_robot_has_few_robots_read() {
     let mut fleet = Fleet::empty();
     for number in 0..QUOTAS.robots {

@@ -161,6 +161,8 @@ fn whom_policies_no_longer_permit_to_confirm_counts_no_more() {
         when { principal.name == "Safe" };"#;
     fleet.ok(&owner(), "policy", &["put", "p", text]);
     assert!(confirm(&mut fleet, &owner()).acquired.is_none(), "one of two counts no more");
+    // Nor does it count when the contender asks again.
+    asks(&mut fleet, &salma());
     assert!(confirm(&mut fleet, &officer("Other", 52)).acquired.is_some());
 }
 

@@ -1,7 +1,11 @@
 //! Stop, resume and take.
 
-use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, TURTLEBOT, admin1, camera, farhad, identity, owner, robot, salma};
-use ledger_abac::{Emergency, EmergencyAnswer, Grant, Reason, Released, RobotAsset};
+use crate::fleet::{
+    EXECUTED, Fleet, HUSKY, OPTITRACK, SECOND, TURTLEBOT, admin1, camera, farhad, identity, owner, robot, salma,
+};
+use ledger::CallRef;
+use ledger_abac::{Declaration, Emergency, EmergencyAnswer, Grant, Reason, Released, RobotAsset};
+use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
 
@@ -150,4 +154,52 @@ fn whoever_waits_keeps_the_place_while_the_robot_is_stopped_and_has_its_turn_aft
     fleet.ok(&owner(), "resume", &["Turtlebot4"]);
     fleet.tick();
     assert_eq!(fleet.newest::<Grant>("granted").holder, "Org1/Farhad");
+}
+
+/// A stop that was signed now.
+fn signed(fleet: &Fleet, number: u8) -> CallRef {
+    CallRef { id: Hash([number; 32]), not_after: fleet.time + 30 * SECOND }
+}
+
+#[test]
+fn a_declaration_lists_the_named_stops_that_are_settled_and_no_others() {
+    let mut fleet = Fleet::of_the_paper();
+    let (open, over) = (signed(&fleet, 1), CallRef { not_after: fleet.time - 1, ..signed(&fleet, 2) });
+    let executed = CallRef { id: EXECUTED, ..open };
+    let named = [open, over, executed].map(|call| call.to_string());
+    let args = ["Turtlebot4", &named[0], &named[1], &named[2]];
+    let declared: Declaration = fleet.get(&farhad(), "declare", &args);
+    assert_eq!(declared.settled, [over.id.to_string(), EXECUTED.to_string()]);
+    fleet.time = open.not_after + 1;
+    let declared: Declaration = fleet.get(&farhad(), "declare", &["Turtlebot4", &named[0]]);
+    assert_eq!(declared.settled, [open.id.to_string()], "its time has passed");
+    fleet.refused(&farhad(), Code::BadArgument, "declare", &["Turtlebot4", "0102"]);
+}
+
+#[test]
+fn a_resume_cancels_the_stops_that_it_names_before_they_are_ordered_and_no_others() {
+    let mut fleet = Fleet::of_the_paper();
+    let [first, second] = [signed(&fleet, 1), signed(&fleet, 2)];
+    let (robots, call) = (["Turtlebot4".to_owned()], first.to_string());
+    let resumed: EmergencyAnswer = fleet.get(&owner(), "resume", &["Turtlebot4", "", &call]);
+    assert_eq!(resumed.robots, robots, "also if it is not stopped yet");
+    fleet.newest::<Emergency>("resumed");
+    let declared: Declaration = fleet.get(&farhad(), "declare", &["Turtlebot4", &call, &second.to_string()]);
+    assert_eq!(declared.settled, [first.id.to_string()]);
+    let elsewhere: Declaration = fleet.get(&farhad(), "declare", &["Husky", &call]);
+    assert!(elsewhere.settled.is_empty(), "it was cancelled for the one robot");
+
+    fleet.transaction = first.id;
+    fleet.refused(&owner(), Code::Refused, "stop", &["Turtlebot4"]);
+    let others: EmergencyAnswer = fleet.get(&owner(), "stop", &["*"]);
+    assert_eq!(others.robots, ["Husky", "OptiTrack"]);
+    fleet.transaction = second.id;
+    let stopped: EmergencyAnswer = fleet.get(&owner(), "stop", &["Turtlebot4"]);
+    assert_eq!(stopped.robots, robots);
+
+    let nothing: EmergencyAnswer = fleet.get(&owner(), "resume", &["OptiTrack", "drill"]);
+    assert_eq!(nothing.robots.len(), 1);
+    fleet.time += 200 * SECOND;
+    let late: EmergencyAnswer = fleet.get(&owner(), "resume", &["OptiTrack", "drill", &call]);
+    assert_eq!(late.unchanged.len(), 1, "it is over");
 }

@@ -19,6 +19,8 @@ pub(crate) const START: u64 = 1_795_219_200_000_000;
 pub(crate) const SECOND: u64 = 1_000_000;
 pub(crate) const TURTLEBOT: &str = "Turtlebot4/cmd_vel";
 pub(crate) const HUSKY: &str = "Husky/cmd_vel";
+/// The id of a transaction that was executed.
+pub(crate) const EXECUTED: Hash = Hash([0xee; 32]);
 /// A Twist that stands still.
 pub(crate) const TWIST: [u8; 52] = {
     let mut message = [0; 52];
@@ -387,6 +389,7 @@ impl Fleet {
             height: self.height,
             time: self.time,
             transaction: self.transaction,
+            executed: &|id, _| *id == EXECUTED,
             meter: &self.meter,
         }
     }

@@ -102,6 +102,7 @@ impl Teller {
             chaincode: chaincode.into(),
             function: function.into(),
             args: args.iter().map(|arg| Bytes::copy_from_slice(arg)).collect(),
+            known_block: None,
         }
     }
 

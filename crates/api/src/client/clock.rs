@@ -36,6 +36,10 @@ impl Clock {
     /// Takes note of the time of a block that was just executed. Block time that is ahead of the machines' clocks runs slower
     /// than they do: then what is signed by this clock would live longer than it should.
     pub(crate) fn executed(&self, block_time: u64) {
+        if self.now() < block_time {
+            // The clock of the leader is ahead of the node's. Calls that are dated by the node's would expire too early.
+            self.learn(block_time, Instant::now());
+        }
         if self.now() > block_time.saturating_add(BLOCK_AGE_MAX) {
             self.doubt();
         }
@@ -63,6 +67,14 @@ fn micros(from: Instant, to: Instant) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_clock_is_never_behind_a_block_that_was_executed() {
+        let clock = Clock::new();
+        clock.learn(100_000_000, Instant::now());
+        clock.executed(100_900_000);
+        assert!(clock.now() >= 100_900_000 && !clock.take_doubt());
+    }
 
     #[test]
     fn a_clock_that_has_run_ahead_of_block_time_is_doubted_once() {

@@ -40,6 +40,8 @@ pub struct Subscription {
     pub early: bool,
     /// Deliveries of certified blocks come with a proof, and wait for it: [`Client::believe`].
     pub proofs: bool,
+    /// Deliveries come with the hashes of all blocks before them.
+    pub heads: bool,
 }
 
 /// A stream of deliveries, in block order, each block once. If a node told of blocks that do not exist, what it delivered may come
@@ -176,6 +178,7 @@ impl EventStream {
     /// Notes a delivery of a node; false if its block was delivered before.
     fn accept(&mut self, delivery: &v1::Delivery, node: Arc<str>) -> bool {
         self.client.session.see(delivery.height);
+        self.client.session.knows(delivery.height, &delivery.block_hash);
         let repeated = delivery.height < self.next_height && !delivery.events.is_empty();
         let next = delivery.height.saturating_add(1);
         if next > self.next_height {
@@ -226,6 +229,7 @@ impl EventStream {
             },
             early: self.wanted.early,
             proofs: self.wanted.proofs,
+            heads: self.wanted.heads,
         };
         let mut gateway = up.gateway();
         match timeout(ACCEPT_MAX, gateway.subscribe(request)).await {

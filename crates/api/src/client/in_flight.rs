@@ -253,7 +253,11 @@ impl InFlight {
                 if refused.code != Code::Overloaded {
                     table.resting.get_or_insert_with(|| Instant::now() + RETRY_AFTER);
                 }
-                let elsewhere = own || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
+                let elsewhere = own
+                    || matches!(
+                        refused.code,
+                        Code::NoLeader | Code::ShuttingDown | Code::Unreachable | Code::ClockOutOfBounds
+                    );
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
             if refused.code == Code::UnknownCreator && self.introduce(entry) {
@@ -411,8 +415,16 @@ mod tests {
     fn transaction(key: &SigningKey, nonce: u8) -> Transaction {
         let (id, nonce) = (Bytes::from(vec![1; 32]), Bytes::from(vec![nonce; NONCE_BYTES]));
         let (chaincode, function) = ("abac".to_owned(), "set".to_owned());
-        let body =
-            Body { network: id.clone(), creator: id, nonce, not_after: 1, chaincode, function, args: Vec::new() };
+        let body = Body {
+            network: id.clone(),
+            creator: id,
+            nonce,
+            not_after: 1,
+            chaincode,
+            function,
+            args: Vec::new(),
+            known_block: None,
+        };
         Transaction::sign(&body, key).unwrap()
     }
 

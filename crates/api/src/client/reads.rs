@@ -183,7 +183,8 @@ impl Client {
                 Ok(Err(status)) => {
                     let refused = connection.refusal(&status);
                     // Cut off from the leader, or behind: another node may be neither.
-                    let own = self.session.several() && matches!(refused.code, Code::NoLeader | Code::Behind);
+                    let own = self.session.several()
+                        && matches!(refused.code, Code::NoLeader | Code::Behind | Code::ClockOutOfBounds);
                     let leave = own || refused.code == Code::ShuttingDown;
                     (refused, leave)
                 }

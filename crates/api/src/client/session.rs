@@ -13,10 +13,12 @@ use super::retry::is_final;
 use super::uplink::Uplink;
 use crate::connect::{Connection, Credentials};
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
+use bytes::Bytes;
+use ledger::transaction::{KNOWN_HASH_BYTES, KnownBlock};
 use ledger_base::rejection::{Code, Rejection};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, interval_at, sleep, timeout};
@@ -42,6 +44,16 @@ pub(super) struct Session {
     nodes: Arc<Nodes>,
     /// Largest height seen in an answer or delivery.
     seen: Arc<AtomicU64>,
+    /// The newest block that the connected node has reported, and when.
+    known: Mutex<Option<Known>>,
+}
+
+/// A block that a node has reported.
+#[derive(Clone, Copy)]
+struct Known {
+    height: u64,
+    hash: [u8; KNOWN_HASH_BYTES],
+    since: Instant,
 }
 
 /// The connection as it is now.
@@ -77,6 +89,7 @@ impl Session {
             link,
             unwanted,
             seen: Arc::clone(&dialer.seen),
+            known: Mutex::default(),
             dialer,
             nodes: Arc::new(nodes),
         });
@@ -156,6 +169,26 @@ impl Session {
         self.seen.fetch_max(height, Ordering::Relaxed);
     }
 
+    /// Stores a block that the node reports. The hash may be longer than the part by which it is named, or missing.
+    pub(super) fn knows(&self, height: u64, hash: &[u8]) {
+        let Some(hash) = KnownBlock::prefix(hash) else { return };
+        let mut known = self.known();
+        if known.as_ref().is_none_or(|known| height > known.height) {
+            *known = Some(Known { height, hash, since: Instant::now() });
+        }
+    }
+
+    /// The newest block that the node has reported, as a transaction names it now.
+    pub(super) fn known_block(&self) -> Option<KnownBlock> {
+        let Known { height, hash, since } = (*self.known())?;
+        let known_us = u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX);
+        Some(KnownBlock { height, hash: Bytes::copy_from_slice(&hash), known_us })
+    }
+
+    fn known(&self) -> MutexGuard<'_, Option<Known>> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Asks the node for its clock.
     pub(super) async fn learn_clock(&self) -> Result<(), Rejection> {
         let up = timeout(self.options.deadline, self.up()).await.map_err(|_| self.no_connection())??;
@@ -179,6 +212,9 @@ impl Session {
     fn install(&self, number: u64, opened: Opened) -> Streaming<SubmitResponse> {
         let Opened { connection, requests, answers, told, at } = opened;
         self.clock.learn(told.clock, at);
+        // An earlier node may have reported blocks that do not exist.
+        *self.known() = None;
+        self.knows(told.height, &told.block_hash);
         self.in_flight.several.store(self.several(), Ordering::Relaxed);
         self.in_flight.attach(requests);
         self.link.send_replace(Link { number, connection, carries: told.carries, broken: None });
@@ -189,6 +225,7 @@ impl Session {
     fn take_note(&self, told: Option<NetworkResponse>) {
         let Some(told) = told else { return };
         let news = self.nodes.learn(&told, &self.address());
+        self.knows(told.height, &told.block_hash);
         self.in_flight.several.store(self.several(), Ordering::Relaxed);
         self.link.send_if_modified(|link| {
             link.carries = told.carries;
@@ -211,6 +248,7 @@ impl Session {
         self.see(answer.height);
         if answer.height > 0 {
             self.clock.executed(answer.time);
+            self.knows(answer.height, &answer.block_hash);
         }
         match self.in_flight.answer(answer) {
             Effect::Leave if self.several() => self.leave(number),

@@ -2,6 +2,7 @@
 
 use super::{code_text, utc};
 use crate::v1;
+use ledger_light::{Survives, Voters};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -81,6 +82,8 @@ pub struct StatusFacts {
     pub voters: u32,
     /// Voters that it has a connection to, itself counted.
     pub voters_reachable: u32,
+    /// How many signatures make a certificate, and the faults that the voters survive.
+    pub certificate_rule: CertificateRuleFacts,
     /// The disk of its data directory.
     pub disk: DiskFacts,
     /// Certificates and revocation lists on which it depends.
@@ -91,12 +94,52 @@ pub struct StatusFacts {
     /// Report about nodes whose state digest differs; empty if all agree.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub divergence: String,
-    /// Nodes that have signed two different statements about one block; empty if there are none.
+    /// Members that have signed two different blocks of one height, or two votes in one term; empty if there are none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub lies: String,
+    /// Members that have signed two different results of one block; empty if there are none.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub faults: String,
+    /// Signed stops without a verdict, as far as it knows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub open_stops: Vec<OpenStopFacts>,
     /// Address of its console; empty if it has none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub console: String,
+}
+
+/// How many signatures make a certificate, and the faults that the voters survive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct CertificateRuleFacts {
+    /// Signatures that are needed.
+    pub signatures_needed: u32,
+    /// Height of the block that made certificates strict; none if they are not.
+    pub strict_since: Option<u64>,
+    /// So many voters may crash at once.
+    pub survives_crashes: u32,
+    /// One organisation may lie with all its voters.
+    pub survives_lie: bool,
+    /// One organisation may be silent with all its voters.
+    pub survives_silence: bool,
+}
+
+/// A signed stop of which robots were notified, and that has no verdict yet.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct OpenStopFacts {
+    /// Id of its transaction.
+    pub transaction: String,
+    /// The robot, or `*`.
+    pub robot: String,
+    /// Its signer.
+    pub by: String,
+    /// Until when it may be executed.
+    pub not_after: u64,
+}
+
+impl From<v1::OpenStop> for OpenStopFacts {
+    fn from(stop: v1::OpenStop) -> Self {
+        Self { transaction: hex::encode(&stop.id), robot: stop.robot, by: stop.by, not_after: stop.not_after }
+    }
 }
 
 /// Another node, as this one sees it.
@@ -211,12 +254,58 @@ impl From<v1::StatusResponse> for StatusFacts {
             waiting_data: status.waiting_data,
             voters: status.voters,
             voters_reachable: status.voters_connected,
+            certificate_rule: status.certificate_rule.unwrap_or_default().into(),
             certificates: status.certificates.into_iter().map(CertificateFacts::from).collect(),
             attention: Some(status.attention.into_iter().map(AttentionFacts::from).collect()),
             divergence: status.divergence,
             lies: status.lies,
+            faults: status.faults,
+            open_stops: status.open_stops.into_iter().map(OpenStopFacts::from).collect(),
             console: status.console,
         }
+    }
+}
+
+impl From<v1::CertificateRule> for CertificateRuleFacts {
+    fn from(rule: v1::CertificateRule) -> Self {
+        Self {
+            signatures_needed: rule.needed,
+            strict_since: rule.strict_since,
+            survives_crashes: rule.survives_crashes,
+            survives_lie: rule.survives_lie,
+            survives_silence: rule.survives_silence,
+        }
+    }
+}
+
+impl CertificateRuleFacts {
+    /// Of these voters.
+    pub fn of(voters: &Voters) -> Self {
+        let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+        let Survives { crashes, lie, silence } = voters.survives();
+        Self {
+            signatures_needed: number(voters.quorum()),
+            strict_since: voters.rule.strict_since,
+            survives_crashes: number(crashes),
+            survives_lie: lie,
+            survives_silence: silence,
+        }
+    }
+
+    /// The rule in one line: `3 signatures, strict since block 12`.
+    pub fn rule(&self) -> String {
+        let signatures = if self.signatures_needed == 1 { "signature" } else { "signatures" };
+        let rule = match self.strict_since {
+            Some(since) => format!("strict since block {since}"),
+            None => "not strict: of two organisations, if voters have two".to_owned(),
+        };
+        format!("{} {signatures}, {rule}", self.signatures_needed)
+    }
+
+    /// The faults in one line: `1 crash, lies of one organisation, silence of one organisation`.
+    pub fn survives(&self) -> String {
+        let crashes = usize::try_from(self.survives_crashes).unwrap_or(usize::MAX);
+        Survives { crashes, lie: self.survives_lie, silence: self.survives_silence }.to_string()
     }
 }
 

@@ -53,7 +53,7 @@ fn proof(network: Hash, genesis: &[u8], height: u64, (id, response): (Hash, &[u8
     let verdict = Fact::Verdict { index: 0, id, code: 0, response: Hash::of(&[response]) };
     let leaves = [ground.leaf(), verdict.leaf()];
     let results = merkle::root(leaves.to_vec());
-    let statement = Statement { network, height, time: wall_clock(), block: Hash::ZERO, results };
+    let statement = Statement { network, recoveries: 0, height, time: wall_clock(), block: Hash::ZERO, results };
     let own = by.1.own();
     let signed = statement.sign(by.0, Bytes::copy_from_slice(own.certificate()), &own.key).unwrap();
     let facts = [(0, ground), (1, verdict)].map(|(at, fact)| Shown::of(&fact, &leaves, at).unwrap());

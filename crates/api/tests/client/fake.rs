@@ -318,6 +318,8 @@ impl Node {
             cut_off: self.cut_off.load(Ordering::SeqCst),
             carries: self.carries.lock().unwrap().clone(),
             rules: Rules::NEWEST.number(),
+            height: 0,
+            block_hash: Bytes::new(),
         }
     }
 }

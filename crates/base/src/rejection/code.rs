@@ -236,6 +236,9 @@ codes! {
     ClockJumped = 4007 "CLOCK_JUMPED" Unreachable,
         "set the clock right; the node continues by itself. If the clock is right, end the node and confirm it: \
          ledgerd run --trust-clock --config FILE";
+    /// The clock of the node's machine is too far from those of most voters.
+    ClockOutOfBounds = 4008 "CLOCK_OUT_OF_BOUNDS" Unreachable,
+        "use another node, and set the clock of the machine that the message names: timedatectl set-ntp true";
 
     /// The disk is full; nothing more is accepted.
     DiskFull = 5001 "DISK_FULL" Failure,

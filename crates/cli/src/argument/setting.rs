@@ -32,7 +32,7 @@ const fn of_robot(name: &'static str, field: &'static str, wanted: &'static str,
 const DEFAULT: &str = "default";
 
 /// Every setting; those of services first.
-pub(crate) static KEYS: [Key; 22] = [
+pub(crate) static KEYS: [Key; 24] = [
     of_service("mode", "mode", "open|exclusive|limited", |settings, value| {
         settings.mode = Some(Mode::from(value));
         Ok(())
@@ -84,6 +84,10 @@ pub(crate) static KEYS: [Key; 22] = [
     of_service("confidential", "confidential", "true|false", |settings, value| {
         settings.sharing.confidential = Some(value.parse().map_err(|_| "wanted true or false".to_owned())?);
         Ok(())
+    }),
+    of_service("bytes-per-s", "bytes_per_s", "N", |settings, value| number(&mut settings.sharing.bytes_per_s, value)),
+    of_service("messages-per-s", "messages_per_s", "N", |settings, value| {
+        number(&mut settings.sharing.messages_per_s, value)
     }),
     of_robot("attr-required", "attribute_required", "KEY[=VALUE]", |settings, value| {
         settings.attribute_required = Some(value.to_owned());
@@ -216,6 +220,8 @@ mod tests {
             "confirm=2",
             "confirm-within=30s",
             "confidential=true",
+            "bytes-per-s=1000000",
+            "messages-per-s=100",
             "attr-required=level=3",
             "trust=Org1,Org2",
         ]);

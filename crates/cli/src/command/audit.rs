@@ -11,6 +11,7 @@ use crate::session::Session;
 use crate::time;
 use bytes::Bytes;
 use ledger_api::facts::AuditFacts;
+use ledger_api::pages::PageBound;
 use ledger_api::v1::{AuditRequest, AuditResponse};
 use ledger_base::rejection::{Code, Rejection};
 use row::Rows;
@@ -18,6 +19,8 @@ use std::time::Duration;
 
 /// Rows of one question.
 const ROWS_AT_ONCE: u32 = 1000;
+/// Most rows that are shown where nobody has said how many. A node could go on without end.
+const ROWS_MAX: u64 = 10_000;
 /// Pause between two questions while new rows are waited for.
 const FOLLOW_PAUSE: Duration = Duration::from_millis(500);
 /// The decision of rows about commands.
@@ -44,7 +47,7 @@ pub(crate) struct Audit {
     /// Up to this moment
     #[arg(long, value_name = "MOMENT", conflicts_with = "follow")]
     until: Option<Moment>,
-    /// At most so many rows
+    /// At most so many rows; without it 10000, unless --follow is given
     #[arg(long, value_name = "N", value_parser = number::count)]
     limit: Option<u64>,
     /// Go on with what happens, until Ctrl-C
@@ -92,20 +95,20 @@ impl Audit {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
         let mut request = self.request(&session).await?;
-        let mut left = self.limit.unwrap_or(u64::MAX);
+        let mut budget = Budget::new(self.limit, self.follow);
         let (mut told_behind, mut shown) = (false, Vec::new());
         if self.csv {
             output.set_format(Format::Csv);
         }
-        loop {
-            request.limit = u32::try_from(left).unwrap_or(u32::MAX).min(ROWS_AT_ONCE);
-            let AuditResponse { rows, after, more, from_height, height, executed } =
+        let ended = loop {
+            request.limit = budget.ask();
+            let AuditResponse { mut rows, after, more, from_height, height, executed } =
                 session.client.audit(request.clone()).await?;
             if !told_behind {
                 told_behind = true;
                 extent(output, (from_height, height, executed));
             }
-            left -= rows.len() as u64;
+            let next = budget.took(&mut rows, more)?;
             let rows =
                 rows.into_iter().filter(|row| !(self.from_now && row.decision == COMMANDS)).map(AuditFacts::from);
             match output.format() {
@@ -113,21 +116,21 @@ impl Audit {
                 Format::Table if self.follow => rows.into_iter().try_for_each(|row| output.show(&row))?,
                 Format::Table => shown.extend(rows),
             }
-            if left == 0 || !(more || self.follow) {
-                break;
-            }
             request.after = after;
-            if !more {
-                tokio::select! {
+            match next {
+                Next::Ask => {}
+                Next::Wait => tokio::select! {
                     () = tokio::time::sleep(FOLLOW_PAUSE) => {}
                     _ = tokio::signal::ctrl_c() => return Ok(()),
-                }
+                },
+                Next::End => break Ok(()),
+                Next::Cut => break Err(cut().into()),
             }
-        }
+        };
         if output.format() == Format::Table && !self.follow {
             output.show(&Rows(shown))?;
         }
-        Ok(())
+        ended
     }
 
     async fn request(&self, session: &Session) -> Result<AuditRequest, Rejection> {
@@ -161,6 +164,68 @@ pub(super) async fn moment(session: &Session, moment: Moment) -> Result<u64, Rej
     }
 }
 
+/// The rows that may still be shown, of a node that need not be honest.
+struct Budget {
+    left: u64,
+    is_given: bool,
+    follow: bool,
+    bound: PageBound,
+}
+
+/// The step after an answer.
+#[derive(Debug, PartialEq, Eq)]
+enum Next {
+    /// The next page.
+    Ask,
+    /// Later rows, after a pause.
+    Wait,
+    /// All that was wanted was shown.
+    End,
+    /// The node has more rows than are shown.
+    Cut,
+}
+
+impl Budget {
+    fn new(limit: Option<u64>, follow: bool) -> Self {
+        let most = if follow { u64::MAX } else { ROWS_MAX };
+        Self { left: limit.unwrap_or(most), is_given: limit.is_some(), follow, bound: PageBound::default() }
+    }
+
+    /// The rows to ask for.
+    fn ask(&self) -> u32 {
+        u32::try_from(self.left).unwrap_or(u32::MAX).min(ROWS_AT_ONCE)
+    }
+
+    /// Takes an answer, of which no more rows stay than were asked for.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`] if the node sends pages without end.
+    fn took<T>(&mut self, rows: &mut Vec<T>, more: bool) -> Result<Next, Rejection> {
+        rows.truncate(usize::try_from(self.ask()).unwrap_or(usize::MAX));
+        self.left = self.left.saturating_sub(rows.len() as u64);
+        match (self.left, more) {
+            (0, true) if !self.is_given => return Ok(Next::Cut),
+            (0, _) => return Ok(Next::End),
+            (_, false) => {
+                self.bound = PageBound::default();
+                return Ok(if self.follow { Next::Wait } else { Next::End });
+            }
+            (_, true) => {}
+        }
+        // Rows without end are what was asked for; empty pages without end are not.
+        self.bound.count("the rows", if self.follow || self.is_given { rows.len().min(1) } else { rows.len() })?;
+        Ok(Next::Ask)
+    }
+}
+
+/// There is more than is shown.
+fn cut() -> Rejection {
+    Rejection::new(Code::TooLarge, "the audit has more rows than are shown")
+        .found(format!("the first {ROWS_MAX} rows, and the node has more"))
+        .wanted(format!("at most {ROWS_MAX} rows without --limit"))
+        .next("ask for less with --since, --until, --robot, --user or --code, or name a larger --limit")
+}
+
 /// Tells which part of the past the node does not know.
 fn extent(output: &Output, (from, height, executed): (u64, u64, u64)) {
     if from > 1 {
@@ -168,5 +233,40 @@ fn extent(output: &Output, (from, height, executed): (u64, u64, u64)) {
     }
     if height < executed {
         output.note(&format!("this node is still making its index: it is at block {height} of {executed}"));
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    /// The answers of a node that always has more, until the command ends; the rows that it has shown.
+    fn endless(mut budget: Budget, rows_at_once: usize) -> (u64, Result<Next, Rejection>) {
+        let mut shown = 0;
+        loop {
+            let mut rows = vec![(); rows_at_once];
+            let next = budget.took(&mut rows, true);
+            shown += rows.len() as u64;
+            if next != Ok(Next::Ask) {
+                return (shown, next);
+            }
+        }
+    }
+
+    #[test]
+    fn a_node_that_never_ends_is_left_and_more_rows_than_were_asked_for_are_dropped() {
+        for rows_at_once in [1000, 100_000] {
+            let (shown, next) = endless(Budget::new(None, false), rows_at_once);
+            assert_eq!((shown, next.unwrap()), (ROWS_MAX, Next::Cut));
+            let (shown, next) = endless(Budget::new(Some(2500), false), rows_at_once);
+            assert_eq!((shown, next.unwrap()), (2500, Next::End));
+        }
+        for follow in [false, true] {
+            let (shown, next) = endless(Budget::new(None, follow), 0);
+            assert!(shown == 0 && next.unwrap_err().code == Code::TooLarge);
+        }
+        let mut following = Budget::new(None, true);
+        assert_eq!(following.took(&mut vec![(); 10], false), Ok(Next::Wait));
     }
 }

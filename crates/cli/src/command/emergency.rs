@@ -1,21 +1,30 @@
 //! `stop`, `resume`: nobody commands a robot that is stopped, until somebody who may resumes it.
 
 use crate::answer;
+use crate::argument::span::Milliseconds;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::in_force::{Described, until_in_force};
 use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
-use crate::words::Words;
+use crate::words::{Words, shell_word};
 use bytes::Bytes;
+use ledger::CallRef;
 use ledger_api::Committed;
+use ledger_api::v1::OpenStop;
+use ledger_base::hash::Hash;
 use ledger_contract::EmergencyAnswer;
 use serde::Serialize;
 use std::io::{self, Write};
+use std::time::Duration;
 
 /// Stop a robot: whoever commands it loses it, and nobody gets it until it is resumed.
 ///
 /// For admins of the robot's owner, for identities with the attribute safety=true of organisations that the owner trusts,
 /// for the robot itself, and those whom the owner's policies permit `stop`.
+///
+/// Where nothing can be ordered, robots are notified at once, and the stop is signed and sent again until it is in force. Ended before,
+/// by Ctrl-C or --timeout, the command fails: repeat it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -24,11 +33,14 @@ Example:
 pub(crate) struct Stop {
     #[command(flatten)]
     which: Which,
+    /// Give up after this time, with an error if it is not in force by then [default: never]
+    #[arg(long, value_name = "TIME")]
+    timeout: Option<Milliseconds>,
 }
 
 /// Let a stopped robot be commanded again; for admins of its owner and those whom policies permit `resume`.
 ///
-/// The next one in line gets it, if anybody waits.
+/// The next one in line gets it, if anybody waits. Stops of the robot that have no verdict yet are cancelled.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl resume Turtlebot4 --reason 'cell is empty'")]
 pub(crate) struct Resume {
@@ -56,7 +68,7 @@ struct Done {
     answer: EmergencyAnswer,
     time: u64,
     height: u64,
-    transaction: ledger_base::hash::Hash,
+    transaction: Hash,
     #[serde(skip)]
     state: &'static str,
 }
@@ -64,11 +76,12 @@ struct Done {
 impl Facts for Done {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { answer: EmergencyAnswer { robots, unchanged, ended }, state, .. } = self;
+        let force = if *state == "stopped" { ": in force" } else { "" };
         for robot in robots {
-            writeln!(out, "{robot} is {state}")?;
+            writeln!(out, "{robot} is {state}{force}")?;
         }
         for robot in unchanged {
-            writeln!(out, "{robot} was {state} before")?;
+            writeln!(out, "{robot} was {state} before{force}")?;
         }
         for grant in ended {
             writeln!(out, "  ended the grant of {} to {} (epoch {})", grant.service, grant.holder, grant.epoch)?;
@@ -81,35 +94,66 @@ impl Facts for Done {
 }
 
 impl Which {
-    async fn run(
-        self,
-        (function, state): (&str, &'static str),
-        words: Words,
-        global: &Global,
-        output: &mut Output,
-    ) -> Result<(), Failure> {
-        let session = Session::open(global).await?;
-        let robot = self.robot.unwrap_or_else(|| "*".to_owned());
-        let args = std::iter::once(robot).chain(self.reason).map(Bytes::from).collect();
-        let done = session.call(ABAC, function, args).await.map_err(|refused| words.told(refused))?;
-        let Committed { id, height, time, response, .. } = done;
-        let answer = answer::parse(&response, "an answer about robots")?;
-        output.show(&Done { answer, time, height, transaction: id, state })
+    /// The robot, or `*`.
+    fn robot(&self) -> String {
+        self.robot.clone().unwrap_or_else(|| "*".to_owned())
     }
+}
+
+fn show(done: Committed, state: &'static str, output: &mut Output) -> Result<(), Failure> {
+    let Committed { id, height, time, response, .. } = done;
+    let answer = answer::parse(&response, "an answer about robots")?;
+    output.show(&Done { answer, time, height, transaction: id, state })
 }
 
 /// The words of the command line where the chaincode has other names.
 const STOP: Words = Words { arguments: &[("ROBOT|*", "the robot"), ("REASON", "--reason")], help: "ledgerctl stop" };
 const RESUME: Words = Words { help: "ledgerctl resume", ..STOP };
 
+/// Most stops that one resume cancels.
+const NAMED_MAX: usize = 64;
+
+/// The name of a stop that has no verdict.
+fn call(open: &OpenStop) -> Option<CallRef> {
+    Some(CallRef { id: Hash::from_slice(&open.id)?, not_after: open.not_after })
+}
+
 impl Stop {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.which.run(("stop", "stopped"), STOP, global, output).await
+        let robot = self.which.robot();
+        let (what, typed) = match robot.as_str() {
+            "*" => ("the stop of all robots".to_owned(), "--all".to_owned()),
+            robot => (format!("the stop of {robot}"), shell_word(robot)),
+        };
+        let described = Described { what, command: format!("ledgerctl stop {typed}"), robot: Some(&robot) };
+        let session = Session::open(global).await?;
+        let args: Vec<_> = [Some(&robot), self.which.reason.as_ref()].into_iter().flatten().cloned().collect();
+        let attempt = || async {
+            let args = args.iter().cloned().map(Bytes::from).collect();
+            session.call(ABAC, "stop", args).await.map_err(|refused| STOP.told(refused))
+        };
+        let timeout = self.timeout.map(|Milliseconds(ms)| Duration::from_millis(ms));
+        let done = until_in_force(&session, &described, timeout, output, attempt).await?;
+        show(done, "stopped", output)
     }
 }
 
 impl Resume {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.which.run(("resume", "resumed"), RESUME, global, output).await
+        let session = Session::open(global).await?;
+        let robot = self.which.robot();
+        // A node that has no stop without a verdict knows of none that could come later.
+        let open = session.client.status().await?.open_stops;
+        let named = open.iter().filter(|open| open.robot == robot || open.robot == "*" || robot == "*");
+        let named: Vec<_> = named
+            .inspect(|open| output.note(&format!("cancels the stop by {}, which has no verdict yet", open.by)))
+            .filter_map(call)
+            .take(NAMED_MAX)
+            .map(|call| call.to_string())
+            .collect();
+        let reason = self.which.reason.clone().or_else(|| (!named.is_empty()).then(String::new));
+        let args = std::iter::once(robot).chain(reason).chain(named).map(Bytes::from).collect();
+        let done = session.call(ABAC, "resume", args).await.map_err(|refused| RESUME.told(refused))?;
+        show(done, "resumed", output)
     }
 }

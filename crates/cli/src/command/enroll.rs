@@ -23,7 +23,8 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  ledgerctl enroll Salma --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --secret u7Qm-2fKx")]
+  ledgerctl enroll Salma --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --secret u7Qm-2fKx
+  ledgerctl enroll Salma --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --secret @salma.secret")]
 pub(crate) struct Enroll {
     /// The registered name, or ORGANISATION/NAME where a node serves several organisations; also names the context
     name: String,
@@ -33,7 +34,7 @@ pub(crate) struct Enroll {
     /// SHA-256 of the CA's certificate, as the admin gave it to you
     #[arg(long, value_name = "SHA256")]
     ca_fingerprint: String,
-    /// The one-time secret
+    /// The one-time secret; @FILE for the first line of a file, - for standard input: other users of this machine can read arguments
     #[arg(long, value_name = "SECRET")]
     secret: String,
     /// Kind of key: ed25519, which is also the default, p256 or p384
@@ -99,10 +100,10 @@ impl Enroll {
                 .wanted("SHA-256 of the CA's certificate: 64 hexadecimal digits")
                 .next("copy the whole command that `ledgerctl identity register` printed")
         })?;
+        let secret = ledger_api::secret(&self.secret)?;
         // Everything that could fail on this machine fails before the secret is sent, or can be done again.
         let pending = PendingEnrolment::begin(&home, name, (&self.name, fingerprint), self.key)?;
-        let enrolled =
-            Enrolment::new(&self.node, fingerprint).enrol_key(&self.name, &self.secret, pending.key()?).await;
+        let enrolled = Enrolment::new(&self.node, fingerprint).enrol_key(&self.name, &secret, pending.key()?).await;
         let mut enrolled = enrolled.map_err(|refused| match refused.code.class() {
             Class::Unreachable if refused.own_advice().is_empty() => {
                 refused.next("type the same command again: the key is kept, and the secret is not spent twice")

@@ -11,9 +11,11 @@ use crate::argument::span::Milliseconds;
 use crate::command::ca;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::in_force::{Described, until_in_force};
 use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{MSP, Session};
 use crate::time;
+use crate::words::shell_word;
 use bytes::Bytes;
 use ledger::msp::{AFFILIATION, IdentityRecord, IssuedCertificate};
 use ledger_base::hash::Hash;
@@ -104,6 +106,9 @@ pub(crate) struct Revoke {
     /// Why; stays on the ledger
     #[arg(long, value_name = "TEXT")]
     reason: Option<String>,
+    /// Give up after this time, with an error if it is not in force by then [default: never]
+    #[arg(long, value_name = "TIME")]
+    timeout: Option<Milliseconds>,
 }
 
 fn role(text: &str) -> Result<Role, String> {
@@ -213,16 +218,6 @@ impl Register {
             ca_fingerprint,
             command,
         })
-    }
-}
-
-/// The text as one word of a shell.
-fn shell_word(text: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:@%+=,".contains(c);
-    if !text.is_empty() && text.chars().all(plain) && !text.starts_with('-') {
-        text.to_owned()
-    } else {
-        format!("'{}'", text.replace('\'', r"'\''"))
     }
 }
 
@@ -339,7 +334,11 @@ struct RevokedCertificate {
 impl Facts for Revoked {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         for certificate in &self.certificates {
-            writeln!(out, "revoked {} serial {} in block {}", self.name, certificate.serial, certificate.height)?;
+            writeln!(
+                out,
+                "revoked {} serial {} in block {}: in force",
+                self.name, certificate.serial, certificate.height
+            )?;
         }
         if self.cancelled {
             writeln!(out, "the secret of {} is void", self.name)?;
@@ -359,11 +358,23 @@ impl Cancel {
 impl Revoke {
     async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
+        let typed = shell_word(&self.name);
+        let described = Described {
+            what: format!("the revocation of {}", self.name),
+            command: match &self.serial {
+                Some(serial) => format!("ledgerctl identity revoke {typed} --serial {serial}"),
+                None => format!("ledgerctl identity revoke {typed}"),
+            },
+            robot: None,
+        };
+        let timeout = self.timeout.map(|Milliseconds(ms)| Duration::from_millis(ms));
         let Some(serial) = self.serial.as_ref().map(|serial| serial.to_lowercase().replace(':', "")) else {
             let reason = self.reason.unwrap_or_default();
             // An unknown name is answered with the nearest one.
             find(&session, &self.name).await?;
-            let (revoked, height, transaction) = session.client.revoke_identity(&self.name, &reason).await?;
+            let attempt = || session.client.revoke_identity(&self.name, &reason);
+            let revoked = until_in_force(&session, &described, timeout, output, attempt).await?;
+            let (revoked, height, transaction) = revoked;
             let certificates = revoked.certificates.into_iter();
             let certificates =
                 certificates.map(|issued| RevokedCertificate { serial: issued.serial, height, transaction }).collect();
@@ -384,7 +395,9 @@ impl Revoke {
                 .into());
         };
         let args = [Some(chosen.issuer.to_string()), Some(serial.clone()), self.reason];
-        let done = session.call(MSP, "revoke", args.into_iter().flatten().map(Bytes::from).collect()).await?;
+        let args: Vec<_> = args.into_iter().flatten().map(Bytes::from).collect();
+        let attempt = || session.call(MSP, "revoke", args.clone());
+        let done = until_in_force(&session, &described, timeout, output, attempt).await?;
         let revoked = RevokedCertificate { serial, height: done.height, transaction: done.id };
         output.show(&Revoked { name: self.name, certificates: vec![revoked], cancelled: false })
     }

@@ -8,7 +8,7 @@ use crate::time;
 use ledger_api::{Call, Certified, read_checkpoint};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Declaration, Grant};
+use ledger_contract::{Declaration, Grant, Stopped};
 use ledger_light::{Checkpoint, Governance};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -18,10 +18,10 @@ use std::time::Duration;
 /// How long the declaration may take to be executed.
 const TTL: Duration = Duration::from_secs(30);
 
-/// Show how a robot stands without believing the node that answers.
+/// Show who holds a robot, and whether it is stopped, without trusting the node that answers.
 ///
-/// The answer is executed as a transaction. It is shown only if a majority of the voters has signed it, of two organisations at
-/// least. The command follows from the genesis which nodes vote; the context pins the genesis by its hash.
+/// The answer is executed as a transaction. It is shown only if enough voters have signed it: a majority of two organisations at
+/// least, and more where certificates are strict. The command follows from the genesis which nodes vote; the context pins the genesis by its hash.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  ledgerctl light Turtlebot4\n  ledgerctl light Turtlebot4 --checkpoint fleet.checkpoint"
@@ -38,6 +38,8 @@ pub(crate) struct Light {
 struct Shown {
     robot: String,
     organisation: String,
+    /// The stop that is in force, as the signed declaration has it; none if the robot is not stopped.
+    stopped: Option<Stopped>,
     services: Vec<Service>,
     network: Hash,
     height: u64,
@@ -45,6 +47,8 @@ struct Shown {
     block: Hash,
     signed_by: Vec<String>,
     voters: usize,
+    /// Height of the block that made certificates strict; none if they are not.
+    strict_since: Option<u64>,
     began_at: u64,
     #[serde(skip)]
     now: u64,
@@ -103,6 +107,7 @@ impl Shown {
         Ok(Self {
             robot: robot.name,
             organisation: robot.organisation,
+            stopped: robot.stopped,
             services: services.collect(),
             network: statement.network,
             height: statement.height,
@@ -110,16 +115,24 @@ impl Shown {
             block: statement.block,
             signed_by: signers.map(|voter| format!("{}/{}", voter.organisation, voter.name)).collect(),
             voters: voters.voters.len(),
+            strict_since: voters.rule.strict_since,
             began_at,
             now,
         })
     }
 }
 
+/// By whom, when and why a robot was stopped.
+fn stop_text(stop: &Stopped, now: u64) -> String {
+    let why = if stop.reason.is_empty() { String::new() } else { format!(": {}", stop.reason) };
+    format!("yes, by {} {}{why}", stop.by, time::relative(stop.since, now))
+}
+
 impl Facts for Shown {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table = Table::pairs();
         table.pair("robot", format!("{} of {}", self.robot, self.organisation));
+        table.pair("stopped", self.stopped.as_ref().map_or_else(|| "no".to_owned(), |stop| stop_text(stop, self.now)));
         for Service { service, mode, epoch, grants } in &self.services {
             let held = grants.iter().map(|grant| format!("{} until {}", grant.holder, time::moment(grant.expires)));
             let held: Vec<_> = held.collect();
@@ -132,8 +145,56 @@ impl Facts for Shown {
             "signed by",
             format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters),
         );
+        let strict = match self.strict_since {
+            Some(since) => format!("since block {since}: no organisation alone can certify something else since then"),
+            None => "no: one organisation that lies can have something else certified, too".to_owned(),
+        };
+        table.pair("strict", strict);
         let began = if self.began_at == 0 { "the genesis".to_owned() } else { format!("block {}", self.began_at) };
         table.pair("followed from", format!("{began} of network {}", self.network));
         table.write(out, 0)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn shown(stopped: Option<Stopped>) -> Shown {
+        Shown {
+            robot: "Turtlebot4".to_owned(),
+            organisation: "Org2".to_owned(),
+            stopped,
+            services: Vec::new(),
+            network: Hash::ZERO,
+            height: 7,
+            time: 1_000_000,
+            block: Hash::ZERO,
+            signed_by: vec!["Org1/node1".to_owned()],
+            voters: 1,
+            strict_since: None,
+            began_at: 0,
+            now: 11_000_000,
+        }
+    }
+
+    #[test]
+    fn a_stopped_robot_is_shown_with_who_stopped_it_when_and_why() {
+        let text = |facts: &Shown| {
+            let mut out = Vec::new();
+            facts.text(&mut out).unwrap();
+            String::from_utf8(out).unwrap()
+        };
+        let stop = |reason: &str| Stopped { by: "Org2/admin".into(), reason: reason.into(), since: 1_000_000 };
+        let stopped = shown(Some(stop("smoke")));
+        assert!(text(&stopped).contains("stopped        yes, by Org2/admin 10 s ago: smoke\n"), "{}", text(&stopped));
+        let silent = shown(Some(stop("")));
+        assert!(text(&silent).contains("yes, by Org2/admin 10 s ago\n"), "{}", text(&silent));
+        let moving = shown(None);
+        assert!(text(&moving).contains("stopped        no\n"), "{}", text(&moving));
+        let json = |facts: &Shown| serde_json::to_value(facts).unwrap().get("stopped").cloned().unwrap();
+        assert_eq!(json(&stopped), serde_json::json!({"by": "Org2/admin", "reason": "smoke", "since": 1_000_000}));
+        assert!(json(&moving).is_null());
     }
 }

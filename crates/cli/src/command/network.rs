@@ -1,6 +1,7 @@
 //! `network …`: who belongs to the network, who orders, and what the organisations decide together.
 
 mod add_org;
+mod certificates;
 mod change;
 mod decision;
 mod invite;
@@ -37,6 +38,7 @@ pub(crate) enum Network {
     Proposals(proposals::List),
     Propose(proposals::Propose),
     Quorums(quorums::Quorums),
+    Certificates(certificates::Certificates),
     Rules(rules::Rules),
     Approve(proposals::Approve),
     Withdraw(proposals::Withdraw),
@@ -59,6 +61,7 @@ impl Network {
             Self::Rules(command) => command.run(session, output).await,
             Self::Propose(command) => command.run(session, output).await,
             Self::Quorums(command) => command.run(session, output).await,
+            Self::Certificates(command) => command.run(session, output).await,
             Self::Proposals(_) => proposals::run(session, output).await,
             Self::Approve(command) => command.run(session, output).await,
             Self::Withdraw(command) => command.run(session, output).await,

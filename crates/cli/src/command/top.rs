@@ -10,7 +10,7 @@ use crate::global::Global;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_api::{EventStream, Subscription};
-use ledger_base::rejection::Rejection;
+use ledger_base::rejection::{Class, Rejection};
 use ledger_contract::RobotAsset;
 use rates::Rates;
 use screen::{Key, Screen};
@@ -106,6 +106,9 @@ async fn act(session: &Session, function: &str, about: Option<String>) -> String
     let Some(about) = about else { return "nothing is chosen".to_owned() };
     match session.call(ABAC, function, vec![Bytes::from(about.clone())]).await {
         Ok(done) => format!("{function} {about}: done in block {}", done.height),
+        Err(refused) if refused.code.class() == Class::Unreachable => {
+            format!("{function} {about}: not in force, repeat it: {} [{}]", refused.message, refused.code)
+        }
         Err(refused) => format!("{function} {about}: {} [{}]", refused.message, refused.code),
     }
 }

@@ -95,6 +95,11 @@ impl Bound {
         self.read = Some(now);
     }
 
+    /// The moment by the steady clock, microseconds; 0 if there was none.
+    pub(super) fn steady(&self) -> u64 {
+        self.read.map_or(0, |read| read.steady)
+    }
+
     /// The bound in microseconds since the UNIX epoch, by the clocks as they are now. It is the same as long as none of them jumps.
     pub(super) fn at(&self, now: Now) -> u64 {
         let by_clock = |then: Now| then.wall.min(now.wall.saturating_add(then.steady).saturating_sub(now.steady));

@@ -2,11 +2,14 @@
 
 use std::sync::Arc;
 
+use bytes::Bytes;
+use ledger::CallRef;
 use ledger_contract::{Fencing, Publishing};
 use ledger_identity::Identity;
 
-use super::{Gate, Holding, Now};
+use super::{Delivered, Gate, Holding, Now};
 use crate::{
+    ABAC,
     service::{Released, Revoked},
     standing::Members,
 };
@@ -83,23 +86,45 @@ impl Gate {
         if stops {
             self.driver = None;
             // A block of tomorrow closes nothing until then.
-            self.not_before.hear(block_time.min(self.clock.now(now)));
+            let ended = block_time.min(self.clock.now(now));
+            self.not_before.hear(ended);
+            self.ended = self.ended.max(ended);
         }
         self.check_epochs(self.epoch);
         stops
     }
 
     /// Takes the stop of the robot as a node says it, early or in its block. True if the robot must stop, if it takes commands here
-    /// and was not told yet. It proves nothing: the next standing decides.
-    pub fn halt(&mut self, now: Now) -> bool {
+    /// and was not told yet. It proves nothing: a standing that settles its signed call decides; without such a call, the next one.
+    pub fn halt(&mut self, signed: &Bytes, now: Now) -> bool {
         let is_command = self.rules.as_ref().is_none_or(|rules| rules.publisher.is_none());
         let was_halted = self.halted;
         if is_command {
+            if let Some(call) = self.stop_of(signed) {
+                self.open_stops.note(call);
+            }
             self.halted = true;
             self.told = now.steady;
             self.stopped(now);
         }
         is_command && !was_halted
+    }
+
+    /// The stops whose verdicts are to be asked for, and without which no standing ends them.
+    pub fn open_stops(&self) -> impl Iterator<Item = CallRef> {
+        self.open_stops.calls()
+    }
+
+    /// Does a stop without a verdict keep the robot stopped?
+    pub fn has_open_stops(&self) -> bool {
+        !self.open_stops.is_empty()
+    }
+
+    /// The name of a signed stop. Its signature is not checked: a node that can make one up can also withhold answers.
+    fn stop_of(&self, signed: &Bytes) -> Option<CallRef> {
+        let signed = self.decode(Delivered { block_time: 0, transaction: signed, certificate: &Bytes::new() }).ok()?;
+        let body = signed.body();
+        (body.chaincode == ABAC && body.function == "stop").then(|| signed.call_ref())
     }
 
     /// Takes the revocation of a certificate as a node says it. True if the robot must stop, because the revoked one moved it

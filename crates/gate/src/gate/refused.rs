@@ -43,6 +43,8 @@ pub enum Refused {
     TooOld,
     /// The signer's own limit of time has passed, or lies further ahead than the ledger accepts.
     Expired,
+    /// It names a block that the gate's node has not reported: one of the two nodes lies.
+    UnknownBlock,
     /// Block time is far ahead of the robot's clock: one of them is wrong.
     FromFuture,
     /// From before the last stop, or before the gate was opened: it may have passed then.
@@ -89,6 +91,7 @@ impl Refused {
             Self::TooFast => "too_fast",
             Self::TooOld => "too_old",
             Self::Expired => "expired",
+            Self::UnknownBlock => "unknown_block",
             Self::FromFuture => "from_future",
             Self::BeforeStop => "before_stop",
             Self::TooManyPublishers => "too_many_publishers",
@@ -123,6 +126,9 @@ impl Refused {
                 "it is older than the service, its grant or max_age_ms allows; if that goes on, compare the clocks"
             }
             Self::Expired => "its signer's own limit of time has passed",
+            Self::UnknownBlock => {
+                "it names a block that this node does not have: the signer's node or this one shows another chain"
+            }
             Self::FromFuture => "its time is ahead of this machine's clock; compare the clocks",
             Self::BeforeStop => "it is from before the last stop",
             Self::TooManyPublishers => "more publishers than the gate can tell apart",

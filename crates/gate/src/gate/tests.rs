@@ -1,6 +1,7 @@
 //! Each rule of the gate has a test that fails without it.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+mod age;
 mod clocks;
 mod confidential;
 mod faults;

@@ -91,7 +91,7 @@ impl Block {
                 let released: Released = read(event.payload).ok_or(Refused::Malformed)?;
                 gate.released(&released, self.time, now).then(|| Act::Stop(reason(&released.reason)))
             }
-            (ABAC, "stopped") => gate.halt(now).then_some(Act::Stop("stopped")),
+            (ABAC, "stopped") => gate.halt(transaction, now).then_some(Act::Stop("stopped")),
             (ABAC, "robot") => {
                 gate.close();
                 None

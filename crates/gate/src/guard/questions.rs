@@ -1,7 +1,7 @@
 //! When to ask how a robot stands.
 //!
 //! At once when the node tells that something changed, or a message comes of which nothing is known. While somebody moves the
-//! robot, thrice in the time for which an answer counts. Never while it rests. Times are of the steady clock, in microseconds.
+//! robot, or a stop has no verdict, thrice in the time for which an answer counts. Never while it rests otherwise. Times are of the steady clock, in microseconds.
 
 /// Time between two questions, at least: a node that makes up changes costs the network no more than that.
 const GAP_US: u64 = 50_000;
@@ -36,8 +36,8 @@ impl Questions {
     }
 
     /// When to ask next; none if nothing is to be asked, or a question is under way.
-    pub(super) fn due(&self, is_moving: bool) -> Option<u64> {
-        if self.under_way || !(is_moving || self.changed.is_some()) {
+    pub(super) fn due(&self, is_awaited: bool) -> Option<u64> {
+        if self.under_way || !(is_awaited || self.changed.is_some()) {
             return None;
         }
         let pause = match (self.failed, self.changed) {

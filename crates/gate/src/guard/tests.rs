@@ -121,3 +121,23 @@ fn a_message_ahead_of_a_slow_clock_waits_for_the_voters_who_are_asked_once_whate
         }
     }
 }
+
+#[test]
+fn a_signed_stop_is_asked_about_until_it_is_settled_also_while_the_robot_rests() {
+    let network = shared();
+    let mut guard = driven();
+    let stop = network.robot.sign("abac", "stop", vec![Bytes::from_static(b"T")]);
+    let told = |guard: &mut Guard| tell(guard, 3, "stopped", "", Some((&network.robot, &stop)));
+    assert_eq!(told(&mut guard), Some(Act::Stop("stopped")));
+    let standing = |height| network.standing(height, &[grant("Org1/Salma", 3)]);
+    for height in 4..8 {
+        assert!(guard.asks_at().is_some());
+        assert_eq!(guard.open_stops().collect::<Vec<_>>(), [stop.call_ref()]);
+        let asked = guard.ask(now()).max(now().steady);
+        assert_eq!(guard.answered(&service("exclusive"), &standing(height), asked, now()), []);
+    }
+    guard.ask(now());
+    let settled = Standing { settled: [stop.id()].into(), ..standing(8) };
+    assert_eq!(guard.answered(&service("exclusive"), &settled, now().steady, now()), []);
+    assert_eq!((guard.asks_at(), guard.open_stops().count()), (None, 0), "it has a verdict");
+}

@@ -221,10 +221,9 @@ impl Ledger {
             };
             return Err(judged(basis, None, late.clone()));
         }
-        // Late by this node's clock only, it may be in time for a block: then a block must say that it is not.
-        if let Some(late) = late {
-            let authentic = self.authenticate(transaction, time).is_ok();
-            return Err(judged(if authentic { Basis::Call } else { Basis::Creator }, None, late));
+        // Late by this node's clock only, it may be in time for a block: a block decides.
+        if late.is_some() {
+            return self.judge_at(transaction, block_time);
         }
         // Refused by this node's clock only: a lease may have ended, or a certificate. A clock that is ahead must not
         // keep its users from what they hold, so a block decides.

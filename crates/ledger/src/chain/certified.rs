@@ -19,6 +19,14 @@ impl Ledger {
         msp::voters(&*self.state)
     }
 
+    /// The number of forced recoveries as of [`Ledger::tip`].
+    ///
+    /// # Errors
+    /// As [`Ledger::members`].
+    pub fn recoveries(&self) -> Result<u64, Rejection> {
+        msp::recoveries(&*self.state)
+    }
+
     /// The changes of who governs after a height, oldest first, at most so many.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! The right to read: checked at each subscription, and again for every event.
 
 use super::{Context, Ledger, Meter, check_organisation, check_revoked};
+use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_storage::result::Event;
@@ -18,7 +19,8 @@ impl Ledger {
         let chaincode = self.registry.find(&event.chaincode)?;
         let tip = self.tip();
         let meter = Meter::of_query();
-        let environment = self.environment(Some(reader), &tip, tip.time, &meter);
+        let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+        let environment = self.environment(Some(reader), (&tip, tip.time), &executed, &meter);
         chaincode.may_read(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), event)
     }
 
@@ -42,7 +44,8 @@ impl Ledger {
         let tip = self.tip();
         let (mut refused, meter) = (Ok(()), Meter::of_query());
         for chaincode in emitting {
-            let environment = self.environment(Some(reader), &tip, tip.time, &meter);
+            let executed = |id: &Hash, not_after| self.was_executed(id, not_after);
+            let environment = self.environment(Some(reader), (&tip, tip.time), &executed, &meter);
             let mut none = Vec::new();
             let ctx = Context::new(environment, chaincode.name(), &mut overlay, &mut none);
             match chaincode.may_follow(&ctx, subjects, names) {

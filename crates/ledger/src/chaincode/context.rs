@@ -42,6 +42,8 @@ pub struct Environment<'a> {
     pub time: u64,
     /// Id of the transaction; zero in hooks and queries.
     pub transaction: Hash,
+    /// Was the transaction with this id and this `not_after` executed before? Asked only while block time has not passed that.
+    pub executed: &'a dyn Fn(&Hash, u64) -> bool,
     /// Counts what the calls of the block use.
     pub meter: &'a Meter,
 }
@@ -223,6 +225,13 @@ impl<'a> Context<'a> {
     /// Id of the transaction that is executed; zero in hooks and queries.
     pub fn transaction(&self) -> Hash {
         self.environment.transaction
+    }
+
+    /// Has the transaction with this id and this `not_after` (microseconds) been executed, or can it never be, because block time
+    /// has passed its `not_after`? It is the same on every node.
+    pub fn is_settled(&self, id: &Hash, not_after: u64) -> bool {
+        self.environment.meter.read(1, id.0.len());
+        not_after < self.environment.time || (self.environment.executed)(id, not_after)
     }
 
     /// Does somebody only ask? No block holds the answer then, so no rules bind it.

@@ -85,6 +85,7 @@ mod tests {
             ids,
             writes: WriteSet::new(),
             certifiable: None,
+            is_unwanted: false,
             governs: false,
         }
     }

@@ -50,4 +50,8 @@ pub struct SetNodeRole {
     pub name: Option<String>,
     /// Its wanted role.
     pub role: NodeRole,
+    /// The proof that the node has lied, in hexadecimal ([`Misbehaviour`](ledger_light::Misbehaviour)): its organisation need
+    /// not approve that it votes no more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub proof: Option<String>,
 }

@@ -3,7 +3,7 @@
 use super::address::check_address;
 use super::caller::{node, object};
 use super::node_roles::change_role;
-use super::nodes::{NodeRecord, NodeRole, all, write};
+use super::nodes::{NodeRecord, NodeRole, all, certificate_rule, write};
 use super::store::{self, NEXT_NODE, json};
 use super::{allowance, joins};
 use crate::chaincode::Context;
@@ -61,8 +61,12 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         None => check_room(ctx, caller, live())?,
     }
     joins::count(ctx, &caller.organisation)?;
+    // While certificates are strict, a vote stays with the node that comes back under another number: one joint change, and never
+    // a voter less in between.
+    let is_strict = certificate_rule(ctx)?.strict_since.is_some();
+    let role = before.filter(|_| is_strict).map_or(NodeRole::Learner, |before| before.role);
     let id = store::next_number(ctx, NEXT_NODE)?;
-    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, NodeRole::Learner);
+    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, role);
     write(ctx, &node)?;
     ctx.emit("joined", &node.full_name(), json(&node)?);
     json(&node)

@@ -6,14 +6,15 @@ use super::nodes::{NodeRecord, NodeRole, RECORDS_MAX, REMOVED_MAX, all, desired,
 use super::own_call::own_call;
 use super::proposals::{Decision, decide};
 use super::store::{self, NODES, json, node_key};
-use super::{SET_NODE_ROLE, attestations, carriers, refusals, rules};
+use super::{SET_NODE_ROLE, attestations, carriers, certificate_rule, misbehaviour, refusals, rules};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 
-/// `set_node_role {id | organisation, name; role}`: an organisation takes votes from its own nodes and removes them
-/// alone; everything else concerns all and needs their approval.
+/// `set_node_role {id | organisation, name; role; proof}`: an organisation takes votes from its own nodes and removes them
+/// alone; everything else concerns all and needs their approval. With the proof that the node has lied, its organisation need
+/// not approve that it votes no more.
 pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"id\": NUMBER, \"role\": \"voter\", \"learner\" or \"removed\"}, or organisation and name for id";
     let set: SetNodeRole = object("set_node_role", argument, wanted)?;
@@ -37,20 +38,35 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     };
     let Some(node) = node else { return Err(no_such_node(&nodes)) };
     check_change(ctx, &nodes, node, set.role)?;
+    if let Some(proof) = &set.proof {
+        misbehaviour::check(ctx, &nodes, (node, set.role), proof)?;
+    }
+    let ends_strict = certificate_rule::would_end(ctx, &with_role(&nodes, set.role, |other| other.id == node.id))?;
     let needs_approval = |caller: &&Identity| {
-        node.role != set.role && (node.organisation != caller.organisation || set.role == NodeRole::Voter)
+        let is_own = node.organisation == caller.organisation && set.role != NodeRole::Voter;
+        node.role != set.role && (!is_own || ends_strict)
     };
     let Some(caller) = alone.filter(needs_approval) else {
+        if ends_strict {
+            certificate_rule::end(ctx)?;
+        }
         put_role(ctx, node, set.role)?;
+        certificate_rule::settle(ctx)?;
         return json(&Decision::done(None));
     };
-    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &wish(node, set.role))?)?)
+    json(&decide(ctx, caller, own_call(SET_NODE_ROLE, &wish(node, &set))?)?)
+}
+
+/// The records, with another role of these nodes.
+fn with_role(nodes: &[NodeRecord], role: NodeRole, these: impl Fn(&NodeRecord) -> bool) -> Vec<NodeRecord> {
+    let after = |node: &NodeRecord| NodeRecord { role: if these(node) { role } else { node.role }, ..node.clone() };
+    nodes.iter().map(after).collect()
 }
 
 /// The wish for a role of this node, as a proposal has it.
-fn wish(node: &NodeRecord, role: NodeRole) -> SetNodeRole {
+fn wish(node: &NodeRecord, set: &SetNodeRole) -> SetNodeRole {
     let (organisation, name) = (Some(node.organisation.clone()), Some(node.name.clone()));
-    SetNodeRole { id: Some(node.id), organisation, name, role }
+    SetNodeRole { id: Some(node.id), organisation, name, role: set.role, proof: set.proof.clone() }
 }
 
 /// Removes the nodes of an organisation that leaves.
@@ -62,7 +78,11 @@ pub(super) fn remove_all_of(ctx: &mut Context<'_>, organisation: &str) -> Result
             .wanted("a voter of another organisation")
             .next("ledgerctl network promote NODE"));
     }
-    for node in nodes.iter().filter(|node| node.organisation == organisation && node.role != NodeRole::Removed) {
+    let leaves = |node: &NodeRecord| node.organisation == organisation && node.role != NodeRole::Removed;
+    if certificate_rule::would_end(ctx, &with_role(&nodes, NodeRole::Removed, leaves))? {
+        certificate_rule::end(ctx)?;
+    }
+    for node in nodes.iter().filter(|node| leaves(node)) {
         put_role(ctx, node, NodeRole::Removed)?;
     }
     Ok(())

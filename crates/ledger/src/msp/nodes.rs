@@ -4,12 +4,13 @@
 //! there one by one. So a change of members is signed, on the ledger, and survives a change of the leader.
 
 use super::NAME;
-use super::store::{self, MEMBERS_KEY, NODES, json, node_key};
+use super::store::{self, CERTIFICATE_RULE, MEMBERS_KEY, NODES, json, node_key};
 use crate::chaincode::Context;
 use crate::members::{Membership, NODES_MAX};
 use crate::network::Genesis;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_light::{CertificateRule, Voter, Voters};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -90,6 +91,23 @@ pub struct Nodes {
     pub nodes: Vec<NodeRecord>,
     /// The members in fact; the leader leads them to what is wanted.
     pub members: Membership,
+    /// How many signatures make a certificate.
+    pub certificates: CertificateRule,
+}
+
+impl Nodes {
+    /// The voters of the next block, and how many of them must sign.
+    pub fn voters(&self) -> Voters {
+        let voter = |node: &NodeRecord| Voter { organisation: node.organisation.clone(), name: node.name.clone() };
+        Voters {
+            nodes: self.nodes.iter().map(|node| (node.id, voter(node))).collect(),
+            voters: self.members.voters.clone(),
+            outgoing: self.members.outgoing.clone(),
+            rule: self.certificates.clone(),
+            // They count signatures here, and check none.
+            recoveries: 0,
+        }
+    }
 }
 
 /// The wanted voters and learners, by the records.
@@ -103,6 +121,15 @@ pub fn desired<'a>(nodes: impl IntoIterator<Item = &'a NodeRecord>) -> (BTreeSet
         };
     }
     (voters, learners)
+}
+
+/// Does a change of the members lead to what these records want? It gives no vote to a node that shall have none, and takes none
+/// from one that shall have it. The end of a joint change only completes it.
+pub(crate) fn leads_to_wanted(before: &Membership, after: &Membership, nodes: &[NodeRecord]) -> bool {
+    let (wanted, _) = desired(nodes);
+    before.is_joint()
+        || after.voters.difference(&before.voters).all(|node| wanted.contains(node))
+            && before.voters.difference(&after.voters).all(|node| !wanted.contains(node))
 }
 
 /// The records of the founding nodes, and the next id.
@@ -128,7 +155,12 @@ pub(super) fn present(ctx: &Context<'_>, organisation: &str, name: &str) -> Resu
 
 /// `nodes`
 pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
-    json(&Nodes { nodes: all(ctx)?, members: members(ctx)? })
+    json(&Nodes { nodes: all(ctx)?, members: members(ctx)?, certificates: certificate_rule(ctx)? })
+}
+
+/// How many signatures make a certificate of the next block.
+pub(super) fn certificate_rule(ctx: &Context<'_>) -> Result<CertificateRule, Rejection> {
+    Ok(store::read(ctx, CERTIFICATE_RULE)?.unwrap_or_default())
 }
 
 /// The members in fact.

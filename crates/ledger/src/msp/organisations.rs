@@ -127,12 +127,21 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
     store::write(ctx, &organisation_key(name), organisation)
 }
 
+/// All organisations.
+pub(super) fn trusted(ctx: &Context<'_>) -> Result<Msps, Rejection> {
+    msps(all(ctx)?)
+}
+
 /// All organisations with this one as it shall be: the same checks as when the ledger reads them.
 pub(super) fn trusted_with(ctx: &Context<'_>, organisation: &FoundingOrganisation) -> Result<Msps, Rejection> {
-    let mut msps = Msps::new();
     let others = all(ctx)?.into_iter().filter(|other| other.name != organisation.name);
-    for other in others.chain([organisation.clone()]) {
-        msps.insert(other.msp()?)?;
+    msps(others.chain([organisation.clone()]))
+}
+
+fn msps(organisations: impl IntoIterator<Item = FoundingOrganisation>) -> Result<Msps, Rejection> {
+    let mut msps = Msps::new();
+    for organisation in organisations {
+        msps.insert(organisation.msp()?)?;
     }
     Ok(msps)
 }

@@ -5,7 +5,7 @@
 
 use super::caller::object;
 use super::store::{self, QUORUMS, json, quorum_key};
-use super::{NAME, SET_QUORUM};
+use super::{NAME, SET_QUORUM, misbehaviour, organisations};
 use crate::chaincode::{Call, Context, Quorum, quorum_of};
 use bytes::Bytes;
 use ledger_base::rejection::Rejection;
@@ -62,7 +62,7 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
 
 /// The quorum that a proposed call needs now. A function that newer rules have taken away needs what most do; its call is
 /// then refused.
-pub(super) fn of(ctx: &Context<'_>, call: &Call) -> Result<Quorum, Rejection> {
+fn of(ctx: &Context<'_>, call: &Call) -> Result<Quorum, Rejection> {
     let Call { chaincode, function, args } = call;
     let changed = ((chaincode.as_str(), function.as_str()) == (NAME, SET_QUORUM)).then_some(args.first()).flatten();
     let (chaincode, function) = match changed.map(argument).transpose()? {
@@ -74,6 +74,18 @@ pub(super) fn of(ctx: &Context<'_>, call: &Call) -> Result<Quorum, Rejection> {
     }
     let default = ctx.registry().find(&chaincode).and_then(|chaincode| quorum_of(chaincode, &function).cloned());
     Ok(default.unwrap_or(Quorum::Majority))
+}
+
+/// The organisations whose approvals count for a proposed call, and the quorum of them that it needs. The organisation of a
+/// node that has lied has no voice in the end of its vote; where its admins alone would decide, most of the others do.
+pub(super) fn electorate(ctx: &Context<'_>, call: &Call) -> Result<(Vec<String>, Quorum), Rejection> {
+    let (mut organisations, quorum) = (organisations::names(ctx)?, of(ctx, call)?);
+    let Some(accused) = misbehaviour::accused(call) else { return Ok((organisations, quorum)) };
+    organisations.retain(|name| *name != accused);
+    Ok(match quorum {
+        Quorum::Admins { of: Some(name), .. } if name == accused => (organisations, Quorum::Majority),
+        quorum => (organisations, quorum),
+    })
 }
 
 /// Rules that count admins of an organisation end when it leaves: nobody could fulfil them.

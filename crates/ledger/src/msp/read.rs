@@ -6,16 +6,20 @@ use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
 use super::revocation_lists::{LISTS_MAX, ListRecord};
 use super::store::{
-    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS, ORGANISATIONS, change_key,
-    invitation_key, json, list_state, parse, read_state,
+    ACTIVATIONS, ATTESTATIONS, CERTIFICATE_RULE, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS,
+    ORGANISATIONS, RECOVERY_KEYS, change_key, invitation_key, json, list_state, parse, read_state,
 };
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;
 use crate::rules::Activation;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::{Change, Voter, Voters};
+use ledger_light::{CertificateRule, Change, Voter, Voters};
 use ledger_storage::state::{Overlay, StateRead};
+use std::collections::BTreeMap;
+
+/// Most forced recoveries that are counted.
+const RECOVERIES_MAX: usize = 1 << 20;
 
 /// The records of the nodes in order of ids, removed ones among them: what the network wants (see
 /// [`super::desired`]).
@@ -84,7 +88,37 @@ pub fn voters(state: &dyn StateRead) -> Result<Voters, Rejection> {
         .into_iter()
         .map(|NodeRecord { id, organisation, name, .. }| (id, Voter { organisation, name }))
         .collect();
-    Ok(Voters { nodes, voters, outgoing })
+    let (rule, recoveries) = (certificate_rule(state)?, recoveries(state)?);
+    Ok(Voters { nodes, voters, outgoing, rule, recoveries })
+}
+
+/// How many signatures make a certificate of the next block.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn certificate_rule(state: &dyn StateRead) -> Result<CertificateRule, Rejection> {
+    Ok(read_state(state, CERTIFICATE_RULE)?.unwrap_or_default())
+}
+
+/// While certificates are strict: under which hand each node is.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn strict_hands(state: &dyn StateRead) -> Result<Option<BTreeMap<u64, String>>, Rejection> {
+    let rule = certificate_rule(state)?;
+    if rule.strict_since.is_none() {
+        return Ok(None);
+    }
+    let hand = |node: NodeRecord| (node.id, rule.hand(&node.organisation).to_owned());
+    Ok(Some(nodes(state)?.into_iter().map(hand).collect()))
+}
+
+/// The number of forced recoveries: statements and votes name it.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn recoveries(state: &dyn StateRead) -> Result<u64, Rejection> {
+    Ok(state.range(RECOVERY_KEYS, None, RECOVERIES_MAX)?.len() as u64)
 }
 
 /// The changes of who governs after a height, oldest first, at most so many.

@@ -3,9 +3,9 @@
 //! Nobody signs a change of members. So the node itself says in the context of the change what was done. Executing the change
 //! writes it down: as a record for ever, and as an event.
 
-use super::node_roles;
 use super::nodes::{self, NodeRole};
 use super::store::{self, json, recovery_key};
+use super::{certificate_rule, node_roles};
 use crate::chaincode::Context;
 use crate::members::{Change, MembershipChange};
 use ledger_base::rejection::{Code, Rejection};
@@ -88,7 +88,7 @@ pub(crate) fn note(ctx: &mut Context<'_>, recovery: &Recovery) -> Result<(), Rej
         };
         node_roles::put_role(ctx, &node, role)?;
     }
-    Ok(())
+    certificate_rule::end(ctx)
 }
 
 #[cfg(test)]

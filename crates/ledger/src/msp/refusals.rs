@@ -13,7 +13,7 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 use serde::{Deserialize, Serialize};
 
-/// Most lines that a node tells at once. The rest is in one line without an identity.
+/// Most lines of one report. Of those beyond, each identity has one line, then each organisation, `Org1/*`.
 pub const REFUSALS_MAX: usize = 64;
 /// Most bytes of the argument.
 pub const REFUSALS_BYTES_MAX: usize = 64 * 1024;
@@ -34,7 +34,8 @@ pub struct TellRefusals {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Refused {
-    /// The signer, e.g. `Org1/Farhad`; empty if no signature was verified, and for the rest of too many.
+    /// The signer, e.g. `Org1/Farhad`; `Org1/*` for several identities of an organisation; empty if no signature was verified, and for
+    /// the rest of too many organisations.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub who: String,
     /// The chaincode that was called; empty for the rest of too many.
@@ -46,7 +47,7 @@ pub struct Refused {
     /// The service, or what else the call was about.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub subject: String,
-    /// Number of the code; 0 for the rest of too many.
+    /// Number of the code; 0 for several codes, services or functions in one line.
     pub code: u32,
     /// How many there were.
     pub count: u64,

@@ -6,7 +6,7 @@ use super::organisations::{describe, find, names, unknown};
 use super::own_call::own_call;
 use super::proposals::{self, decide};
 use super::store::{self, former_key, json, organisation_key};
-use super::{REMOVE_ORGANISATION, allowance, invitations, node_roles, quorums, quotas};
+use super::{REMOVE_ORGANISATION, allowance, certificate_rule, invitations, node_roles, quorums, quotas};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
@@ -35,6 +35,7 @@ fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection>
     quorums::forget_organisation(ctx, name)?;
     allowance::forget(ctx, name);
     quotas::forget_organisation(ctx, name);
+    certificate_rule::forget_organisation(ctx, name)?;
     let answer = json(&describe(&organisation)?)?;
     ctx.emit("organisation_removed", name, answer.clone());
     ctx.tell_organisation_removed(name)?;

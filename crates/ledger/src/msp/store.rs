@@ -53,6 +53,9 @@ pub(crate) const LIST_KEYS: &[u8] = b"msp\0list/";
 /// Keys of what follows a list that has ended start with this.
 pub(crate) const STALE_KEYS: &[u8] = b"msp\0stale/";
 
+/// Keys of the records of forced recoveries start with this.
+pub(crate) const RECOVERY_KEYS: &[u8] = b"msp\0recovery/";
+
 /// The log of who governed.
 pub(crate) const CHANGE_KEYS: &[u8] = b"msp\0governed/";
 
@@ -67,6 +70,7 @@ pub(super) const CARRIERS: &str = "carrier/";
 pub(super) const REVOKED: &[u8] = b"revoked/";
 pub(super) const LISTS: &str = "list/";
 pub(super) const ACTIVATIONS: &str = "rules";
+pub(super) const CERTIFICATE_RULE: &str = "certificates";
 pub(super) const NEXT_NODE: &str = "next/node";
 pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
 

@@ -258,11 +258,33 @@ fn hooks_run_before_the_transactions_and_deadlines_are_known() {
     let world = World::new();
     let ledger = world.ledger();
     let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
-    block(&ledger, NOW, &[&salma.sign(&salma.body(world.network, "put", &["alarm", "1"]))]);
+    block(&ledger, NOW, &[&salma.sign(&salma.body(world.network, "put", &["alarm", "42"]))]);
     assert_eq!(ledger.next_deadline(), Some(42));
     let outcome = block(&ledger, NOW, &[]);
     assert_eq!((outcome.events[0].event.name.as_str(), outcome.events[0].index), ("rang", None));
     assert_eq!(ledger.next_deadline(), None);
+}
+
+#[test]
+fn a_question_is_judged_before_the_next_end_whatever_the_clock_of_the_node_says_and_no_earlier_than_its_block() {
+    let world = World::new();
+    let ledger = world.ledger();
+    let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
+    block(&ledger, NOW, &[]);
+    for (now, judged_at) in [(NOW - SECOND, NOW), (NOW, NOW), (NOW + 3600 * SECOND, NOW + 3600 * SECOND)] {
+        assert_eq!(ledger.judged_at(now), judged_at, "nothing ends by itself");
+    }
+    let ends = NOW + 10 * SECOND;
+    block(&ledger, NOW, &[&salma.sign(&salma.body(world.network, "put", &["alarm", &ends.to_string()]))]);
+    let identity = ledger.msps().verify(&salma.certificate, &[], NOW).unwrap();
+    let until = Bytes::from((ends - 1).to_string());
+    for (now, judged_at) in [(ends - 2, ends - 2), (ends, ends - 1), (NOW + 3600 * SECOND, ends - 1)] {
+        assert_eq!(ledger.judged_at(now), judged_at);
+        let asked = ledger.query(&identity, now, "notes", "until", std::slice::from_ref(&until));
+        assert!(asked.is_ok(), "the block that ends it has not come: {asked:?}");
+    }
+    block(&ledger, ends, &[]);
+    assert_eq!(ledger.judged_at(NOW), ends, "the block has ended it");
 }
 
 #[test]

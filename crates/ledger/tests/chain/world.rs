@@ -43,6 +43,7 @@ impl Caller for User {
             chaincode: "notes".into(),
             function: function.into(),
             args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
+            known_block: None,
         }
     }
 
@@ -138,7 +139,7 @@ impl Chaincode for Notes {
     }
 
     fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
-        ctx.get(b"alarm").map(|_| 42)
+        std::str::from_utf8(&ctx.get(b"alarm")?).ok()?.parse().ok()
     }
 
     fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {

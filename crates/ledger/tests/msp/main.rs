@@ -3,6 +3,7 @@
 
 mod approvals;
 mod attestations;
+mod certificates;
 mod identities;
 mod lists;
 mod model;

@@ -1,8 +1,11 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::msp::{self, Decision, JOINS_MAX, JOINS_TIME, NODES_ALLOWED_DEFAULT, NodeRecord, NodeRole, Nodes, desired};
+use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
+use ledger_light::head::LINKS_MAX;
+use ledger_light::{Branch, BranchLink, DoubleHead, Head, Misbehaviour, Statement, block_hash};
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;
@@ -133,6 +136,105 @@ fn an_organisation_demotes_and_removes_its_own_nodes_alone_and_others_only_with_
     assert!(is_executed(network.admin(3, "approve", &[&id])));
     assert_eq!(network.role(2), REMOVED);
     assert_eq!(code(&network.node(1, "set_node_role", &[&set(1, "removed")])), Code::NotAdmin);
+}
+
+/// The proof that node 1 has signed two blocks, or two results, of one height.
+fn proof(network: &Network, (block, results): (u8, u8)) -> String {
+    let signed = |block, results| {
+        let statement = Statement {
+            network: network.ledger.network(),
+            recoveries: 0,
+            height: 5,
+            time: network.time,
+            block: Hash([block; 32]),
+            results: Hash([results; 32]),
+        };
+        statement.sign(1, network.nodes[0].certificate.clone(), &network.nodes[0].key).unwrap()
+    };
+    hex::encode(Misbehaviour::of(signed(1, 1), signed(block, results)).unwrap().to_bytes())
+}
+
+fn set_by_proof(id: u64, role: &str, proof: &str) -> String {
+    format!(r#"{{"id":{id},"role":"{role}","proof":"{proof}"}}"#)
+}
+
+#[test]
+fn the_vote_of_a_node_that_has_lied_ends_without_its_organisation_and_by_nobody_alone_where_there_are_others() {
+    let mut network = Network::new(2, 2);
+    let lie = proof(&network, (2, 1));
+    assert!(is_executed(network.admin(2, "set_node_role", &[&set_by_proof(1, "removed", &lie)])), "the others are one");
+    assert_eq!(network.role(1), REMOVED);
+
+    let mut network = Network::new(4, 3);
+    let lie = proof(&network, (2, 1));
+    let id = waiting(network.admin(2, "set_node_role", &[&set_by_proof(1, "learner", &lie)]));
+    waiting(network.admin(1, "approve", &[&id]));
+    assert_eq!(network.role(1), VOTER, "its own organisation has no voice");
+    assert!(is_executed(network.admin(3, "approve", &[&id])));
+    assert_eq!(network.role(1), LEARNER);
+
+    // Where all must agree, all others do.
+    let mut network = Network::new(3, 3);
+    let set = r#"{"chaincode":"msp","function":"set_node_role","quorum":"organisations = all"}"#;
+    let id = waiting(network.admin(1, "set_quorum", &[set]));
+    assert!(is_executed(network.admin(2, "approve", &[&id])));
+    let lie = proof(&network, (2, 1));
+    let id = waiting(network.admin(2, "set_node_role", &[&set_by_proof(1, "removed", &lie)]));
+    assert!(is_executed(network.admin(3, "approve", &[&id])));
+    assert_eq!(network.role(1), REMOVED);
+}
+
+#[test]
+fn a_proof_justifies_the_end_of_the_vote_of_the_node_that_has_lied_and_nothing_else() {
+    let mut network = Network::new(2, 2);
+    let (lie, fault) = (proof(&network, (2, 1)), proof(&network, (1, 2)));
+    let mut forged = lie.clone().into_bytes();
+    let last = forged.len() - 1;
+    forged[last] = if forged[last] == b'0' { b'1' } else { b'0' };
+    let forged = String::from_utf8(forged).unwrap();
+    for (id, role, proof, wanted) in [
+        (1, "removed", &fault[..], Code::BadArgument),
+        (2, "removed", &lie, Code::BadArgument),
+        (1, "voter", &lie, Code::BadArgument),
+        (1, "removed", "zz", Code::BadArgument),
+        (1, "removed", &forged, Code::BadSignature),
+        (1, "removed", "00", Code::Malformed),
+    ] {
+        let refused = network.admin(2, "set_node_role", &[&set_by_proof(id, role, proof)]);
+        assert_eq!(code(&refused), wanted, "{id} {role} {refused:?}");
+    }
+    // Under a new number, the node has not lied.
+    network.node(1, "join_node", &[r#"{"address":"node1:7450","replace":true}"#]).unwrap();
+    assert_eq!(code(&network.admin(2, "set_node_role", &[&set_by_proof(3, "removed", &lie)])), Code::BadArgument);
+}
+
+/// The proof that node 1 has led with two logs, as long as one can be.
+fn longest_double_head(network: &Network) -> String {
+    let (name, node) = (network.ledger.network(), &network.nodes[0]);
+    let link = BranchLink { term: 3, time: network.time, root: Hash([9; 32]) };
+    let branch = |base: u8| {
+        let base = Hash([base; 32]);
+        let links = vec![link; LINKS_MAX];
+        let end = 5 + LINKS_MAX as u64;
+        let hash = (6..=end).zip(&links).fold(base, |hash, (height, link)| block_hash(height, link, hash));
+        let head = Head { network: name, recoveries: 0, leader: 1, term: 3, height: end, hash };
+        Branch { base, links, signature: head.sign(node.certificate.clone(), &node.key).unwrap() }
+    };
+    let branches = [branch(1), branch(2)];
+    let heads =
+        DoubleHead { network: name, recoveries: 0, leader: 1, term: 3, height: 5, time: network.time, branches };
+    hex::encode(Misbehaviour::DoubleHead(heads).to_bytes())
+}
+
+#[test]
+fn the_longest_proof_of_two_logs_fits_a_proposal() {
+    let mut network = Network::new(4, 3);
+    let heads = longest_double_head(&network);
+    let id = waiting(network.admin(2, "set_node_role", &[&set_by_proof(1, "removed", &heads)]));
+    assert!(is_executed(network.admin(3, "approve", &[&id])));
+    assert_eq!(network.role(1), REMOVED);
+    let other = network.admin(2, "set_node_role", &[&set_by_proof(2, "removed", &heads)]);
+    assert_eq!(code(&other), Code::BadArgument, "it is about node 1");
 }
 
 #[test]

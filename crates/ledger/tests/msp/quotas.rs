@@ -46,7 +46,21 @@ fn a_quota_is_set_by_approval_for_an_organisation_of_the_network_and_within_boun
         (r#"{"organisation":"Org1","robots":1025}"#, Code::BadArgument),
         (r#"{"organisation":"Org1","policies":65}"#, Code::BadArgument),
         (r#"{"organisation":"Org1","walls":1}"#, Code::BadArgument),
+        (r#"{"organisation":"Org1","identity_bytes_per_s":1073741825}"#, Code::BadArgument),
+        (r#"{"organisation":"Org1","service_messages_per_s":0}"#, Code::BadArgument),
     ] {
         assert_eq!(code(&network.admin(1, "set_quota", &[argument])), wanted, "{argument}");
     }
+}
+
+#[test]
+fn an_organisation_raises_its_rates_only_with_the_approval_of_others() {
+    let mut network = Network::new(3, 3);
+    let set = r#"{"organisation":"Org1","bytes_per_s":100000000,"identity_messages_per_s":50000}"#;
+    waiting(network.admin(1, "set_quota", &[set]));
+    assert_eq!(network.query::<Quotas>("quotas", &["Org1"]), QUOTAS, "one organisation alone raises nothing");
+    assert!(is_executed(network.admin(2, "set_quota", &[set])));
+    let raised = Quotas { bytes_per_s: 100_000_000, identity_messages_per_s: 50_000, ..QUOTAS };
+    assert_eq!(network.query::<Quotas>("quotas", &["Org1"]), raised);
+    assert_eq!(network.query::<Quotas>("quotas", &["Org2"]), QUOTAS, "of others nothing changes");
 }

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use ledger::block::Payload;
+use ledger::members::{Change, MembershipChange};
 use ledger::msp::{CarryCa, Decision, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
@@ -193,6 +194,7 @@ impl Network {
             chaincode: chaincode.into(),
             function: function.into(),
             args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
+            known_block: None,
         };
         Transaction::sign(&body, &by.key).unwrap().with_certificate(by.certificate.clone()).unwrap()
     }
@@ -207,6 +209,21 @@ impl Network {
         self.blocks.push(entry);
         self.events = outcome.events.into_iter().map(|emitted| emitted.event).collect();
         outcome.results.iter().map(ledger_storage::result::TransactionResult::outcome).collect()
+    }
+
+    /// Executes one block that changes the members.
+    pub(crate) fn change_members(&mut self, changes: impl IntoIterator<Item = Change>) {
+        self.change_members_as(&MembershipChange::new(changes));
+    }
+
+    /// The same; answers whether voters sign it.
+    pub(crate) fn change_members_as(&mut self, change: &MembershipChange) -> bool {
+        let data = change.to_bytes();
+        let entry = Entry { index: self.ledger.tip().height + 1, term: 1, kind: EntryKind::ConfChangeV2, data };
+        let outcome = self.ledger.apply(&entry).unwrap();
+        self.blocks.push(entry);
+        self.events = outcome.events.into_iter().map(|emitted| emitted.event).collect();
+        outcome.certifiable.is_some()
     }
 
     /// One call in a block of its own.

@@ -4,7 +4,10 @@ use crate::world::{NETWORK, NOW, World, statement};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_light::{Branch, BranchLink, Certificate, DoubleHead, DoubleVote, Head, Lie, Statement, Vote, block_hash};
+use ledger_light::{
+    Branch, BranchLink, Certificate, DoubleHead, DoubleVote, Fault, Head, Lie, Misbehaviour, Statement, Vote, Voter,
+    block_hash,
+};
 
 fn code(world: &World, certificate: &Certificate) -> Code {
     world.verify(certificate).map_or_else(|refused| refused.code, |()| Code::Ok)
@@ -58,6 +61,7 @@ fn a_signature_counts_for_its_node_its_network_and_its_statement_only() {
     assert_eq!(with(&|_| ()), Code::Ok);
     assert_eq!(with(&|c| c.statement.network = Hash::ZERO), Code::WrongNetwork);
     assert_eq!(with(&|c| c.statement.height += 1), Code::BadSignature);
+    assert_eq!(with(&|c| c.statement.recoveries += 1), Code::Untrusted, "the voters have executed no forced recovery");
     assert_eq!(with(&|c| c.statement.time += 1), Code::BadSignature);
     assert_eq!(with(&|c| c.statement.block = Hash::ZERO), Code::BadSignature);
     assert_eq!(with(&|c| c.statement.results = Hash::ZERO), Code::BadSignature);
@@ -78,9 +82,9 @@ fn a_signers_certificate_must_be_valid_at_the_time_of_the_block() {
 }
 
 #[test]
-fn two_statements_of_one_node_about_one_height_prove_a_lie_and_nothing_else_does() {
+fn two_blocks_that_one_node_has_signed_for_one_place_prove_a_lie_and_nothing_else_does() {
     let world = World::new();
-    let other = Statement { results: Hash([3; 32]), ..statement(5) };
+    let other = Statement { block: Hash([3; 32]), ..statement(5) };
     let lie = |first: &Statement, by: u64, second: &Statement, and: u64| {
         let lie = Lie { first: world.sign(first, by), second: world.sign(second, and) };
         assert_eq!(Lie::from_bytes(&lie.to_bytes()).unwrap(), lie);
@@ -92,25 +96,75 @@ fn two_statements_of_one_node_about_one_height_prove_a_lie_and_nothing_else_does
     assert_eq!(lie(&statement(6), 3, &other, 3), Err(Code::Malformed), "two heights");
     let elsewhere = Statement { network: Hash::ZERO, ..other };
     assert_eq!(lie(&statement(5), 3, &elsewhere, 3), Err(Code::Malformed), "two networks");
+    let recovered = Statement { recoveries: 1, ..other };
+    assert_eq!(lie(&statement(5), 3, &recovered, 3), Err(Code::Malformed), "before and after a forced recovery");
+    let results = Statement { results: Hash([3; 32]), ..statement(5) };
+    assert_eq!(lie(&statement(5), 3, &results, 3), Err(Code::Malformed), "two results of one block are no lie");
     let mut forged = Lie { first: world.sign(&statement(5), 3), second: world.sign(&other, 3) };
     forged.second.statement.results = Hash([4; 32]);
     assert_eq!(forged.verify(|der, time| world.identify(der, time)).unwrap_err().code, Code::BadSignature);
+    // The number of the node is signed: the same node under its former number has said nothing of the new one.
+    let mut renumbered = Lie { first: world.sign(&statement(5), 3), second: world.sign(&other, 3) };
+    (renumbered.first.signature.node, renumbered.second.signature.node) = (9, 9);
+    assert_eq!(renumbered.verify(|der, time| world.identify(der, time)).unwrap_err().code, Code::BadSignature);
+}
+
+#[test]
+fn two_results_of_one_block_that_one_node_has_signed_prove_a_fault_and_no_lie() {
+    let world = World::new();
+    let other = Statement { results: Hash([3; 32]), ..statement(5) };
+    let fault = |first: &Statement, second: &Statement| {
+        let fault = Fault { first: world.sign(first, 3), second: world.sign(second, 3) };
+        assert_eq!(Fault::from_bytes(&fault.to_bytes()).unwrap(), fault);
+        fault.verify(|der, time| world.identify(der, time)).map(|node| node.id()).map_err(|refused| refused.code)
+    };
+    assert_eq!(fault(&statement(5), &other).unwrap(), "Org2/node3");
+    assert_eq!(fault(&statement(5), &statement(5)), Err(Code::Malformed), "the same twice");
+    let block = Statement { block: Hash([3; 32]), ..other };
+    assert_eq!(fault(&statement(5), &block), Err(Code::Malformed), "two blocks are a lie");
+    let signed = |statement: &Statement| world.sign(statement, 3);
+    let proof = Misbehaviour::of(signed(&statement(5)), signed(&other)).unwrap();
+    assert!(!proof.is_lie() && Misbehaviour::from_bytes(&proof.to_bytes()).unwrap() == proof);
+    let lie = Misbehaviour::of(signed(&other), signed(&block)).unwrap();
+    assert!(lie.is_lie() && Misbehaviour::from_bytes(&lie.to_bytes()).unwrap() == lie);
+    assert_eq!(Misbehaviour::of(signed(&other), world.sign(&block, 1)), None, "two nodes");
+}
+
+#[test]
+fn a_proof_counts_against_the_node_that_the_ledger_knows_by_the_number_and_the_name() {
+    let world = World::new();
+    let other = Statement { block: Hash([3; 32]), ..statement(5) };
+    let lie = Misbehaviour::of(world.sign(&statement(5), 3), world.sign(&other, 3)).unwrap();
+    let code = |network: Hash, change: &dyn Fn(&mut std::collections::BTreeMap<u64, Voter>)| {
+        let mut nodes = world.voters.nodes.clone();
+        change(&mut nodes);
+        lie.verify(&network, &nodes, |der, time| world.identify(der, time))
+            .map_or_else(|refused| refused.code, |_| Code::Ok)
+    };
+    assert_eq!(code(NETWORK, &|_| ()), Code::Ok);
+    assert_eq!(code(Hash::ZERO, &|_| ()), Code::WrongNetwork);
+    assert_eq!(code(NETWORK, &|nodes| drop(nodes.remove(&3))), Code::NotAMember);
+    assert_eq!(code(NETWORK, &|nodes| nodes.get_mut(&3).unwrap().name = "node4".into()), Code::Untrusted);
 }
 
 #[test]
 fn two_votes_of_one_node_in_one_term_prove_a_lie_and_nothing_else_does() {
     let world = World::new();
-    let vote = |candidate, voter| (candidate, world.vote(&Vote { network: NETWORK, term: 7, candidate, voter }));
+    let vote = |candidate, voter| {
+        (candidate, world.vote(&Vote { network: NETWORK, recoveries: 0, term: 7, candidate, voter }))
+    };
     let proved = |votes| {
-        let proof = DoubleVote { network: NETWORK, term: 7, time: NOW, votes };
+        let proof = DoubleVote { network: NETWORK, recoveries: 0, term: 7, time: NOW, votes };
         assert_eq!(DoubleVote::from_bytes(&proof.to_bytes()).unwrap(), proof);
         proof.verify(|der, time| world.identify(der, time)).map(|liar| liar.id()).map_err(|refused| refused.code)
     };
     assert_eq!(proved([vote(1, 3), vote(2, 3)]).unwrap(), "Org2/node3");
     assert_eq!(proved([vote(1, 3), vote(1, 3)]), Err(Code::Malformed), "the same twice");
     assert_eq!(proved([vote(1, 3), vote(2, 1)]), Err(Code::Malformed), "two nodes");
-    let elsewhere = (2, world.vote(&Vote { network: NETWORK, term: 8, candidate: 2, voter: 3 }));
+    let elsewhere = (2, world.vote(&Vote { network: NETWORK, recoveries: 0, term: 8, candidate: 2, voter: 3 }));
     assert_eq!(proved([vote(1, 3), elsewhere]), Err(Code::BadSignature), "two terms");
+    let recovered = (2, world.vote(&Vote { network: NETWORK, recoveries: 1, term: 7, candidate: 2, voter: 3 }));
+    assert_eq!(proved([vote(1, 3), recovered]), Err(Code::BadSignature), "before and after a forced recovery");
     let (_, signed) = vote(1, 3);
     assert_eq!(proved([(1, signed.clone()), (2, signed)]), Err(Code::BadSignature), "a vote for another candidate");
 }
@@ -129,6 +183,8 @@ fn two_heads_of_one_leader_in_one_term_above_two_blocks_of_one_height_prove_a_li
     let verify = |branches| {
         let proof = DoubleHead { network: NETWORK, recoveries: 0, leader: 3, term: 7, height: 5, time: NOW, branches };
         assert_eq!(DoubleHead::from_bytes(&proof.to_bytes()).unwrap(), proof);
+        let any = Misbehaviour::from_bytes(&proof.to_bytes()).unwrap();
+        assert_eq!((any.node(), any.is_lie(), any.to_bytes()), (3, true, proof.to_bytes()));
         proof.verify(|der, time| world.identify(der, time)).map(|liar| liar.id()).map_err(|refused| refused.code)
     };
     assert_eq!(verify([branch(1, 0, 3, 7), branch(2, 0, 3, 7)]).unwrap(), "Org2/node3");

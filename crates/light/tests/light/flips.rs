@@ -73,8 +73,9 @@ fn a_checkpoint_with_one_bit_turned_is_refused_or_says_something_else_about_who_
 fn a_vote_with_one_bit_turned_is_refused() {
     let (voters, msps) = members(vectors());
     let vector = &vectors()["votes"][0];
-    let [term, candidate, voter] = ["term", "candidate", "voter"].map(|field| number(vector, field));
-    let vote = Vote { network: hash(vector, "network"), term, candidate, voter };
+    let fields = ["recoveries", "term", "candidate", "voter"];
+    let [recoveries, term, candidate, voter] = fields.map(|field| number(vector, field));
+    let vote = Vote { network: hash(vector, "network"), recoveries, term, candidate, voter };
     let check = |vote: &Vote, signature: &[u8]| {
         let signature = Signature::from_bytes(signature)?;
         let identity = msps.verify(&signature.certificate, &[], number(vectors(), "time"))?;
@@ -88,6 +89,7 @@ fn a_vote_with_one_bit_turned_is_refused() {
     for bit in 0..64 {
         let turned = 1 << bit;
         for vote in [
+            Vote { recoveries: vote.recoveries ^ turned, ..vote },
             Vote { term: vote.term ^ turned, ..vote },
             Vote { candidate: vote.candidate ^ turned, ..vote },
             Vote { voter: vote.voter ^ turned, ..vote },

@@ -9,8 +9,8 @@ use ledger_light::merkle::{PATH_BYTES_MAX, Path};
 use ledger_light::proof::Shown;
 use ledger_light::statement::SIGNED_BYTES_MAX;
 use ledger_light::{
-    Branch, BranchLink, Certificate, Change, DoubleHead, DoubleVote, Lie, Proof, Signature, Signed, Statement, head,
-    lie,
+    Branch, BranchLink, Certificate, Change, DoubleHead, DoubleVote, Fault, Lie, Proof, Signature, Signed, Statement,
+    head, lie,
 };
 use proptest::prelude::*;
 
@@ -19,8 +19,10 @@ fn hash() -> impl Strategy<Value = Hash> {
 }
 
 fn statement() -> impl Strategy<Value = Statement> {
-    (hash(), any::<u64>(), any::<u64>(), hash(), hash()).prop_map(|(network, height, time, block, results)| Statement {
+    let fields = (hash(), any::<[u64; 3]>(), hash(), hash());
+    fields.prop_map(|(network, [recoveries, height, time], block, results)| Statement {
         network,
+        recoveries,
         height,
         time,
         block,
@@ -83,9 +85,11 @@ fn written() -> impl Strategy<Value = Bytes> {
         signed().prop_map(|signed| signed.to_bytes()),
         certificates().prop_map(|certificate| certificate.to_bytes()),
         (signed(), signed()).prop_map(|(first, second)| Lie { first, second }.to_bytes()),
+        (signed(), signed()).prop_map(|(first, second)| Fault { first, second }.to_bytes()),
         (signed(), signed(), any::<[u64; 4]>()).prop_map(|(first, second, [term, time, one, other])| {
             let votes = [(one, first.signature), (other, second.signature)];
-            DoubleVote { network: first.statement.network, term, time, votes }.to_bytes()
+            let (network, recoveries) = (first.statement.network, first.statement.recoveries);
+            DoubleVote { network, recoveries, term, time, votes }.to_bytes()
         }),
         (signed(), signed(), any::<[u64; 5]>(), prop::collection::vec((any::<u64>(), any::<u64>(), hash()), 0..3))
             .prop_map(|(first, second, [recoveries, leader, term, height, time], links)| {
@@ -107,13 +111,14 @@ fn written() -> impl Strategy<Value = Bytes> {
 
 /// The bytes again, from each kind that they are read as.
 fn read(bytes: &[u8]) -> Vec<Bytes> {
-    let again: [Result<Bytes, Rejection>; 10] = [
+    let again: [Result<Bytes, Rejection>; 11] = [
         Fact::from_bytes(bytes).map(|fact| fact.to_bytes().into()),
         Path::from_bytes(bytes).map(|path| path.to_bytes().into()),
         Statement::from_bytes(bytes).map(|statement| statement.to_bytes().into()),
         Signed::from_bytes(bytes).map(|signed| signed.to_bytes()),
         Certificate::from_bytes(bytes).map(|certificate| certificate.to_bytes()),
         Lie::from_bytes(bytes).map(|lie| lie.to_bytes()),
+        Fault::from_bytes(bytes).map(|fault| fault.to_bytes()),
         DoubleVote::from_bytes(bytes).map(|lie| lie.to_bytes()),
         DoubleHead::from_bytes(bytes).map(|lie| lie.to_bytes()),
         Proof::from_bytes(bytes).map(|proof| proof.to_bytes()),
@@ -151,7 +156,8 @@ proptest! {
 
 #[test]
 fn limits_are_exact_and_hold_before_anything_is_allocated() {
-    let statement = Statement { network: Hash::ZERO, height: 1, time: 1, block: Hash::ZERO, results: Hash::ZERO };
+    let statement =
+        Statement { network: Hash::ZERO, recoveries: 0, height: 1, time: 1, block: Hash::ZERO, results: Hash::ZERO };
     let signature = |node| Signature {
         node,
         certificate: vec![0; ledger_identity::certificate::CERTIFICATE_BYTES_MAX].into(),
@@ -173,8 +179,11 @@ fn limits_are_exact_and_hold_before_anything_is_allocated() {
     let lie = Lie { first: signed.clone(), second: signed.clone() };
     assert_eq!(lie.to_bytes().len(), lie::LIE_BYTES_MAX);
     assert!(Lie::from_bytes(&lie.to_bytes()).is_ok());
+    let fault = Fault { first: signed.clone(), second: signed.clone() };
+    assert_eq!(fault.to_bytes().len(), lie::FAULT_BYTES_MAX);
+    assert!(Fault::from_bytes(&fault.to_bytes()).is_ok());
     let votes = [(1, signature(1)), (2, signature(1))];
-    let votes = DoubleVote { network: Hash::ZERO, term: 1, time: 1, votes };
+    let votes = DoubleVote { network: Hash::ZERO, recoveries: 0, term: 1, time: 1, votes };
     assert_eq!(votes.to_bytes().len(), lie::DOUBLE_VOTE_BYTES_MAX);
     assert!(DoubleVote::from_bytes(&votes.to_bytes()).is_ok());
     let link = BranchLink { term: 1, time: 1, root: Hash::ZERO };

@@ -81,8 +81,9 @@ fn signers(ways: &mut Ways, scene: &Scene) {
     let proof = scene.proof(&elsewhere, &[1, 3]).to_bytes();
     ways.refused("another network", (Code::WrongNetwork, why), "genesis", vec![step(&[], proof)]);
     type Change = fn(&mut Statement);
-    let others: [(&str, Change); 4] = [
+    let others: [(&str, Change); 5] = [
         ("a signature of another network", |said| said.network = Hash([9; 32])),
+        ("a signature after another number of forced recoveries", |said| said.recoveries += 1),
         ("a signature of another height", |said| said.height += 1),
         ("a signature of another block time", |said| said.time += 1),
         ("a signature of another block", |said| said.block = Hash([9; 32])),
@@ -96,7 +97,9 @@ fn signers(ways: &mut Ways, scene: &Scene) {
     }
     let vote = |voter: u64| {
         let User { key, certificate } = &scene.world.nodes[voter as usize - 1];
-        Vote { network: scene.network, term: 5, candidate: 1, voter }.sign(certificate.clone(), key).unwrap()
+        Vote { network: scene.network, recoveries: 0, term: 5, candidate: 1, voter }
+            .sign(certificate.clone(), key)
+            .unwrap()
     };
     let proof = block.proof(vec![vote(1), vote(3)]).to_bytes();
     let why = "votes are signed with other first bytes than statements";
@@ -154,7 +157,8 @@ fn forms(ways: &mut Ways, scene: &Scene) {
     statement[19] = b'2';
     let mut signed = good.certificate.clone();
     for signature in &mut signed.signatures {
-        signature.signature = scene.world.nodes[signature.node as usize - 1].key.sign(&statement).into();
+        let signed = [&statement[..], &signature.node.to_be_bytes()].concat();
+        signature.signature = scene.world.nodes[signature.node as usize - 1].key.sign(&signed).into();
     }
     let signed = signed.to_bytes();
     let signed = [&signed[..23], &statement, &signed[23 + statement.len()..]].concat();

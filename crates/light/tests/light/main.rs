@@ -8,6 +8,7 @@ mod hostile;
 mod made;
 mod python;
 mod scenes;
+mod strict;
 mod sworn;
 mod vectors;
 mod ways;

@@ -33,7 +33,7 @@ fn another_language_believes_and_refuses_what_the_vectors_say() {
     let lines = String::from_utf8(output.stdout).unwrap();
     let found: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let mut checked = 0;
-    for kind in ["ways", "votes", "lies", "facts", "governing_chain"] {
+    for kind in ["ways", "votes", "lies", "faults", "facts", "governing_chain"] {
         for vector in wanted[kind].as_array().unwrap() {
             let found = &found[checked];
             checked += 1;

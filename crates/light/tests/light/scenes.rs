@@ -100,6 +100,7 @@ pub(crate) struct Scene {
 #[derive(Clone, Copy)]
 pub(crate) struct Block {
     pub(crate) network: Hash,
+    pub(crate) recoveries: u64,
     pub(crate) height: u64,
     pub(crate) time: u64,
     pub(crate) governing: Hash,
@@ -132,8 +133,8 @@ impl Block {
 
     pub(crate) fn statement(&self) -> Statement {
         let leaves = (0..self.leaves).map(|index| self.fact(index).leaf()).collect();
-        let Self { network, height, time, .. } = *self;
-        Statement { network, height, time, block: Hash([1; 32]), results: merkle::root(leaves) }
+        let Self { network, recoveries, height, time, .. } = *self;
+        Statement { network, recoveries, height, time, block: Hash([1; 32]), results: merkle::root(leaves) }
     }
 
     /// Some of the facts, with their paths.
@@ -187,7 +188,7 @@ impl Scene {
     pub(crate) fn block(&self, height: u64, changes: &[&Change]) -> Block {
         let begun = self.genesis.extend(Hash::ZERO).unwrap();
         let governing = changes.iter().fold(begun, |chain, change| change.extend(chain).unwrap());
-        Block { network: self.network, height, time: NOW + height * 200_000, governing, leaves: 3 }
+        Block { network: self.network, recoveries: 0, height, time: NOW + height * 200_000, governing, leaves: 3 }
     }
 
     /// The signatures of nodes below a statement.

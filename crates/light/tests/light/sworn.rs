@@ -5,7 +5,7 @@ use crate::world::{NETWORK, NOW, World};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_light::{Lie, Signature, Statement, Vote};
+use ledger_light::{Fault, Lie, Signature, Statement, Vote};
 use serde_json::{Value, json};
 
 fn outcome(found: Result<String, Rejection>, vector: &Value) {
@@ -25,8 +25,9 @@ fn votes_are_believed_and_refused_as_the_vectors_say() {
     let votes = vectors["votes"].as_array().unwrap();
     assert!(votes.len() > 8 && votes.iter().any(|vote| vote["refused"].is_null()));
     for vector in votes {
-        let [term, candidate, voter] = ["term", "candidate", "voter"].map(|field| number(vector, field));
-        let vote = Vote { network: hash(vector, "network"), term, candidate, voter };
+        let fields = ["recoveries", "term", "candidate", "voter"];
+        let [recoveries, term, candidate, voter] = fields.map(|field| number(vector, field));
+        let vote = Vote { network: hash(vector, "network"), recoveries, term, candidate, voter };
         assert_eq!(hex::encode(vote.to_bytes()), text(vector, "bytes"));
         let found = Signature::from_bytes(&bytes(vector, "signature")).and_then(|signature| {
             let identity = msps.verify(&signature.certificate, &[], number(vectors, "time"))?;
@@ -51,15 +52,30 @@ fn lies_are_proved_and_not_proved_as_the_vectors_say() {
     }
 }
 
+#[test]
+fn faults_are_proved_and_not_proved_as_the_vectors_say() {
+    let vectors = vectors();
+    let (_, msps) = members(vectors);
+    let faults = vectors["faults"].as_array().unwrap();
+    assert!(faults.len() > 2 && faults.iter().any(|fault| fault["refused"].is_null()));
+    for vector in faults {
+        let found = Fault::from_bytes(&bytes(vector, "fault")).and_then(|fault| {
+            assert_eq!(hex::encode(fault.to_bytes()), text(vector, "fault"));
+            fault.verify(|der, time| msps.verify(der, &[], time).map_err(Rejection::from)).map(|node| node.id())
+        });
+        outcome(found, vector);
+    }
+}
+
 /// The vectors of votes.
 pub(crate) fn votes(world: &World) -> Vec<Value> {
-    let vote = Vote { network: NETWORK, term: 7, candidate: 1, voter: 3 };
+    let vote = Vote { network: NETWORK, recoveries: 0, term: 7, candidate: 1, voter: 3 };
     let signed = |vote: &Vote, node: usize| {
         vote.sign(world.nodes[node - 1].certificate.clone(), &world.nodes[node - 1].key).unwrap()
     };
     let shown = |name: &str, vote: &Vote, signature: &Signature| {
-        json!({"name": name, "network": vote.network, "term": vote.term, "candidate": vote.candidate, "voter": vote.voter,
-               "bytes": hex::encode(vote.to_bytes()), "signature": hex::encode(signature.to_bytes())})
+        json!({"name": name, "network": vote.network, "recoveries": vote.recoveries, "term": vote.term, "candidate": vote.candidate,
+               "voter": vote.voter, "bytes": hex::encode(vote.to_bytes()), "signature": hex::encode(signature.to_bytes())})
     };
     let good = signed(&vote, 3);
     let mut votes = vec![
@@ -69,11 +85,19 @@ pub(crate) fn votes(world: &World) -> Vec<Value> {
     votes[0]["signer"] = "Org2/node3".into();
     votes[1]["signer"] = "Org1/node2".into();
     let member = world.cas[1].user("node3", "member", KeyKind::P256);
-    let said = Statement { network: NETWORK, height: 7, time: NOW, block: Hash::ZERO, results: Hash::ZERO };
+    let said =
+        Statement { network: NETWORK, recoveries: 0, height: 7, time: NOW, block: Hash::ZERO, results: Hash::ZERO };
     let not_signed = "the vote is not the one that was signed";
     let bad = Code::BadSignature;
     for (name, vote, signature, code, why) in [
         ("another term", Vote { term: 8, ..vote }, good.clone(), bad, not_signed),
+        (
+            "after another number of forced recoveries",
+            Vote { recoveries: 1, ..vote },
+            signed(&Vote { recoveries: 1, ..vote }, 3),
+            Code::Untrusted,
+            "the ledger has executed no forced recovery",
+        ),
         ("another candidate", Vote { candidate: 2, ..vote }, good.clone(), bad, not_signed),
         ("another network", Vote { network: Hash::ZERO, ..vote }, good.clone(), bad, not_signed),
         ("a statement", vote, world.sign(&said, 3).signature, bad, "statements are signed with other first bytes"),
@@ -109,7 +133,7 @@ pub(crate) fn votes(world: &World) -> Vec<Value> {
 
 /// The vectors of proofs of a lie.
 pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
-    let other = Statement { results: Hash([9; 32]), ..said };
+    let other = Statement { block: Hash([9; 32]), ..said };
     let lie = |first: &Statement, by: u64, second: &Statement, and: u64| {
         Lie { first: world.sign(first, by), second: world.sign(second, and) }.to_bytes()
     };
@@ -122,11 +146,18 @@ pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
     let same = "the statements do not contradict each other";
     let later = Statement { height: said.height + 1, ..other };
     let elsewhere = Statement { network: Hash::ZERO, ..other };
+    let recovered = Statement { recoveries: 1, ..other };
+    let results = Statement { results: Hash([9; 32]), ..said };
+    let mut renumbered = Lie::from_bytes(&good).unwrap();
+    (renumbered.first.signature.node, renumbered.second.signature.node) = (4, 4);
     let refused = [
         ("the same twice", lie(&said, 3, &said, 3), Code::Malformed, same),
         ("two nodes", lie(&said, 3, &other, 1), Code::Malformed, same),
         ("two heights", lie(&said, 3, &later, 3), Code::Malformed, same),
         ("two networks", lie(&said, 3, &elsewhere, 3), Code::Malformed, same),
+        ("before and after a forced recovery", lie(&said, 3, &recovered, 3), Code::Malformed, same),
+        ("two results of one block", lie(&said, 3, &results, 3), Code::Malformed, "that is a fault and no lie"),
+        ("another number of the node", renumbered.to_bytes(), Code::BadSignature, "the number of the node is signed"),
         (
             "a statement that was not signed",
             forged.to_bytes(),
@@ -143,4 +174,22 @@ pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
     lies.push(json!({"name": "a byte behind it", "lie": hex::encode(longer), "refused": Code::Malformed.name(),
                      "why": "nothing stands behind the end"}));
     lies
+}
+
+/// The vectors of proofs of a fault.
+pub(crate) fn faults(world: &World, said: Statement) -> Vec<Value> {
+    let other = Statement { results: Hash([9; 32]), ..said };
+    let fault = |first: &Statement, by: u64, second: &Statement, and: u64| {
+        hex::encode(Fault { first: world.sign(first, by), second: world.sign(second, and) }.to_bytes())
+    };
+    let block = Statement { block: Hash([9; 32]), ..other };
+    let mut faults = vec![json!({"name": "a fault", "fault": fault(&said, 3, &other, 3), "signer": "Org2/node3"})];
+    for (name, fault, why) in [
+        ("the same twice", fault(&said, 3, &said, 3), "the statements do not contradict each other"),
+        ("two nodes", fault(&said, 3, &other, 1), "each has its own results"),
+        ("two blocks", fault(&said, 3, &block, 3), "that is a lie and no fault"),
+    ] {
+        faults.push(json!({"name": name, "fault": fault, "refused": Code::Malformed.name(), "why": why}));
+    }
+    faults
 }

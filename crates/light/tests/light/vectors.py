@@ -31,7 +31,7 @@ def begun(begin):
         raise AssertionError("the genesis of another network is believed")
     records, proof = verify.read_checkpoint(of(begin["checkpoint"]))
     verify.signers(network, records, proof)
-    return follow.Governance(network, verify.STATEMENT.unpack(proof[0])[2], proof[2][0][1:33], records)
+    return follow.Governance(network, verify.STATEMENT.unpack(proof[0])[3], proof[2][0][1:33], records)
 
 
 def shown(fact):
@@ -77,23 +77,36 @@ def sworn(message, time, signature):
 
 def vote(vector):
     head = b"ledgerd vote v1\0" + of(vector["network"])
-    message = head + struct.pack(">QQQ", vector["term"], vector["candidate"], vector["voter"])
+    message = head + struct.pack(">QQQQ", vector["recoveries"], vector["term"], vector["candidate"], vector["voter"])
     assert message == of(vector["bytes"])
     number, signer = sworn(message, vectors["time"], of(vector["signature"]))
     verify.need(number == vector["voter"], "a vote of another node")
+    verify.need(vector["recoveries"] == 0, "a vote after another number of forced recoveries")
     assert signer == vector.get("signer", signer)
 
 
-def lie(vector):
-    reader = verify.Reader(of(vector["lie"]), b"ledgerd lie v1\0")
+def pair(vector, kind):
+    """The two statements in a proof, if one node has signed them for one place."""
+    reader = verify.Reader(of(vector[kind]), b"ledgerd %s v1\0" % kind.encode())
     first, second = (verify.Reader(reader.part()) for _ in range(2))
     reader.end()
     said = [one.take(verify.STATEMENT.size) for one in (first, second)]
     fields = [verify.STATEMENT.unpack(each) for each in said]
-    verify.need(said[0] != said[1] and fields[0][:3] == fields[1][:3], "two statements that do not contradict")
-    signers = {sworn(each, one[3], reader.rest) for each, one, reader in zip(said, fields, (first, second))}
+    verify.need(fields[0][:4] == fields[1][:4], "two statements for two places")
+    signers = {sworn(each + one.rest[:8], at[4], one.rest) for each, at, one in zip(said, fields, (first, second))}
     verify.need(len(signers) == 1, "two statements of two nodes")
     assert {vector.get("signer", name) for _, name in signers} == {name for _, name in signers}
+    return fields
+
+
+def lie(vector):
+    first, second = pair(vector, "lie")
+    verify.need(first[5] != second[5], "two statements about one block")
+
+
+def fault(vector):
+    first, second = pair(vector, "fault")
+    verify.need(first[5] == second[5] and first != second, "two statements that do not contradict")
 
 
 def fact(vector):
@@ -111,7 +124,8 @@ def change(vector):
 
 vectors = json.load(open(sys.argv[2]))
 governing = follow.Governance(b"", 0, bytes(32), {})
-for kind, check in (("ways", way), ("votes", vote), ("lies", lie), ("facts", fact), ("governing_chain", change)):
+sworn_things = ("votes", vote), ("lies", lie), ("faults", fault)
+for kind, check in (("ways", way), *sworn_things, ("facts", fact), ("governing_chain", change)):
     for vector in vectors[kind]:
         try:
             reason = check(vector)

@@ -3,7 +3,7 @@
 //! With `STORE_CERTIFIED=1` the file is made if it is not there. It is never made anew: the formats have a version.
 
 use crate::scenes::{Ways, change, members as members_record, node};
-use crate::sworn::{lies, votes};
+use crate::sworn::{faults, lies, votes};
 use crate::world::{NETWORK, NOW, World, name, statement};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
@@ -11,7 +11,7 @@ use ledger_identity::msp::{Msp, Msps};
 use ledger_light::control::{self, Write};
 use ledger_light::fact::Fact;
 use ledger_light::merkle::{self, Path};
-use ledger_light::{Certificate, Change, Statement, Voter, Voters};
+use ledger_light::{Certificate, CertificateRule, Change, Statement, Voter, Voters};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -98,7 +98,8 @@ pub(crate) fn fact_json(fact: &Fact<'_>) -> Value {
 
 pub(crate) fn given(value: &Value) -> Statement {
     let [network, block, results] = ["network", "block", "results"].map(|field| hash(value, field));
-    Statement { network, height: number(value, "height"), time: number(value, "time"), block, results }
+    let [recoveries, height, time] = ["recoveries", "height", "time"].map(|field| number(value, field));
+    Statement { network, recoveries, height, time, block, results }
 }
 
 #[test]
@@ -184,7 +185,16 @@ pub(crate) fn members(vectors: &Value) -> (Voters, Msps) {
         let none: [Vec<u8>; 0] = [];
         msps.insert(Msp::new(text(organisation, "name"), &[bytes(organisation, "root")], &none).unwrap()).unwrap();
     }
-    (Voters { nodes: nodes.collect(), voters: [1, 2, 3].into(), outgoing: [].into() }, msps)
+    (
+        Voters {
+            nodes: nodes.collect(),
+            voters: [1, 2, 3].into(),
+            outgoing: [].into(),
+            rule: CertificateRule::default(),
+            recoveries: 0,
+        },
+        msps,
+    )
 }
 
 #[test]
@@ -270,13 +280,14 @@ fn made() -> Value {
         "governing_chain": governing_chain(),
         "votes": votes(&world),
         "lies": lies(&world, said),
+        "faults": faults(&world, said),
         "beginnings": beginnings,
         "ways": ways,
         "facts": facts.collect::<Vec<_>>(),
         "root": merkle::root(leaves.clone()),
         "control_chain": control_chain,
-        "statement": {"network": said.network, "height": said.height, "time": said.time, "block": said.block,
-                      "results": said.results, "bytes": hex::encode(said.to_bytes())},
+        "statement": {"network": said.network, "recoveries": said.recoveries, "height": said.height, "time": said.time,
+                      "block": said.block, "results": said.results, "bytes": hex::encode(said.to_bytes())},
         "organisations": roots.map(|(ca, name)| json!({"name": name, "root": hex::encode(ca.root())})).collect::<Vec<_>>(),
         "nodes": nodes,
         "voters": [1, 2, 3],

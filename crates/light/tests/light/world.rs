@@ -6,7 +6,7 @@ use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
-use ledger_light::{Certificate, Head, Signature, Signed, Statement, Vote, Voter, Voters};
+use ledger_light::{Certificate, CertificateRule, Head, Signature, Signed, Statement, Vote, Voter, Voters};
 use testkit::{Ca, User};
 
 /// 2030-01-01, microseconds.
@@ -44,7 +44,13 @@ impl World {
             let [organisation, name] = name(node).map(str::to_owned);
             (node, Voter { organisation, name })
         });
-        let voters = Voters { nodes: known.collect(), voters: [1, 2, 3].into(), outgoing: [].into() };
+        let voters = Voters {
+            nodes: known.collect(),
+            voters: [1, 2, 3].into(),
+            outgoing: [].into(),
+            rule: CertificateRule::default(),
+            recoveries: 0,
+        };
         Self { cas, nodes, voters, msps }
     }
 
@@ -78,5 +84,5 @@ impl World {
 }
 
 pub(crate) fn statement(height: u64) -> Statement {
-    Statement { network: NETWORK, height, time: NOW, block: Hash([1; 32]), results: Hash([2; 32]) }
+    Statement { network: NETWORK, recoveries: 0, height, time: NOW, block: Hash([1; 32]), results: Hash([2; 32]) }
 }

@@ -1,6 +1,7 @@
 //! How an engine is set up, and what keeps it from starting.
 
 use super::receipt::Secret;
+use crate::queue::Creators;
 use ledger::members::Membership;
 
 /// How an engine is set up. Times are counted in ticks.
@@ -40,6 +41,8 @@ pub struct EngineConfig {
     pub ahead_bytes: usize,
     /// Known to this node alone, and the same after every start: see [`Secret`].
     pub secret: Secret,
+    /// The organisations of creators, between which the queues are fair.
+    pub creators: Creators,
     /// Randomness: election timeouts and the names of reads. Different on every node and at every start.
     pub seed: u64,
 }
@@ -63,6 +66,7 @@ impl EngineConfig {
             data_wait_us: 200_000,
             ahead_bytes: 64 * 1024,
             secret: Secret::default(),
+            creators: Creators::default(),
             seed,
         }
     }

@@ -14,7 +14,7 @@
 //!
 //! **Certificates.** A head is checked by the certificate in the vote that the leader gave itself, which its mandate shows. A
 //! leader whose certificate is renewed shows its mandate again. A follower that cannot check a head asks for the
-//! mandate.
+//! mandate. One that cannot for longer asks its peers for blocks: a forced recovery among them changes how heads are signed.
 
 use super::mandate::{LogHead, Rests};
 use super::{Engine, READ_BYTES};
@@ -57,6 +57,8 @@ pub(super) struct Heads {
     doubted: Rests,
     /// When the newest head was shown last, in ticks, and of which leader.
     shown: (u64, u64),
+    /// Since when no head of the leader could be checked, in ticks.
+    unchecked_since: Option<u64>,
 }
 
 impl Heads {
@@ -87,6 +89,11 @@ impl Heads {
     #[cfg(test)]
     pub(super) fn pretend_certificate(&mut self, term: u64, certificate: Bytes) {
         self.certificate = (term, certificate);
+    }
+
+    /// No head of the leader could be checked for so many ticks. Counted again from then on.
+    pub(super) fn take_unchecked(&mut self, now: u64, ticks: usize) -> bool {
+        self.unchecked_since.take_if(|since| now.saturating_sub(*since) >= ticks as u64).is_some()
     }
 
     /// A leader has shown its certificate.
@@ -159,10 +166,12 @@ impl Engine {
         match checked {
             Ok(checked) => {
                 self.heads.keep(checked);
+                self.heads.unchecked_since = None;
                 Ok(())
             }
             Err(reason) => {
                 self.want_mandate(from, term, out);
+                self.heads.unchecked_since.get_or_insert(self.ticks);
                 Err(reason)
             }
         }

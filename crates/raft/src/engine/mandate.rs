@@ -146,12 +146,37 @@ pub(super) struct Mandates {
     asked: Rests,
     /// Nodes that were shown this node's mandate because they asked.
     shown: Rests,
+    /// Nodes that have lied, by proof.
+    excluded: BTreeSet<u64>,
 }
 
 impl Mandates {
     pub(super) fn new(ballots: Arc<dyn Ballots>) -> Self {
         let (doubted, asked, shown) = (Rests::default(), Rests::default(), Rests::default());
-        Self { ballots, term: 0, votes: BTreeMap::new(), elected: None, doubted, asked, shown }
+        let excluded = BTreeSet::new();
+        Self { ballots, term: 0, votes: BTreeMap::new(), elected: None, doubted, asked, shown, excluded }
+    }
+
+    /// Takes nothing more from these nodes that a leader or a candidate sends.
+    pub(super) fn exclude(&mut self, nodes: BTreeSet<u64>) {
+        self.elected.take_if(|elected| nodes.contains(&elected.leader));
+        self.excluded = nodes;
+    }
+
+    /// Is this a message of a leader or a candidate that has lied? Its acknowledgements and its votes for others still count:
+    /// they are about what others have signed.
+    pub(super) fn excludes(&self, from: u64, message: &PeerMessage) -> bool {
+        if !self.excluded.contains(&from) {
+            return false;
+        }
+        match message {
+            PeerMessage::Raft(message) => RaftKind::try_from(message.kind).is_ok_and(|kind| {
+                use RaftKind::{Append, Heartbeat, PreVote, ReadIndexResponse, TimeoutNow, Vote};
+                matches!(kind, Append | Heartbeat | Vote | PreVote | TimeoutNow | ReadIndexResponse)
+            }),
+            PeerMessage::Mandate(_) | PeerMessage::Behind(_) | PeerMessage::Returned(_) => true,
+            _ => false,
+        }
     }
 
     /// Has the node shown a mandate for this very term?

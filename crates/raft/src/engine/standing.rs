@@ -200,16 +200,17 @@ impl Engine {
         true
     }
 
-    /// With every tick: only nodes speak as leaders of which this node does not know that they vote. Blocks that it lacks
-    /// may say so, and its peers may have them.
+    /// With every tick: only nodes speak as leaders of which this node does not know that they vote, or whose heads it cannot
+    /// check. Blocks that it lacks may say so, and its peers may have them.
     pub(super) fn look_for_leader(&mut self, out: &mut Vec<Output>) {
         let timeouts = if self.may_vote(self.config.id).is_ok() { LOOK_TIMEOUTS } else { LEARNER_LOOK_TIMEOUTS };
-        if self.leaderless_ticks < timeouts * self.config.election_tick {
+        let unchecked = self.heads.take_unchecked(self.ticks, timeouts * self.config.election_tick);
+        if !unchecked && self.leaderless_ticks < timeouts * self.config.election_tick {
             return;
         }
         // Asked again after the same time.
         self.leaderless_ticks = 0;
-        if std::mem::take(&mut self.stranger_leads) {
+        if std::mem::take(&mut self.stranger_leads) || unchecked {
             let committed = self.raw.raft.raft_log.committed;
             out.push(Output::Behind { from: self.config.id, first_index: committed + 2 });
         }

@@ -57,9 +57,11 @@ fn message() -> impl Strategy<Value = PeerMessage> {
     };
     let statement = bytes().prop_map(|signed| PeerMessage::Statement(SignedStatement { signed }));
     let early = bytes().prop_map(|transaction| PeerMessage::Early(EarlyCall { transaction }));
+    let evidence = bytes().prop_map(|proof| PeerMessage::Evidence(Evidence { proof }));
     prop_oneof![
         statement,
         early,
+        evidence,
         raft,
         transactions().prop_map(PeerMessage::Forward),
         transactions().prop_map(PeerMessage::Returned)
@@ -126,6 +128,9 @@ fn limits_are_exact() {
     let early = |bytes| PeerMessage::Early(EarlyCall { transaction: vec![7; bytes].into() });
     assert!(PeerMessage::decode(early(EARLY_BYTES_MAX).to_bytes()).is_ok());
     assert!(PeerMessage::decode(early(EARLY_BYTES_MAX + 1).to_bytes()).is_err());
+    let evidence = |bytes| PeerMessage::Evidence(Evidence { proof: vec![7; bytes].into() });
+    assert!(PeerMessage::decode(evidence(EVIDENCE_BYTES_MAX).to_bytes()).is_ok());
+    assert!(PeerMessage::decode(evidence(EVIDENCE_BYTES_MAX + 1).to_bytes()).is_err());
     assert!(PeerMessage::decode(vec![0; PEER_MESSAGE_BYTES_MAX + 1].into()).is_err());
 }
 

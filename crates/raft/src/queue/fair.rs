@@ -1,20 +1,21 @@
-//! One lane: a bounded queue that is fair between the creators of what waits in it.
+//! One lane: a bounded queue that is fair between organisations, and within each between the creators of what waits.
 //!
-//! Start-time fair queueing (Goyal, Vin, Cheng 1996). Everything gets a tag when it comes: where its creator's previous
-//! transaction ends in virtual time, but not before what is taken now. Tags give the order. So the transactions of one
-//! creator stay in their order, and those who send little pass those who send much. When the queue is full, the last in
-//! order goes: it belongs to the creator with most waiting.
+//! Start-time fair queueing (Goyal, Vin, Cheng 1996) in two levels. An organisation has a tag: the virtual time at which its
+//! first transaction begins. Each transaction that is taken of it moves the tag on by its cost. An organisation of which nothing waits begins where
+//! the queue is, or where it has ended before, if that is later. The lowest tag is taken next, and within the organisation the creators are served in the same way
+//! ([`Backlog`]). So thirty identities of one organisation get what one gets that is alone. When the queue is full, the last in
+//! order goes: it belongs to the organisation with most waiting.
 
-use super::{QueueStatus, Waiting};
+mod backlog;
+
+use super::{Creators, QueueStatus, Waiting};
+use backlog::{Backlog, cost, creator};
 use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
-use ledger::transaction::claimed_creator;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 
-/// The cost of executing a transaction beside its bytes, in bytes that cost about as much.
-const TRANSACTION_COST_BYTES: usize = 256;
 /// So many transactions may wait however long they do. After a stall of the disk or an election they are soon done,
 /// while a longer queue of old ones delays what is new.
 pub(super) const LATE_TRANSACTIONS_MAX: usize = 128;
@@ -22,41 +23,42 @@ pub(super) const LATE_TRANSACTIONS_MAX: usize = 128;
 /// One lane.
 #[derive(Debug)]
 pub(crate) struct Queue {
-    /// In the order in which it will be taken.
-    items: BTreeMap<Rank, Waiting>,
-    /// Creators of what waits.
-    creators: BTreeMap<Hash, Backlog>,
+    creators: Creators,
+    /// Organisations of what waits, by the hashes of their names; and those that have had more than the others just now.
+    organisations: BTreeMap<Hash, Organisation>,
     /// Virtual time: the tag of what was taken last.
     reached: u64,
     /// Number of the next transaction.
     next: u64,
+    transactions: usize,
     bytes: usize,
     transactions_max: usize,
     bytes_max: usize,
 }
 
-/// A place in the order: by tag, then as they came.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Rank {
+/// The waiting transactions of one organisation.
+#[derive(Debug)]
+struct Organisation {
+    /// Where the first of them begins in virtual time.
     tag: u64,
-    number: u64,
+    backlog: Backlog,
 }
 
-/// The waiting transactions of one creator.
-#[derive(Debug, Default)]
-struct Backlog {
-    transactions: usize,
-    /// Where it ends in virtual time.
-    end: u64,
+impl Organisation {
+    /// Where the next one would begin in virtual time.
+    fn end(&self) -> u64 {
+        self.tag.saturating_add(self.backlog.cost())
+    }
 }
 
 impl Queue {
-    pub(super) fn new(transactions_max: usize, bytes_max: usize) -> Self {
+    pub(super) fn new(transactions_max: usize, bytes_max: usize, creators: Creators) -> Self {
         Self {
-            items: BTreeMap::new(),
-            creators: BTreeMap::new(),
+            creators,
+            organisations: BTreeMap::new(),
             reached: 0,
             next: 0,
+            transactions: 0,
             bytes: 0,
             transactions_max,
             bytes_max,
@@ -74,76 +76,129 @@ impl Queue {
             return vec![(waiting, reason)];
         }
         let creator = creator(&waiting.transaction);
-        let tag = self.creators.get(&creator).map_or(self.reached, |backlog| backlog.end.max(self.reached));
+        let organisation = self.creators.organisation(&creator);
         let mut refused = Vec::new();
-        while self.items.len() >= self.transactions_max || self.bytes.saturating_add(bytes) > self.bytes_max {
+        while self.transactions >= self.transactions_max || self.bytes.saturating_add(bytes) > self.bytes_max {
             let reason = self.full();
-            match self.items.last_key_value().map(|(place, _)| *place) {
-                Some(last) if last.tag > tag => refused.extend(self.remove(last).map(|waiting| (waiting, reason))),
-                _ => {
+            match self.make_room(&organisation, &creator) {
+                Some(last) => refused.push((last, reason)),
+                None => {
                     refused.push((waiting, reason));
                     return refused;
                 }
             }
         }
-        let backlog = self.creators.entry(creator).or_default();
-        backlog.transactions += 1;
-        backlog.end = tag + cost(&waiting.transaction) as u64;
-        self.bytes += bytes;
-        self.items.insert(Rank { tag, number: self.next }, waiting);
+        let begins = Organisation { tag: self.reached, backlog: Backlog::default() };
+        let organisation = self.organisations.entry(organisation).or_insert(begins);
+        if organisation.backlog.is_empty() {
+            organisation.tag = organisation.tag.max(self.reached);
+        }
+        organisation.backlog.push(creator, self.next, waiting);
         self.next += 1;
+        self.transactions += 1;
+        self.bytes += bytes;
         refused
+    }
+
+    /// Takes out the last in order, if it would come after a new one of this creator.
+    fn make_room(&mut self, of: &Hash, creator: &Hash) -> Option<Waiting> {
+        let own = self.organisations.get(of).map_or(self.reached, Organisation::end);
+        let waiting = self.organisations.iter().filter(|(_, organisation)| !organisation.backlog.is_empty());
+        let (most, longest) = waiting.max_by_key(|(_, organisation)| organisation.end())?;
+        let last = match most == of {
+            true => longest.backlog.last_behind(creator)?,
+            false => {
+                let last = longest.backlog.last()?;
+                // It begins where the organisation ends without it.
+                let begins = longest.end().saturating_sub(longest.backlog.cost_of(&last));
+                (begins > own).then_some(last)?
+            }
+        };
+        let most = *most;
+        self.remove(&most, last)
     }
 
     /// Takes the first `count`.
     pub(crate) fn take(&mut self, count: usize) -> Vec<Waiting> {
-        let mut taken = Vec::with_capacity(count.min(self.items.len()));
+        let mut taken = Vec::with_capacity(count.min(self.transactions));
         while taken.len() < count
-            && let Some((place, _)) = self.items.first_key_value()
+            && let Some((name, first)) = self.first()
         {
-            let place = *place;
-            self.reached = self.reached.max(place.tag);
-            taken.extend(self.remove(place));
+            if let Some(organisation) = self.organisations.get_mut(&name) {
+                self.reached = self.reached.max(organisation.tag);
+                organisation.tag = organisation.tag.saturating_add(organisation.backlog.cost_of(&first));
+                organisation.backlog.reached(&first);
+            }
+            taken.extend(self.remove(&name, first));
         }
+        self.forget();
         taken
+    }
+
+    /// The first in order, and its organisation.
+    fn first(&self) -> Option<(Hash, backlog::Rank)> {
+        let firsts = self.organisations.iter().filter_map(|(name, organisation)| {
+            let first = organisation.backlog.first()?;
+            Some((organisation.tag, first.number, *name, first))
+        });
+        firsts.min_by_key(|(tag, number, ..)| (*tag, *number)).map(|(_, _, name, first)| (name, first))
     }
 
     /// Takes out what has waited longer than `wait_us_max` and would be taken next, as far as `cost_max` goes.
     pub(super) fn take_late(&mut self, now: u64, wait_us_max: u64, cost_max: usize) -> Vec<Waiting> {
-        let mut spare = self.items.len().saturating_sub(LATE_TRANSACTIONS_MAX);
+        let mut spare = self.transactions.saturating_sub(LATE_TRANSACTIONS_MAX);
         let (mut spent, mut late) = (0, Vec::new());
-        for (place, waiting) in &self.items {
+        for (name, place, waiting) in self.in_order() {
             if spent >= cost_max || spare == 0 {
                 break;
             }
             if now.saturating_sub(waiting.since) > wait_us_max {
-                late.push(*place);
+                late.push((name, place));
                 spare -= 1;
             } else {
                 spent += cost(&waiting.transaction);
             }
         }
-        late.into_iter().filter_map(|place| self.remove(place)).collect()
+        let late = late.into_iter().filter_map(|(name, place)| self.remove(&name, place)).collect();
+        self.forget();
+        late
+    }
+
+    /// Forgets organisations of which nothing waits, unless they have had more than the others of what is taken now.
+    fn forget(&mut self) {
+        let (reached, quiet) = (self.reached, self.transactions == 0);
+        self.organisations
+            .retain(|_, organisation| !organisation.backlog.is_empty() || (organisation.tag > reached && !quiet));
+    }
+
+    /// All that waits, in the order in which it will be taken.
+    fn in_order(&self) -> InOrder<'_> {
+        let heads = self.organisations.iter().filter_map(|(name, organisation)| {
+            let mut rest = organisation.backlog.in_order();
+            let first = rest.next()?;
+            Some(Head { tag: organisation.tag, name: *name, first, rest })
+        });
+        InOrder { heads: heads.collect() }
     }
 
     /// How full it is.
     pub(crate) fn status(&self) -> QueueStatus {
-        QueueStatus { transactions: self.items.len(), bytes: self.bytes }
+        QueueStatus { transactions: self.transactions, bytes: self.bytes }
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.items.is_empty()
+        self.transactions == 0
     }
 
     pub(super) fn peek(&self, count: usize) -> impl Iterator<Item = Bytes> + '_ {
-        self.items.values().take(count).map(|waiting| waiting.transaction.clone())
+        self.in_order().take(count).map(|(_, _, waiting)| waiting.transaction.clone())
     }
 
     /// How many fit into a block that holds `transactions` with `bytes` already, with their bytes and cost: up to about
     /// `bytes_target`, and until `cost_max` is reached.
     pub(super) fn cut(&self, transactions: usize, bytes: usize, bytes_target: usize, cost_max: usize) -> Share {
         let mut share = Share::default();
-        for waiting in self.items.values() {
+        for (_, _, waiting) in self.in_order() {
             let count = transactions + share.transactions;
             let (before, more) = (bytes + share.bytes, waiting.transaction.len());
             let full = before >= bytes_target || before + more > bytes_target.max(more);
@@ -160,27 +215,51 @@ impl Queue {
         share
     }
 
-    fn remove(&mut self, place: Rank) -> Option<Waiting> {
-        let waiting = self.items.remove(&place)?;
+    fn remove(&mut self, name: &Hash, place: backlog::Rank) -> Option<Waiting> {
+        let organisation = self.organisations.get_mut(name)?;
+        let waiting = organisation.backlog.remove(place)?;
+        self.transactions -= 1;
         self.bytes -= waiting.transaction.len();
-        let creator = creator(&waiting.transaction);
-        if let Some(backlog) = self.creators.get_mut(&creator) {
-            backlog.transactions -= 1;
-            if backlog.end == place.tag + cost(&waiting.transaction) as u64 {
-                // It was the creator's last: the next one follows what is left.
-                backlog.end = place.tag;
-            }
-            if backlog.transactions == 0 {
-                self.creators.remove(&creator);
-            }
-        }
         Some(waiting)
     }
 
     fn full(&self) -> Rejection {
         Rejection::new(Code::Overloaded, "too many transactions wait to be ordered")
-            .found(format!("{} transactions, {} bytes", self.items.len(), self.bytes))
+            .found(format!("{} transactions, {} bytes", self.transactions, self.bytes))
             .wanted(format!("at most {} transactions, {} bytes", self.transactions_max, self.bytes_max))
+    }
+}
+
+/// The waiting transactions, in the order in which they will be taken. Nothing is taken.
+struct InOrder<'a> {
+    /// One for each organisation of which something is left.
+    heads: Vec<Head<'a>>,
+}
+
+struct Head<'a> {
+    /// Where the first begins in virtual time.
+    tag: u64,
+    name: Hash,
+    first: (backlog::Rank, &'a Waiting),
+    rest: backlog::Ordered<'a>,
+}
+
+impl<'a> Iterator for InOrder<'a> {
+    type Item = (Hash, backlog::Rank, &'a Waiting);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let heads = self.heads.iter().enumerate();
+        let (place, _) = heads.min_by_key(|(_, head)| (head.tag, head.first.0.number))?;
+        let head = self.heads.get_mut(place)?;
+        let (name, (rank, waiting)) = (head.name, head.first);
+        match head.rest.next() {
+            Some(next) => {
+                head.first = next;
+                head.tag = head.tag.saturating_add(cost(&waiting.transaction) as u64);
+            }
+            None => drop(self.heads.swap_remove(place)),
+        }
+        Some((name, rank, waiting))
     }
 }
 
@@ -190,15 +269,6 @@ pub(super) struct Share {
     pub(super) transactions: usize,
     pub(super) bytes: usize,
     pub(super) cost: usize,
-}
-
-fn cost(transaction: &Bytes) -> usize {
-    transaction.len() + TRANSACTION_COST_BYTES
-}
-
-/// Its creator. Bytes that are no transaction belong to an unknown creator, who is one creator like others.
-fn creator(transaction: &Bytes) -> Hash {
-    claimed_creator(transaction).unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -218,7 +288,13 @@ mod tests {
     }
 
     fn queue(transactions_max: usize) -> Queue {
-        Queue::new(transactions_max, 1 << 20)
+        Queue::new(transactions_max, 1 << 20, Creators::default())
+    }
+
+    /// Creators 100 and above are of one organisation, and the others each of its own.
+    fn with_a_crowd(transactions_max: usize) -> Queue {
+        let organisation = |creator: &Hash| Some(if creator.0[0] >= 100 { Hash([255; 32]) } else { *creator });
+        Queue::new(transactions_max, 1 << 20, Creators::new(organisation))
     }
 
     #[test]
@@ -272,6 +348,97 @@ mod tests {
     }
 
     #[test]
+    fn thirty_creators_of_one_organisation_leave_half_to_the_one_of_another() {
+        let mut queue = with_a_crowd(1000);
+        for nth in 0..10 {
+            for creator in 100..130 {
+                queue.push(waiting(creator, nth, 0));
+            }
+        }
+        for nth in 0..10 {
+            queue.push(waiting(1, nth, 0));
+        }
+        let order = names(&queue.take(20));
+        assert_eq!(order.iter().filter(|(who, _)| *who == 1).count(), 10, "{order:?}");
+        let crowd: std::collections::BTreeSet<_> = order.iter().filter(|(who, _)| *who >= 100).collect();
+        assert!(crowd.iter().all(|(_, nth)| *nth == 0) && crowd.len() == 10, "in turns within it, too: {order:?}");
+    }
+
+    #[test]
+    fn creators_of_one_organisation_that_send_one_at_a_time_do_not_pass_another_one_again_and_again() {
+        let mut queue = with_a_crowd(1000);
+        for nth in 0..30 {
+            queue.push(waiting(1, nth, 0));
+        }
+        let mut taken = Vec::new();
+        for _ in 0..20 {
+            for creator in 100..130 {
+                queue.push(waiting(creator, 0, 0));
+            }
+            taken.extend(names(&queue.take(2)));
+        }
+        assert_eq!(taken.iter().filter(|(who, _)| *who == 1).count(), 20, "{taken:?}");
+    }
+
+    #[test]
+    fn an_organisation_that_sends_much_one_at_a_time_gets_no_more_bytes_than_another() {
+        let mut queue = with_a_crowd(1000);
+        let large = |nth| {
+            let mut large = waiting(1, nth, 0);
+            large.transaction = [large.transaction.as_ref(), &[0; 3000]].concat().into();
+            large
+        };
+        for nth in 0..100 {
+            queue.push(waiting(100, nth, 0));
+        }
+        let (mut much, mut little) = (0, 0);
+        queue.push(large(0));
+        for _ in 0..50 {
+            let taken = queue.take(1).remove(0).transaction;
+            let bytes = cost(&taken);
+            match bytes > 3000 {
+                true => {
+                    much += bytes;
+                    queue.push(large(0));
+                }
+                false => little += bytes,
+            }
+        }
+        assert!(much <= 2 * little, "{much} of one large at a time, {little} of many small ones");
+    }
+
+    #[test]
+    fn a_full_queue_refuses_those_of_the_organisation_with_most_waiting() {
+        let mut queue = with_a_crowd(10);
+        for creator in 100..110 {
+            queue.push(waiting(creator, 0, 0));
+        }
+        for nth in 0..20 {
+            queue.push(waiting(1, nth, 0));
+        }
+        let order = names(&queue.take(usize::MAX));
+        assert_eq!(order.iter().filter(|(who, _)| *who == 1).count(), 5, "{order:?}");
+    }
+
+    #[test]
+    fn what_is_cut_and_looked_at_is_what_is_taken() {
+        let mut queue = with_a_crowd(1000);
+        for nth in 0..10 {
+            for creator in [1, 100, 101, 2, 102] {
+                if nth % 2 == 0 || creator > 2 {
+                    queue.push(waiting(creator, nth, 0));
+                }
+            }
+        }
+        for count in [1, 3, 7, 100] {
+            let looked_at: Vec<_> = queue.peek(count).collect();
+            let taken: Vec<_> = queue.take(count).into_iter().map(|waiting| waiting.transaction).collect();
+            assert_eq!(looked_at, taken);
+        }
+        assert_eq!(queue.status(), QueueStatus::default());
+    }
+
+    #[test]
     fn what_waited_too_long_is_taken_out_unless_it_is_little() {
         let mut queue = queue(1000);
         let many = LATE_TRANSACTIONS_MAX + 10;
@@ -293,7 +460,7 @@ mod tests {
             queue.push(waiting(creator, 0, 0));
         }
         queue.take(usize::MAX);
-        assert!(queue.creators.is_empty() && queue.is_empty());
+        assert!(queue.organisations.is_empty() && queue.is_empty());
         assert_eq!(queue.status(), QueueStatus::default());
     }
 }

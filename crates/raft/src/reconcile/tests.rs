@@ -40,7 +40,8 @@ fn leader(voters: &[u64], learners: &[u64]) -> Status {
 }
 
 fn desired(voters: &[u64], learners: &[u64]) -> Desired {
-    Desired { voters: voters.iter().copied().collect(), learners: learners.iter().copied().collect() }
+    let [voters, learners] = [voters, learners].map(|nodes| nodes.iter().copied().collect());
+    Desired { voters, learners, strict_hands: None }
 }
 
 fn peer_mut(status: &mut Status, node: u64) -> &mut PeerStatus {

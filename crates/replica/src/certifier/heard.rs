@@ -1,6 +1,6 @@
 //! The statements about one height.
 
-use ledger_light::{Signed, Statement};
+use ledger_light::{Misbehaviour, Signed, Statement};
 use std::collections::BTreeMap;
 
 /// Contradictions of one node about one height whose signatures are checked at most.
@@ -22,28 +22,34 @@ pub(super) struct Heard {
     pub(super) signed: Signed,
     /// The signature was checked, and is good.
     pub(super) good: bool,
+    /// This node has passed it on.
+    pub(super) passed: bool,
     contradictions: u8,
+    /// A lie, and a fault, was proved.
+    proved: [bool; 2],
 }
 
 impl Heard {
     /// Its signature is good.
     pub(super) fn good(signed: Signed) -> Self {
-        Self { signed, good: true, contradictions: 0 }
+        Self { good: true, ..Self::unchecked(signed) }
     }
 
     /// Nobody has looked at its signature yet.
     pub(super) fn unchecked(signed: Signed) -> Self {
-        Self { signed, good: false, contradictions: 0 }
+        Self { signed, good: false, passed: false, contradictions: 0, proved: [false; 2] }
     }
 
-    /// Is it worth to look at what contradicts it? Counts.
+    /// Is it worth to look at the signature of what contradicts it? Counts.
     pub(super) fn may_be_contradicted(&mut self) -> bool {
         self.contradictions = self.contradictions.saturating_add(1);
         self.contradictions <= CONTRADICTIONS_MAX
     }
 
-    /// A lie was proved; no other one about this height is needed.
-    pub(super) fn proved(&mut self) {
-        self.contradictions = CONTRADICTIONS_MAX;
+    /// The other statement of the same node proves a lie or a fault, if none of this kind was proved before.
+    pub(super) fn contradicted_by(&mut self, other: Signed) -> Option<Misbehaviour> {
+        let proof = Misbehaviour::of(self.signed.clone(), other)?;
+        let proved = self.proved.get_mut(usize::from(proof.is_lie()))?;
+        (!std::mem::replace(proved, true)).then_some(proof)
     }
 }

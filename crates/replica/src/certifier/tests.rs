@@ -2,7 +2,7 @@ use super::*;
 use bytes::Bytes;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::Msp;
-use ledger_light::Voter;
+use ledger_light::{CertificateRule, Voter};
 use testkit::{Ca, User};
 
 const NETWORK: Hash = Hash([7; 32]);
@@ -54,7 +54,13 @@ impl World {
         let user = |node: u64| cas[organisation(node)].user(&format!("node{node}"), "node", KeyKind::Ed25519);
         let voter = |node: u64| Voter { organisation: names[organisation(node)].into(), name: format!("node{node}") };
         let nodes = (1..=4).map(|node| (node, voter(node))).collect();
-        let voters = Voters { nodes, voters: [1, 2, 3].into(), outgoing: [].into() };
+        let voters = Voters {
+            nodes,
+            voters: [1, 2, 3].into(),
+            outgoing: [].into(),
+            rule: CertificateRule::default(),
+            recoveries: 0,
+        };
         Self { nodes: (1..=4).map(user).collect(), era: Era { from: 1, voters, msps: Arc::new(msps) } }
     }
 
@@ -64,7 +70,11 @@ impl World {
     }
 
     fn node(&self, node: u64) -> Certifier<Keys> {
-        Certifier::new(node, NETWORK, Keys(node, self.user(node)), self.era.clone())
+        self.node_with(node, Earlier::default())
+    }
+
+    fn node_with(&self, node: u64, earlier: Earlier) -> Certifier<Keys> {
+        Certifier::new(node, NETWORK, Keys(node, self.user(node)), self.era.clone(), earlier)
     }
 
     fn sign(&self, statement: Statement, node: u64) -> Signed {
@@ -78,7 +88,17 @@ impl World {
 }
 
 fn statement(height: u64) -> Statement {
-    Statement { network: NETWORK, height, time: TIME, block: Hash([1; 32]), results: Hash([2; 32]) }
+    Statement { network: NETWORK, recoveries: 0, height, time: TIME, block: Hash([1; 32]), results: Hash([2; 32]) }
+}
+
+fn certifiable(height: u64) -> Certifiable {
+    let Statement { height, time, block, results, .. } = statement(height);
+    Certifiable { height, time, block, results }
+}
+
+/// Another block.
+fn forked(height: u64, block: u8) -> Statement {
+    Statement { block: Hash([block; 32]), ..statement(height) }
 }
 
 fn other(height: u64, results: u8) -> Statement {
@@ -92,7 +112,7 @@ fn step(node: &mut Certifier<Keys>, event: Event) -> Vec<Effect> {
 }
 
 fn executed(height: u64) -> Event {
-    Event::Executed { statement: statement(height), governs: false }
+    Event::Executed { block: certifiable(height), governs: false }
 }
 
 fn certificates(effects: &[Effect]) -> Vec<Certificate> {
@@ -111,8 +131,24 @@ fn told(effects: &[Effect]) -> Vec<u64> {
     effects.iter().filter_map(told).collect()
 }
 
+fn proofs(effects: &[Effect]) -> Vec<Misbehaviour> {
+    let proof = |effect: &Effect| match effect {
+        Effect::Misbehaved(proof) => Some((**proof).clone()),
+        _ => None,
+    };
+    effects.iter().filter_map(proof).collect()
+}
+
 fn lies(effects: &[Effect]) -> usize {
-    effects.iter().filter(|effect| matches!(effect, Effect::Lied(_))).count()
+    proofs(effects).iter().filter(|proof| proof.is_lie()).count()
+}
+
+fn passed(effects: &[Effect]) -> Vec<(u64, Statement)> {
+    let passed = |effect: &Effect| match effect {
+        Effect::Pass(signed) => Some((signed.signature.node, signed.statement)),
+        _ => None,
+    };
+    effects.iter().filter_map(passed).collect()
 }
 
 #[test]
@@ -169,47 +205,224 @@ fn a_voter_says_nothing_about_a_block_that_its_disk_does_not_hold() {
 }
 
 #[test]
-fn what_a_node_says_for_another_or_signs_badly_does_not_count() {
+fn about_blocks_that_the_log_held_at_the_start_a_voter_signs_only_what_its_record_has() {
+    let world = World::new();
+    let recorded = |effects: &[Effect]| {
+        let recorded = |effect: &Effect| match effect {
+            Effect::Record(statement) => Some(*statement),
+            _ => None,
+        };
+        effects.iter().filter_map(recorded).collect::<Vec<_>>()
+    };
+    // Another disk than the one on which it signed: the same statement about 5, another one about 6, and none about 7.
+    let earlier = Earlier { end: 7, signed: vec![statement(5), forked(6, 9)] };
+    let mut node = world.node_with(1, earlier);
+    let mut effects = step(&mut node, Event::Durable(9));
+    for height in 5..=8 {
+        effects.extend(step(&mut node, executed(height)));
+    }
+    assert_eq!((told(&effects), recorded(&effects)), (vec![5, 8], vec![statement(8)]));
+    // What is recorded comes before what is sent.
+    let at = |wanted: &dyn Fn(&Effect) -> bool| effects.iter().position(wanted).unwrap();
+    let sent = |effect: &Effect| matches!(effect, Effect::Tell(signed) if signed.statement.height == 8);
+    assert!(at(&|effect| matches!(effect, Effect::Record(_))) < at(&sent));
+}
+
+#[test]
+fn what_is_signed_badly_does_not_count_whoever_brings_it() {
     let world = World::new();
     let mut node = world.node(1);
     step(&mut node, Event::Durable(5));
     step(&mut node, executed(5));
-    // Node 2 tells the statement of node 3, true as it is; then it puts the name of node 3 under its own.
-    let mut effects = step(&mut node, Event::Heard { from: 2, signed: world.sign(statement(5), 3) });
     let mut forged = world.sign(statement(5), 2);
     forged.signature.node = 3;
-    effects.extend(step(&mut node, Event::Heard { from: 3, signed: forged }));
     let mut elsewhere = world.sign(other(5, 9), 3);
     elsewhere.statement = statement(5);
-    effects.extend(step(&mut node, Event::Heard { from: 3, signed: elsewhere }));
+    let mut effects = Vec::new();
+    for signed in [forged, elsewhere] {
+        for from in [2, 3, 4] {
+            effects.extend(step(&mut node, Event::Heard { from, signed: signed.clone() }));
+        }
+    }
+    let learner = world.sign(statement(5), 4);
+    effects.extend(step(&mut node, Event::Heard { from: 2, signed: learner }));
     assert!(effects.is_empty(), "{effects:?}");
     let good = step(&mut node, Event::Heard { from: 3, signed: world.sign(statement(5), 3) });
     assert_eq!(certificates(&good).len(), 1, "its own word counts after all");
+    // What another node passes on is signed all the same.
+    let mut node = world.node(1);
+    step(&mut node, Event::Durable(5));
+    step(&mut node, executed(5));
+    let passed_on = step(&mut node, Event::Heard { from: 4, signed: world.sign(statement(5), 3) });
+    assert_eq!(certificates(&passed_on).len(), 1);
 }
 
 #[test]
-fn two_statements_of_one_node_about_one_height_are_kept_as_a_lie_once() {
+fn two_blocks_of_one_node_and_height_are_kept_as_a_lie_once() {
     let world = World::new();
-    for [first, second] in [[2, 9], [9, 2], [8, 9]] {
+    for [first, second] in [[1, 9], [9, 1], [8, 9]] {
         let mut node = world.node(1);
         step(&mut node, executed(5));
         let mut effects = Vec::new();
-        for results in [first, second, second, 10, 11] {
-            let signed = world.sign(other(5, results), 3);
+        for block in [first, second, second, 10, 11] {
+            let signed = world.sign(forked(5, block), 3);
             effects.extend(step(&mut node, Event::Heard { from: 3, signed }));
         }
-        assert_eq!(lies(&effects), 1, "{first} {second}");
-        let Some(Effect::Lied(lie)) = effects.iter().find(|effect| matches!(effect, Effect::Lied(_))) else { panic!() };
-        let liar = lie.verify(|der, time| world.era.msps.verify(der, &[], time).map_err(Rejection::from));
+        assert_eq!((lies(&effects), proofs(&effects).len()), (1, 1), "{first} {second}");
+        let liar = proofs(&effects)[0].verify(&NETWORK, &world.era.voters.nodes, |der, time| {
+            world.era.msps.verify(der, &[], time).map_err(Rejection::from)
+        });
         assert_eq!(liar.unwrap().id(), "Org2/node3");
     }
     // Nobody can make another node a liar.
     let mut node = world.node(1);
     step(&mut node, executed(5));
     step(&mut node, Event::Heard { from: 3, signed: world.sign(statement(5), 3) });
-    let mut forged = world.sign(other(5, 9), 2);
+    let mut forged = world.sign(forked(5, 9), 2);
     forged.signature.node = 3;
-    assert_eq!(lies(&step(&mut node, Event::Heard { from: 3, signed: forged })), 0);
+    for from in [2, 3] {
+        assert_eq!(lies(&step(&mut node, Event::Heard { from, signed: forged.clone() })), 0);
+    }
+}
+
+#[test]
+fn two_results_of_one_block_by_one_node_are_a_fault_and_no_lie_and_a_lie_about_it_is_still_proved() {
+    let world = World::new();
+    let mut node = world.node(1);
+    step(&mut node, executed(5));
+    let mut effects = Vec::new();
+    for said in [other(5, 8), other(5, 9), other(5, 10)] {
+        effects.extend(step(&mut node, Event::Heard { from: 3, signed: world.sign(said, 3) }));
+    }
+    assert_eq!((lies(&effects), proofs(&effects).len()), (0, 1));
+    assert_eq!(lies(&step(&mut node, Event::Heard { from: 3, signed: world.sign(forked(5, 9), 3) })), 1);
+    // Results of two nodes that differ prove nothing.
+    let mut node = world.node(1);
+    step(&mut node, executed(5));
+    step(&mut node, Event::Heard { from: 2, signed: world.sign(other(5, 8), 2) });
+    assert!(proofs(&step(&mut node, Event::Heard { from: 3, signed: world.sign(other(5, 9), 3) })).is_empty());
+}
+
+/// Sends everything that nodes 1 and 2 want to send to each other until nothing is left; the proofs of each.
+fn exchanged(nodes: &mut [Certifier<Keys>; 2], heard: [Signed; 2]) -> [Vec<Misbehaviour>; 2] {
+    let mut proved = [Vec::new(), Vec::new()];
+    let mut waiting: Vec<(usize, u64, Signed)> =
+        heard.into_iter().enumerate().map(|(to, signed)| (to, signed.signature.node, signed)).collect();
+    for _ in 0..100 {
+        let Some((to, from, signed)) = waiting.pop() else { return proved };
+        let effects = step(&mut nodes[to], Event::Heard { from, signed });
+        proved[to].extend(proofs(&effects));
+        for effect in effects {
+            if let Effect::Pass(signed) = effect {
+                waiting.push((1 - to, to as u64 + 1, signed));
+            }
+        }
+    }
+    panic!("they pass things on without end");
+}
+
+#[test]
+fn a_voter_that_signs_one_block_for_one_node_and_another_for_another_is_proved_a_liar_at_both() {
+    let world = World::new();
+    for [first, second] in [[8, 9], [1, 9], [9, 1]] {
+        let mut nodes = [world.node(1), world.node(2)];
+        nodes.iter_mut().for_each(|node| drop(step(node, executed(5))));
+        let heard = [first, second].map(|block| world.sign(forked(5, block), 3));
+        let proved = exchanged(&mut nodes, heard);
+        // Of one that both hold, one proves it; it sends the proof to the other.
+        assert!(proved.iter().flatten().all(|proof| proof.is_lie() && proof.node() == 3), "{proved:?}");
+        assert!(proved.iter().any(|proofs| !proofs.is_empty()), "{first} {second}");
+    }
+}
+
+#[test]
+fn two_certificates_of_one_height_are_exchanged_signature_by_signature() {
+    // Node 3 signs block 1 with node 1 and block 9 with node 2, so each of them has a certificate.
+    let world = World::new();
+    let mut nodes = [world.node(1), world.node(2)];
+    let fork = Certifiable { block: Hash([9; 32]), ..certifiable(5) };
+    let mut own = Vec::new();
+    for (node, block) in nodes.iter_mut().zip([certifiable(5), fork]) {
+        step(node, Event::Durable(5));
+        own.extend(step(node, Event::Executed { block, governs: false }));
+    }
+    let own: Vec<Signed> = own
+        .iter()
+        .filter_map(|effect| match effect {
+            Effect::Tell(signed) => Some(signed.clone()),
+            _ => None,
+        })
+        .collect();
+    for (node, block) in nodes.iter_mut().zip([1, 9]) {
+        let signed = world.sign(forked(5, block), 3);
+        assert_eq!(certificates(&step(node, Event::Heard { from: 3, signed })).len(), 1);
+    }
+    let proved = exchanged(&mut nodes, [own[1].clone(), own[0].clone()]);
+    for proofs in &proved {
+        assert!(proofs.iter().any(|proof| proof.is_lie() && proof.node() == 3), "{proved:?}");
+    }
+}
+
+#[test]
+fn what_all_have_signed_alike_is_passed_on_by_nobody_and_a_dispute_once() {
+    let world = World::new();
+    let mut node = world.node(1);
+    step(&mut node, executed(5));
+    let hear = |node: &mut Certifier<Keys>, from, statement| {
+        step(node, Event::Heard { from, signed: world.sign(statement, from) })
+    };
+    assert!(passed(&hear(&mut node, 2, statement(5))).is_empty());
+    let both = hear(&mut node, 3, forked(5, 9));
+    assert_eq!(passed(&both), [(2, statement(5)), (3, forked(5, 9))]);
+    assert!(passed(&hear(&mut node, 3, forked(5, 9))).is_empty());
+    // One that comes before the block is executed waits for it.
+    let mut node = world.node(1);
+    assert!(passed(&hear(&mut node, 3, forked(5, 9))).is_empty());
+    assert_eq!(passed(&step(&mut node, executed(5))), [(3, forked(5, 9))]);
+    // What joins a dispute is passed on, too, whatever it says.
+    assert_eq!(passed(&hear(&mut node, 2, statement(5))), [(2, statement(5))]);
+}
+
+#[test]
+fn a_peer_that_passes_on_too_much_is_not_heard_for_the_rest_of_the_second_and_takes_nothing_from_others() {
+    let world = World::new();
+    let mut node = world.node(1);
+    step(&mut node, executed(5));
+    let mut forged = world.sign(statement(5), 2);
+    forged.signature.node = 3;
+    let pass = |node: &mut Certifier<Keys>, now, from, signed: &Signed| {
+        let mut out = Vec::new();
+        node.step(now, Event::Heard { from, signed: signed.clone() }, &mut out);
+        passed(&out).len()
+    };
+    for _ in 0..PASSED_MAX {
+        pass(&mut node, 0, 4, &forged);
+    }
+    let good = world.sign(forked(5, 9), 3);
+    assert_eq!(pass(&mut node, PASSED_TIME - 1, 4, &good), 0);
+    assert_eq!(pass(&mut node, PASSED_TIME - 1, 2, &good), 1);
+    let later = world.sign(forked(5, 9), 2);
+    assert_eq!(pass(&mut node, PASSED_TIME, 4, &later), 1);
+}
+
+#[test]
+fn statements_name_the_forced_recoveries_before_their_block_and_of_another_number_none_counts() {
+    let world = World::new();
+    let mut node = world.node(1);
+    step(&mut node, Event::Durable(99));
+    let recovered = Era { from: 6, voters: Voters { recoveries: 1, ..world.era.voters.clone() }, ..world.era.clone() };
+    let mut effects = step(&mut node, executed(5));
+    effects.extend(step(&mut node, Event::Voters(recovered)));
+    effects.extend(step(&mut node, executed(6)));
+    let own = effects.iter().filter_map(|effect| match effect {
+        Effect::Tell(signed) => Some((signed.statement.height, signed.statement.recoveries)),
+        _ => None,
+    });
+    assert_eq!(own.collect::<Vec<_>>(), [(5, 0), (6, 1)]);
+    for (recoveries, wanted) in [(0, 0), (2, 0), (1, 1)] {
+        let signed = world.sign(Statement { recoveries, ..statement(6) }, 3);
+        assert_eq!(certificates(&step(&mut node, Event::Heard { from: 3, signed })).len(), wanted, "{recoveries}");
+    }
 }
 
 #[test]
@@ -242,7 +455,7 @@ fn what_was_signed_with_a_vote_that_is_lost_by_then_is_in_no_certificate() {
         step(node, Event::Heard { from, signed: world.sign(statement, from) })
     };
     hear(&mut node, 3, statement(6));
-    assert_eq!(lies(&hear(&mut node, 3, other(6, 9))), 1);
+    assert_eq!(lies(&hear(&mut node, 3, forked(6, 9))), 1);
     let mut era = Era { from: 6, ..world.era.clone() };
     era.voters.voters = [1, 2, 4].into();
     step(&mut node, Event::Voters(era));
@@ -297,7 +510,7 @@ fn statements_about_blocks_that_change_whom_others_trust_are_told_again_with_the
     let mut node = world.node(1);
     step(&mut node, Event::Durable(99));
     for height in 1..=30 {
-        step(&mut node, Event::Executed { statement: statement(height), governs: height % 3 == 0 });
+        step(&mut node, Event::Executed { block: certifiable(height), governs: height % 3 == 0 });
     }
     let mut out = Vec::new();
     node.step(1_000_000, Event::Time, &mut out);

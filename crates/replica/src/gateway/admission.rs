@@ -4,6 +4,7 @@
 
 use super::held::Item;
 use super::line::{Arrived, overloaded};
+use crate::budgets::Budgets;
 use crate::reads::Known;
 use crate::replica::Now;
 use crate::retries::Retries;
@@ -22,6 +23,10 @@ pub struct Admitting<'a, C> {
     pub waiters: &'a Waiters<C>,
     /// Repetitions that are ordered although the state refuses them.
     pub retries: &'a Retries,
+    /// How much identities, organisations and services have sent.
+    pub budgets: &'a Budgets,
+    /// Most bytes a second of one organisation, as the disk has room.
+    pub organisation_bytes: u64,
     /// The node's clocks.
     pub now: Now,
     /// Longest time that data waits until it is looked at, microseconds.
@@ -106,8 +111,19 @@ impl<C: Waiter> Admitting<'_, C> {
             Ok(Admission::New(transaction)) => {
                 let arrived = Arrived { transaction, ticket, client };
                 let waited = self.waited(&arrived);
+                let of_data = ticket.lane == Lane::Data;
+                if of_data
+                    && let Err(used_up) = self.budgets.admit(
+                        self.ledger,
+                        &arrived.transaction,
+                        (self.now.elapsed, self.now.clock),
+                        self.organisation_bytes,
+                    )
+                {
+                    return Self::refuse(arrived, used_up);
+                }
                 // It waited for the state to be current, while newer data came.
-                match reached.is_some() && ticket.lane == Lane::Data && waited > self.wait_max * 2 {
+                match reached.is_some() && of_data && waited > self.wait_max * 2 {
                     true => self.overdue(arrived, waited),
                     false => Decision::Order(arrived),
                 }

@@ -43,8 +43,8 @@ pub struct Turned {
 }
 
 impl Entrance<'_> {
-    /// Takes a call of an identity in. `room` says why the disk has no room for it, if it has none; whether the call ends
-    /// control it can ask. `client` is who gets the answer, with the place that it has until then.
+    /// Takes a call of an identity in. `room` says why the node has no room for it now, if it has none: its disk is full,
+    /// or its clock is wrong. Whether the call ends control it can ask. `client` is who gets the answer, with the place that it has until then.
     ///
     /// # Errors
     /// Why it is not looked at.

@@ -180,6 +180,7 @@ mod tests {
                 chaincode: "abac".into(),
                 function: "set".into(),
                 args: vec![service.into()],
+                known_block: None,
             };
             let transaction = Transaction::sign(&body, &self.key).unwrap();
             let client = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();

@@ -1,15 +1,14 @@
 //! The engine's wishes, as effects for the node.
 
 use super::{Effect, LEARNER_WRITE_DELAY, Now, Replica};
-use crate::voting::RECOVERIES;
 use crate::waiters::Waiter;
 use bytes::Bytes;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::{Branch, DoubleHead, DoubleVote, Signature};
-use ledger_raft::{HeadBranch, Input, Output, PeerMessage, Role, VotedTwice};
+use ledger_light::{Branch, DoubleHead, DoubleVote, Misbehaviour, Signature};
+use ledger_raft::{HeadBranch, Input, Output, PeerMessage, Role, Transactions, VotedTwice};
 
 impl<W: Waiter> Replica<W> {
     /// Hands an input to the engine.
@@ -62,13 +61,13 @@ impl<W: Waiter> Replica<W> {
             Output::Behind { from, first_index } => out.push(Effect::Behind { from, first_index }),
             Output::Ignored { from, reason } => out.push(Effect::Ignored { from, reason }),
             Output::VotedTwice(found) => match self.proof(now, &found) {
-                Ok(proof) => out.push(Effect::VotedTwice(Box::new(proof))),
+                Ok(proof) => out.push(Effect::Misbehaved(Box::new(Misbehaviour::DoubleVote(proof)))),
                 Err(reason) => {
                     tracing::warn!(voter = found.voter, code = reason.code.name(), %reason, "two votes of one voter cannot be read")
                 }
             },
             Output::TwoHeads(found) => match self.proof_of_heads(now, &found) {
-                Ok(proof) => out.push(Effect::TwoHeads(Box::new(proof))),
+                Ok(proof) => out.push(Effect::Misbehaved(Box::new(Misbehaviour::DoubleHead(proof)))),
                 Err(reason) => {
                     tracing::warn!(leader = found.leader, code = reason.code.name(), %reason, "two heads of one leader cannot be read")
                 }
@@ -82,7 +81,23 @@ impl<W: Waiter> Replica<W> {
     fn proof(&self, now: Now, found: &VotedTwice) -> Result<DoubleVote, Rejection> {
         let [(one, first), (other, second)] = &found.votes;
         let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
-        Ok(DoubleVote { network: self.executor.ledger().network(), term: found.term, time: now.clock, votes })
+        let (ledger, term) = (self.executor.ledger(), found.term);
+        Ok(DoubleVote { network: ledger.network(), recoveries: ledger.recoveries()?, term, time: now.clock, votes })
+    }
+
+    /// The transactions that another node forwards, without those far beyond budgets, which it gets back.
+    pub(super) fn within_budgets(
+        &self,
+        now: Now,
+        from: u64,
+        mut forwarded: Transactions,
+        out: &mut Vec<Effect>,
+    ) -> Transactions {
+        let excess = self.executor.budgets().take_excess(self.executor.ledger(), &mut forwarded, now.clock);
+        if !(excess.control.is_empty() && excess.data.is_empty()) {
+            out.push(Effect::Send { to: from, message: PeerMessage::Returned(excess) });
+        }
+        forwarded
     }
 
     /// Two logs of one leader, for anybody to check.
@@ -95,7 +110,8 @@ impl<W: Waiter> Replica<W> {
         };
         let [one, other] = &found.branches;
         let branches = [branch(one)?, branch(other)?];
-        let (network, recoveries) = (self.executor.ledger().network(), RECOVERIES);
+        let ledger = self.executor.ledger();
+        let (network, recoveries) = (ledger.network(), ledger.recoveries()?);
         let ledger_raft::DoubleHead { leader, term, height, .. } = *found;
         Ok(DoubleHead { network, recoveries, leader, term, height, time: now.clock, branches })
     }

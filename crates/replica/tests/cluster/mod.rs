@@ -32,9 +32,9 @@ use ledger_base::hash::Hash;
 use ledger_raft::{Desired, Input, Lane, Membership, PeerMessage, Status};
 use ledger_replica::{self as replica, Effect, Timing};
 use ledger_storage::entry::{Entry, EntryKind};
-pub use node::ALARM;
 use node::Node;
-use people::{PEOPLE, call};
+pub use node::{ALARM, BOARD_BYTES};
+pub use people::{ORGANISATION, PEOPLE, call};
 use std::collections::{BTreeMap, BTreeSet};
 use testkit::Random;
 

@@ -3,7 +3,7 @@
 use super::people::{ORGANISATION, PEOPLE};
 use bytes::Bytes;
 use ledger::network::{FoundingNode, Genesis};
-use ledger::{Chaincode, Context, Ledger, Registry};
+use ledger::{Chaincode, Context, Ledger, Registry, ServiceBudget};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, Membership};
@@ -12,6 +12,7 @@ use ledger_replica::{Answer, Clock, Executor, Replica, Waiter, Waiters};
 use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
+use ledger_storage::result::Event;
 use ledger_storage::results::ResultStore;
 use ledger_storage::snapshot::Snapshots;
 use ledger_storage::state::{MemoryState, StateRead, Store, WriteSet};
@@ -24,7 +25,10 @@ const SNAPSHOT_EVERY: u64 = 4;
 /// Time from a call of `alarm` until the chaincode has something to do, microseconds.
 pub const ALARM: u64 = 500_000;
 
-/// The state to execute: it keeps the last argument, and when `alarm` was called.
+/// Bytes a second that the owner of the service `board` allows.
+pub const BOARD_BYTES: u64 = 1_000;
+
+/// The state to execute: it keeps the last argument, and when `alarm` was called. `publish` publishes on the service `board`.
 struct Notes;
 
 impl Chaincode for Notes {
@@ -38,7 +42,23 @@ impl Chaincode for Notes {
         if function == "alarm" {
             ctx.put(b"alarm", (ctx.block_time() + ALARM).to_be_bytes().to_vec());
         }
+        if function == "publish" {
+            ctx.emit("published", "board", Vec::new());
+        }
         Ok(argument)
+    }
+
+    fn publishes<'a>(&self, function: &str, _: &'a [Bytes]) -> Option<(&'a str, u64)> {
+        (function == "publish").then_some(("board", 1))
+    }
+
+    fn published(&self, event: &Event) -> Option<u64> {
+        (event.name == "published").then_some(1)
+    }
+
+    fn service_budget(&self, _: &Context<'_>, service: &str) -> Option<ServiceBudget> {
+        let (organisation, bytes_per_s) = (ORGANISATION.into(), Some(BOARD_BYTES));
+        Some(ServiceBudget { service: service.into(), organisation, bytes_per_s, messages_per_s: None })
     }
 
     fn begin_block(&self, ctx: &mut Context<'_>) {

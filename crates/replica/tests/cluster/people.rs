@@ -49,6 +49,7 @@ pub fn call(user: &User, network: Hash, now: u64, (chaincode, function): (&str, 
         chaincode: chaincode.into(),
         function: function.into(),
         args: vec![argument],
+        known_block: None,
     };
     Transaction::sign(&body, &user.key).unwrap().with_certificate(user.certificate.clone()).unwrap()
 }

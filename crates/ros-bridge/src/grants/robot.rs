@@ -6,7 +6,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use ledger_base::rejection::{Code, Rejection};
+use ledger_base::rejection::{Class, Code, Rejection};
 use ledger_contract::{Acquired, EmergencyAnswer, Grant, LineState, Released};
 use ledger_gate::ABAC;
 use serde::de::DeserializeOwned;
@@ -131,6 +131,10 @@ impl RobotGrants {
                 Answer::yes(format!("{robot} is stopped, {} grants have ended; {goes_on}", ended.len()))
             }
             Err(refused) => {
+                let refused = match refused.code.class() {
+                    Class::Unreachable => refused.prefix("the stop is not in force, call it again: "),
+                    _ => refused,
+                };
                 let own = format!("call {name}/release, which stops it if you hold it");
                 let next = if refused.advice().is_empty() { own } else { format!("{}; or {own}", refused.advice()) };
                 Answer::no(&refused.next(next))

@@ -12,7 +12,7 @@
 //!   other. Everybody else who publishes where a bridge delivers commands is reported as a side filter.
 //! - **Event service** of the same name: notify it after each publication, wait on it for news.
 //! - A bridge drops what carries its own origin, or the mark of its network, so nothing goes in circles.
-//! - All processes run as the same user. The first one to open a service sets its limits; ours are [`PUBLISHERS_MAX`],
+//! - All processes run as the same user, and use the same directory ([`config`]): iceoryx2's own is open to all users. The first one to open a service sets its limits; ours are [`PUBLISHERS_MAX`],
 //!   [`SUBSCRIBERS_MAX`], [`BUFFER_SAMPLES`]. A bridge takes a service as others have opened it, with any limits. It
 //!   needs room for one publisher, subscriber, notifier or listener of its own.
 //!
@@ -23,6 +23,7 @@
 //! `unsafe`, which is the other reason for the plain header.
 
 mod attempt;
+mod directory;
 mod header;
 mod node;
 mod peers;
@@ -32,6 +33,7 @@ mod subscriber;
 
 pub(crate) use self::peers::{Peers, Publisher as OtherPublisher, bridge_name};
 pub use self::{
+    directory::config,
     node::Node,
     publisher::Publisher,
     service::{BUFFER_SAMPLES, PUBLISHERS_MAX, SUBSCRIBERS_MAX},

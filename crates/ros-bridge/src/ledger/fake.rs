@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::{
+    collections::BTreeSet,
     sync::{
         Arc, Mutex,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -11,6 +12,7 @@ use std::{
 
 use bytes::Bytes;
 use futures::{FutureExt, StreamExt, future::BoxFuture, stream::poll_fn};
+use ledger::CallRef;
 use ledger::transaction::Transaction;
 use ledger_api::{
     Answer, Certified, Subscription,
@@ -63,6 +65,10 @@ pub(crate) struct Fake {
     pub(crate) floods: AtomicBool,
     /// Blocks of the past, each for who asks from its height on.
     kept: Mutex<Vec<Delivery>>,
+    /// The stops that the newest question named.
+    pub(crate) asked: Mutex<BTreeSet<CallRef>>,
+    /// Those that the voters list as settled, by their ids.
+    pub(crate) settled: Mutex<Vec<String>>,
 }
 
 impl Fake {
@@ -83,6 +89,8 @@ impl Fake {
             streams: Mutex::default(),
             floods: AtomicBool::new(false),
             kept: Mutex::default(),
+            asked: Mutex::default(),
+            settled: Mutex::default(),
         };
         fake.set_mode(mode);
         Arc::new(fake)
@@ -278,7 +286,13 @@ impl Gateway for Fake {
     }
 
     /// The checks of proofs are those of the client: here the answer is as if they had been made.
-    fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>> {
+    fn declare(
+        &self,
+        robot: &str,
+        stops: &BTreeSet<CallRef>,
+        known: Governance,
+    ) -> BoxFuture<'static, Result<Certified, Rejection>> {
+        *self.asked.lock().unwrap() = stops.clone();
         if self.hangs.load(Ordering::Relaxed) {
             let given_up = GivenUp(Arc::clone(&self.given_up));
             return async move {
@@ -291,13 +305,18 @@ impl Gateway for Fake {
             return std::future::ready(Err(Rejection::new(Code::Timeout, "nobody answers"))).boxed();
         }
         let grants = serde_json::from_value(self.grants.lock().unwrap().clone()).unwrap();
-        let told = json!(Declaration { robot: self.asset(robot), grants, tasks: Vec::new() });
+        let told = json!(Declaration {
+            robot: self.asset(robot),
+            grants,
+            tasks: Vec::new(),
+            settled: self.settled.lock().unwrap().clone()
+        });
         let (network, height) = (known.network(), self.height.fetch_add(1, Ordering::Relaxed));
         let (control, digest, previous) = (Hash::ZERO, Hash::ZERO, Hash::ZERO);
         let ground = Fact::Ground { governing: known.chain(), control, digest, previous };
         let leaves = [ground.leaf()];
         let results = merkle::root(leaves.to_vec());
-        let statement = Statement { network, height, time: micros(), block: Hash::ZERO, results };
+        let statement = Statement { network, recoveries: 0, height, time: micros(), block: Hash::ZERO, results };
         let proof = Proof {
             certificate: Certificate { statement, signatures: Vec::new() },
             facts: vec![Shown::of(&ground, &leaves, 0).unwrap()],

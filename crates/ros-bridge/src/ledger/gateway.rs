@@ -1,6 +1,6 @@
 //! The calls that a bridge needs of the ledger, so that routes can be tested without one.
 
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use bytes::Bytes;
 use futures::{
@@ -8,6 +8,7 @@ use futures::{
     future::BoxFuture,
     stream::{self, BoxStream, StreamExt},
 };
+use ledger::CallRef;
 use ledger_api::{Answer, Call, Certified, Client, Subscription, v1::Delivery};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -47,8 +48,14 @@ pub(crate) trait Gateway: Send + Sync + 'static {
     /// The governance at the genesis, as the network's name covers it; none if nobody certified that.
     fn beginning(&self) -> BoxFuture<'static, Result<Governance, Rejection>>;
 
-    /// Asks in a transaction how a robot stands. The answer comes with its proof, checked from what is known.
-    fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>>;
+    /// Asks in a transaction how a robot stands, and which of these stops are settled. The answer comes with its proof, checked from
+    /// what is known.
+    fn declare(
+        &self,
+        robot: &str,
+        stops: &BTreeSet<CallRef>,
+        known: Governance,
+    ) -> BoxFuture<'static, Result<Certified, Rejection>>;
 
     /// Events from a height on; resumes by itself.
     fn subscribe(&self, wanted: Subscription) -> Deliveries;
@@ -95,8 +102,15 @@ impl Gateway for Client {
         async move { Self::beginning(&client).await }.boxed()
     }
 
-    fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>> {
-        let (client, args) = (self.clone(), vec![Bytes::copy_from_slice(robot.as_bytes())]);
+    fn declare(
+        &self,
+        robot: &str,
+        stops: &BTreeSet<CallRef>,
+        known: Governance,
+    ) -> BoxFuture<'static, Result<Certified, Rejection>> {
+        let stops = stops.iter().map(|stop| Bytes::from(stop.to_string()));
+        let args = std::iter::once(Bytes::copy_from_slice(robot.as_bytes())).chain(stops).collect();
+        let client = self.clone();
         let call = Call { chaincode: ABAC.to_owned(), function: "declare".to_owned(), args, ttl: QUESTION_TTL };
         async move { client.invoke_certified(Some(&known), call).await }.boxed()
     }

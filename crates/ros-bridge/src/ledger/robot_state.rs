@@ -5,11 +5,13 @@
 //! question. The bridge begins with what the network's name covers, or with a checkpoint, and follows who governs from there.
 
 use std::{
+    collections::BTreeSet,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use futures::{FutureExt, future::BoxFuture};
+use ledger::CallRef;
 use ledger_api::Certified;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_gate::standing::{Members, Standing};
@@ -45,10 +47,11 @@ impl Question {
         Self { query, under_way: None }
     }
 
-    /// Asks how the robot stands at that moment or later. The answer to the question before is dropped.
-    pub(crate) fn ask(&mut self, since: Instant) {
+    /// Asks how the robot stands at that moment or later, and which of these stops are settled. The answer to the question before is
+    /// dropped.
+    pub(crate) fn ask(&mut self, since: Instant, stops: BTreeSet<CallRef>) {
         let query = Arc::clone(&self.query);
-        self.under_way = Some(async move { query.ask(since).await }.boxed());
+        self.under_way = Some(async move { query.ask(since, &stops).await }.boxed());
     }
 
     /// Is there an answer to come?
@@ -76,7 +79,8 @@ pub(crate) struct RobotStateQuery {
 #[derive(Default)]
 struct Last {
     trust: Option<Trust>,
-    outcome: Option<(Instant, Answer)>,
+    /// With the stops that it named.
+    outcome: Option<(Instant, BTreeSet<CallRef>, Answer)>,
 }
 
 /// The voters, as far as they are followed, and the members that they vouch for.
@@ -94,33 +98,35 @@ impl RobotStateQuery {
         Ok(Self { gateway, robot: robot.to_owned(), last })
     }
 
-    /// The answer to a question that was asked at that moment or later; asks if there is none yet.
+    /// The answer to a question that was asked at that moment or later and named these stops; asks if there is none yet.
     ///
     /// # Errors
     /// [`Code::UnknownRobot`]; why there is no proof; the ledger's refusal if it does not answer in time.
-    pub(crate) async fn ask(&self, since: Instant) -> Answer {
+    pub(crate) async fn ask(&self, since: Instant, stops: &BTreeSet<CallRef>) -> Answer {
         let mut last = self.last.lock().await;
-        if let Some((_, outcome)) = last.outcome.as_ref().filter(|(asked, _)| *asked >= since) {
+        let serves =
+            |(asked, named, _): &&(Instant, BTreeSet<CallRef>, Answer)| *asked >= since && stops.is_subset(named);
+        if let Some((_, _, outcome)) = last.outcome.as_ref().filter(serves) {
             return outcome.clone();
         }
         let asked = Instant::now();
-        let outcome = match timeout(ANSWER_MAX, self.ask_now(&mut last.trust)).await {
+        let outcome = match timeout(ANSWER_MAX, self.ask_now(&mut last.trust, stops)).await {
             Ok(answer) => answer.map(|standing| Arc::new(CertifiedRobotState { standing, asked })),
             Err(_) => Err(Rejection::new(Code::Timeout, "nobody says how the robot stands")
                 .found(format!("no answer within {} s", ANSWER_MAX.as_secs()))
                 .wanted("a transaction that commits, and the signatures of the voters")
                 .next("look at ledgerctl status")),
         };
-        last.outcome = Some((asked, outcome.clone()));
+        last.outcome = Some((asked, stops.clone(), outcome.clone()));
         outcome
     }
 
-    async fn ask_now(&self, trust: &mut Option<Trust>) -> Result<Standing, Rejection> {
+    async fn ask_now(&self, trust: &mut Option<Trust>, stops: &BTreeSet<CallRef>) -> Result<Standing, Rejection> {
         let Trust(known, members) = match trust {
             Some(trust) => trust,
             None => trust.insert(self.begin().await?),
         };
-        let Certified { response, checkpoint } = self.gateway.declare(&self.robot, known.clone()).await?;
+        let Certified { response, checkpoint } = self.gateway.declare(&self.robot, stops, known.clone()).await?;
         if checkpoint.governance.chain() != known.chain() {
             *members = Members::of(&checkpoint.governance)?;
         }
@@ -152,11 +158,11 @@ mod tests {
         let fake = Fake::new("exclusive", shared());
         fake.set_holder("Org1/Salma", 3, 1000);
         let (asker, before) = (asker(&fake), Instant::now());
-        let first = asker.ask(before).await.unwrap();
+        let first = asker.ask(before, &BTreeSet::new()).await.unwrap();
         assert!(first.asked >= before);
         assert_eq!((first.standing.grants.len(), first.standing.services.len()), (1, 1));
-        assert!(Arc::ptr_eq(&first, &asker.ask(before).await.unwrap()));
-        let newer = asker.ask(Instant::now()).await.unwrap();
+        assert!(Arc::ptr_eq(&first, &asker.ask(before, &BTreeSet::new()).await.unwrap()));
+        let newer = asker.ask(Instant::now(), &BTreeSet::new()).await.unwrap();
         assert!(newer.standing.height > first.standing.height && newer.asked > first.asked);
         assert!(
             Arc::ptr_eq(&newer.standing.members.msps, &first.standing.members.msps),
@@ -169,10 +175,10 @@ mod tests {
         let fake = Fake::new("exclusive", shared());
         fake.answers.store(false, Ordering::Relaxed);
         let (asker, before) = (asker(&fake), Instant::now());
-        assert_eq!(asker.ask(before).await.unwrap_err().code, Code::Timeout);
+        assert_eq!(asker.ask(before, &BTreeSet::new()).await.unwrap_err().code, Code::Timeout);
         fake.answers.store(true, Ordering::Relaxed);
-        assert_eq!(asker.ask(before).await.unwrap_err().code, Code::Timeout);
-        assert!(asker.ask(Instant::now()).await.is_ok());
+        assert_eq!(asker.ask(before, &BTreeSet::new()).await.unwrap_err().code, Code::Timeout);
+        assert!(asker.ask(Instant::now(), &BTreeSet::new()).await.is_ok());
     }
 
     #[tokio::test]
@@ -182,7 +188,22 @@ mod tests {
         fake.certifies.store(false, Ordering::Relaxed);
         let gateway = Arc::clone(&fake) as Arc<dyn Gateway>;
         let asker = RobotStateQuery::new(gateway, "T", Some(&known)).unwrap();
-        let answered = asker.ask(Instant::now()).await.unwrap();
+        let answered = asker.ask(Instant::now(), &BTreeSet::new()).await.unwrap();
         assert!(!Arc::ptr_eq(&answered.standing.members.msps, &shared().msps), "those of the checkpoint");
+    }
+
+    #[tokio::test]
+    async fn an_answer_serves_only_routes_whose_open_stops_the_question_named() {
+        let fake = Fake::new("exclusive", shared());
+        fake.set_holder("Org1/Salma", 3, 1000);
+        let (asker, before) = (asker(&fake), Instant::now());
+        let stop = shared().robot.sign("abac", "stop", Vec::new()).call_ref();
+        let unnamed = asker.ask(before, &BTreeSet::new()).await.unwrap();
+        assert!(unnamed.standing.settled.is_empty());
+        fake.settled.lock().unwrap().push(stop.id.to_string());
+        let named = asker.ask(before, &BTreeSet::from([stop])).await.unwrap();
+        assert_eq!(named.standing.settled, [stop.id].into());
+        assert_eq!(*fake.asked.lock().unwrap(), [stop].into());
+        assert!(Arc::ptr_eq(&named, &asker.ask(before, &BTreeSet::new()).await.unwrap()));
     }
 }

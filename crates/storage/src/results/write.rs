@@ -68,6 +68,9 @@ impl ResultStore {
     }
 
     /// Lets an empty store begin at a height, to go on after a snapshot.
+    ///
+    /// # Errors
+    /// [`Code::Corrupt`] if it is not empty: its results belong to a world state that is lost.
     pub fn begin(&self, height: u64) -> Result<(), Rejection> {
         let _writing = self.writing()?;
         let in_files = {
@@ -76,9 +79,12 @@ impl ResultStore {
         };
         let mut recent = self.recent();
         if in_files || !recent.pending.is_empty() {
-            return Err(Rejection::new(Code::Internal, "there are results already")
-                .found(format!("the next is of height {}", recent.next))
-                .wanted("an empty directory of results"));
+            return Err(Rejection::new(
+                Code::Corrupt,
+                "there are results of blocks, and the world state after them is lost",
+            )
+            .found(format!("results up to height {}", recent.next.saturating_sub(1)))
+            .wanted("no results, as the world state begins with a snapshot"));
         }
         recent.next = height;
         Ok(())

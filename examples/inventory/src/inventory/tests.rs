@@ -71,6 +71,7 @@ impl World {
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,
+            executed: &|_, _| false,
             meter: &Meter::of_block(),
         };
         let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();

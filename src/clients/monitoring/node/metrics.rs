@@ -53,8 +53,10 @@ fn chain(registry: &mut Registry, status: &StatusResponse) {
     seconds(registry, "clock", "The clock of the node's machine, since 1970", status.wall_clock as f64 / MICROS);
     let help = "1 while this node and another one differ, 0 otherwise";
     number(registry, "diverged", help, u64::from(!status.divergence.is_empty()));
-    let help = "1 if a node has signed two different statements, 0 otherwise";
+    let help = "1 if a member has signed two different blocks of one height or two votes in one term, 0 otherwise";
     number(registry, "lies", help, u64::from(!status.lies.is_empty()));
+    let help = "1 if a member has signed two different results of one block, 0 otherwise";
+    number(registry, "faults", help, u64::from(!status.faults.is_empty()));
 }
 
 fn order(registry: &mut Registry, status: &StatusResponse) {

@@ -7,7 +7,7 @@ use super::{Check, Violation};
 use ledger::Outcome;
 use ledger::members::Membership;
 use ledger_identity::Identity;
-use ledger_light::{Certificate, Signed, Statement, Voter, Voters};
+use ledger_light::{Certificate, CertificateRule, Signed, Statement, Voter, Voters};
 use std::collections::BTreeMap;
 
 const NAME: &str = "certificates are true";
@@ -41,8 +41,8 @@ impl CertificatesAreTrue {
         Ok(())
     }
 
-    /// A node has made a certificate. `block` is what honest nodes executed, `members` are those as of the block before,
-    /// `identity` is that of each node.
+    /// A node has made a certificate. `block` is what honest nodes executed, `members` are those as of the block before, by
+    /// which certificates are `strict` or not. `identity` is that of each node.
     ///
     /// # Errors
     /// If the certificate is not true, or too few have signed it.
@@ -51,7 +51,7 @@ impl CertificatesAreTrue {
         id: u64,
         certificate: &Certificate,
         block: Option<&Outcome>,
-        members: &Membership,
+        (members, strict): (&Membership, bool),
         identity: &dyn Fn(u64) -> Identity,
     ) -> Check {
         let (statement, height) = (certificate.statement, certificate.statement.height);
@@ -73,8 +73,9 @@ impl CertificatesAreTrue {
             let signer = certificate.signatures.iter().find(|signature| signature.certificate == der);
             identity(signer.map_or(1, |signature| signature.node))
         };
-        let verified =
-            certificate.verify(&statement.network, &Voters { nodes, voters, outgoing }, |der, _| Ok(by(der)));
+        let rule = CertificateRule { strict_since: strict.then_some(0), ..CertificateRule::default() };
+        let voters = Voters { nodes, voters, outgoing, rule, recoveries: 0 };
+        let verified = certificate.verify(&statement.network, &voters, |der, _| Ok(by(der)));
         if let Err(refused) = verified {
             return Err(Violation::new(NAME, format!("a certificate of node {id} for block {height}: {refused}")));
         }

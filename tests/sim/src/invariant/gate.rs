@@ -3,24 +3,30 @@
 //! passes once, in order, and not too long after its signature. A robot that moves is driven by somebody who might, or goes on
 //! under a grant that follows theirs.
 //!
+//! A robot that was notified of a signed stop takes no command until that stop has a verdict or is over. A stop that was executed stops
+//! every gate for which the answer of before counts no longer, until the robot is resumed.
+//!
 //! Told by the events of the blocks, whatever nodes tell the robot.
 
 use super::{Check, Executed, Violation};
 use crate::lists;
 use crate::people::{People, Person};
 use bytes::Bytes;
+use ledger::CallRef;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
-use ledger_gate::gate::COMMAND_TTL;
+use ledger_gate::gate::{COMMAND_TTL, Refused};
 use serde::Deserialize;
 use serde_json::{Map, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 const NAME: &str = "gate";
 /// How long a service takes messages from their signature, microseconds: the default of the ledger.
 const MAX_AGE: u64 = 1_000_000;
+/// So much older may a message seem that nothing has delayed, microseconds: a sign of life, and the way of a question and of the news.
+const ALLOWANCE: u64 = 500_000;
 /// The most that rounding may take, microseconds.
 const SLACK: u64 = 2_000;
 
@@ -44,8 +50,18 @@ pub struct GateKeepsTheRules {
     passed: BTreeMap<Hash, (u64, u64)>,
     /// The last number by opening, service, publisher and epoch.
     reached: BTreeMap<(u64, String, String, u64), u64>,
+    /// When messages were signed, by virtual time.
+    signed: BTreeMap<Hash, u64>,
     /// The driver of each service: the certificate, and the epoch.
     drivers: BTreeMap<String, (Hash, u64)>,
+    /// Since when robots are stopped.
+    stopped: BTreeMap<String, u64>,
+    /// The stops of which the bridge was notified, in which opening, and that have no verdict.
+    open_stops: BTreeMap<CallRef, u64>,
+    /// Stops that were executed.
+    verdicts: BTreeSet<Hash>,
+    /// The newest block time.
+    time: u64,
 }
 
 /// A message that passed.
@@ -61,6 +77,8 @@ pub struct Passed<'a> {
     pub now: u64,
     /// The robot's wall clock.
     pub wall: u64,
+    /// Does the gate measure its age by the block that it names?
+    pub by_block: bool,
 }
 
 #[derive(Deserialize)]
@@ -102,14 +120,27 @@ impl GateKeepsTheRules {
             revoked: BTreeMap::new(),
             passed: BTreeMap::new(),
             reached: BTreeMap::new(),
+            signed: BTreeMap::new(),
             drivers: BTreeMap::new(),
+            stopped: BTreeMap::new(),
+            open_stops: BTreeMap::new(),
+            verdicts: BTreeSet::new(),
+            time: 0,
         }
     }
 
     /// A block was executed for the first time.
     pub fn executed(&mut self, executed: &Executed<'_>, now: u64) {
+        self.time = executed.outcome.header.time;
+        let calls = executed.transactions.iter().flatten().filter(|call| call.body().function == "stop");
+        self.verdicts.extend(calls.map(Transaction::id));
         for emitted in &executed.outcome.events {
             let event = &emitted.event;
+            match (&*event.chaincode, &*event.name) {
+                ("abac", "stopped") => drop(self.stopped.entry(event.subject.clone()).or_insert(now)),
+                ("abac", "resumed") => drop(self.stopped.remove(&event.subject)),
+                _ => {}
+            }
             if event.chaincode != "abac" || !matches!(&*event.name, "granted" | "released") {
                 continue;
             }
@@ -138,6 +169,21 @@ impl GateKeepsTheRules {
                 _ => {}
             }
         }
+    }
+
+    /// The bridge was notified of these stops.
+    pub fn notified(&mut self, opening: u64, stops: impl Iterator<Item = CallRef>) {
+        self.open_stops.extend(stops.map(|stop| (stop, opening)));
+    }
+
+    /// Why no command of this robot may pass now, if a stop forbids it.
+    fn is_stopped(&mut self, robot: &str, opening: u64, now: u64) -> Option<String> {
+        let (verdicts, time) = (&self.verdicts, self.time);
+        self.open_stops.retain(|stop, _| stop.not_after >= time && !verdicts.contains(&stop.id));
+        let open = self.open_stops.iter().find(|(_, notified)| **notified == opening);
+        let since = self.stopped.get(robot).filter(|since| **since + self.stale_after + SLACK < now);
+        open.map(|(stop, _)| format!("the stop {stop} has no verdict"))
+            .or_else(|| since.map(|since| format!("it is stopped since {since}")))
     }
 
     fn described(&mut self, robot: &[u8], now: u64) {
@@ -170,7 +216,7 @@ impl GateKeepsTheRules {
     /// # Errors
     /// The certified state does not allow it, it passed before, or it is out of order or too old.
     pub fn passed(&mut self, passed: &Passed<'_>) -> Check {
-        let Passed { opening, service, transaction, now, wall } = *passed;
+        let Passed { opening, service, transaction, now, wall, by_block } = *passed;
         let body = transaction.body();
         let argument = |at: usize| {
             let text = body.args.get(at).and_then(|text| std::str::from_utf8(text).ok());
@@ -180,6 +226,10 @@ impl GateKeepsTheRules {
         let number: u64 = argument(2)?.parse().map_err(|_| wrong("no number"))?;
         let id = transaction.id();
         let what = |why: &str| wrong(format!("{service}: {id}, epoch {epoch}, number {number}: {why}"));
+        let robot = service.split('/').next().unwrap_or_default();
+        if let Some(why) = self.is_stopped(robot, opening, now) {
+            return Err(what(&why));
+        }
         if argument(0)? != service || body.function != "set" || body.chaincode != "abac" {
             return Err(what("is another call"));
         }
@@ -189,7 +239,13 @@ impl GateKeepsTheRules {
             return Err(what("is not signed by its creator"));
         }
         let signed_at = body.not_after.saturating_sub(micros(COMMAND_TTL));
-        if wall > signed_at.saturating_add(MAX_AGE + SLACK) {
+        // A node that holds blocks back may make it younger, for as long as answers count.
+        let longest = MAX_AGE + 2 * self.stale_after + SLACK;
+        let is_too_old = match self.signed.get(&transaction.id()) {
+            Some(signed) if by_block => now > signed + longest,
+            _ => wall > signed_at.saturating_add(MAX_AGE + SLACK),
+        };
+        if is_too_old {
             return Err(what("is too old"));
         }
         if !self.is_permitted(creator, service, (&creator.id(), epoch), now) {
@@ -206,6 +262,25 @@ impl GateKeepsTheRules {
         }
         self.drivers.insert(service.to_owned(), (transaction.creator(), epoch));
         Ok(())
+    }
+
+    /// A client has signed a message.
+    pub fn signed(&mut self, id: Hash, now: u64) {
+        self.signed.insert(id, now);
+    }
+
+    /// The gate has rejected a message whose age it measures by the block that it names. Nothing has delayed messages for a while.
+    ///
+    /// # Errors
+    /// It was rejected for its age, and is not that old.
+    pub fn refused(&self, service: &str, transaction: &Transaction, refused: Refused, now: u64) -> Check {
+        let for_its_age = matches!(refused, Refused::TooOld | Refused::Expired | Refused::UnknownBlock);
+        let Some(signed) = self.signed.get(&transaction.id()).filter(|_| for_its_age) else { return Ok(()) };
+        if now > signed + MAX_AGE - ALLOWANCE {
+            return Ok(());
+        }
+        let id = transaction.id();
+        Err(wrong(format!("{service}: {id} is {} us old and rejected: {}", now - signed, refused.name())))
     }
 
     /// A robot is moving, by what its gate says.

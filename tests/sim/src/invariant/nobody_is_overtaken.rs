@@ -166,7 +166,8 @@ impl NobodyIsOvertaken {
     fn told_of_a_task(&mut self, event: &Event, call: Option<&Transaction>) {
         let OfTask { id, submitter, state, reason } = serde_json::from_slice(&event.payload).unwrap();
         let service = event.subject.clone();
-        if let Some(submit) = call.filter(|call| call.body().function == "submit") {
+        // The call that submits a task emits its first event. The same call may interrupt another task.
+        if let Some(submit) = call.filter(|call| call.body().function == "submit" && !self.tasks.contains_key(&id)) {
             let priority = self.priority(&service, submit);
             self.tasks.insert(id, priority);
         }

@@ -43,6 +43,9 @@ const AT_A_MOMENT: [Fault; 24] = [
     Fault::Flood,
 ];
 
+/// How far two clocks are apart at most once everything is healed, microseconds.
+const APART: u64 = 1_200 * MILLISECOND;
+
 impl World {
     /// One of the plan's faults happens.
     pub(super) fn misfortune(&mut self) -> Check {
@@ -168,6 +171,8 @@ impl World {
             self.undo(Undo::FullDisk(id));
             if let Some(node) = self.nodes.get_mut(&id) {
                 node.clock.heal(self.now);
+                // Clocks that differ within the bound are no fault.
+                node.clock.step(self.now, self.random.faults.below(APART) as i64 - (APART / 2) as i64);
                 node.tear = false;
                 node.paused_until = node.paused_until.min(self.now);
             }

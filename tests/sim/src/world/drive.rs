@@ -85,12 +85,9 @@ impl World {
                 self.note(format_args!("n{id} drops {transaction:?}: {code}"));
             }
             Effect::Refused { input, reason } => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
-            Effect::VotedTwice(proof) => {
-                self.note(format_args!("n{id} has a proof: n{} has voted twice", proof.voter()))
-            }
-            Effect::TwoHeads(proof) => {
-                let what = format!("node {id} has a proof against node {} in term {}", proof.leader, proof.term);
-                return Err(Violation::new("no honest leader signs two logs", what));
+            Effect::Misbehaved(proof) => {
+                let what = format!("node {id} has a proof: {proof:?}");
+                return Err(Violation::new("no honest node signs two things for one place", what));
             }
             Effect::Contradicted(found) => {
                 return Err(Violation::new(

@@ -104,6 +104,7 @@ impl World {
             let before = self.newest_members().clone();
             self.invariants.members.executed(&before, &members, &self.records)?;
             self.members.push(members);
+            self.strict.push(msp::certificate_rule(&**ledger.state()).unwrap().strict_since.is_some());
             self.blocks.push(Block { entry: entry.clone(), outcome: outcome.clone() });
         }
         self.state(id, ledger, outcome)

@@ -96,7 +96,7 @@ impl World {
             Ok((response, _)) => (Code::Ok, response),
             Err(fault) => (fault.code, Bytes::new()),
         };
-        let judged_at = clock.max(tip.time);
+        let judged_at = running.ledger.judged_at(clock);
         if !may_be_stale {
             self.invariants.answered_is_seen.decided(id, tip.height, request.told)?;
         }

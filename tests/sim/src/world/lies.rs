@@ -104,7 +104,7 @@ impl World {
     /// A mandate that nobody gave: without votes, with the own vote alone or under all names, or with those of an election that was.
     fn made_up_mandate(&mut self, liar: u64, term: u64) -> PeerMessage {
         let node = self.people.node(liar, self.plan.organisations);
-        let vote = Vote { network: self.network, term, candidate: liar, voter: liar };
+        let vote = Vote { network: self.network, recoveries: 0, term, candidate: liar, voter: liar };
         let own = vote.sign(node.certificate.clone(), &node.key).unwrap().to_bytes();
         let under = |nodes: Vec<u64>| nodes.into_iter().map(|node| SignedVote { node, signed: own.clone() }).collect();
         let votes = match self.random.faults.below(4) {

@@ -2,14 +2,16 @@
 
 use super::{Event, World, address, clock};
 use crate::client::Call;
-use crate::clock::MILLISECOND;
+use crate::clock::{EPOCH, MILLISECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Node;
 use crate::people::organisation_of;
 use ledger::Rules;
+use ledger::block::Payload;
+use ledger::members::spare_one;
 use ledger::msp::NodeRole;
-use ledger_raft::Desired;
+use ledger_raft::{Desired, TIME_AHEAD_MAX};
 use ledger_storage::segment::{Found, LogPosition, scan};
 use std::collections::BTreeSet;
 
@@ -32,11 +34,26 @@ impl World {
             let replica = self.nodes.get(voter).and_then(|node| node.up.as_ref()?.replica.as_ref());
             replica.is_some_and(|replica| replica.status().membership == *members)
         });
+        let in_time = members.voters.iter().filter(|voter| **voter != id).all(|voter| self.is_in_time(*voter));
         let settled = self.replacement.is_none() && self.is_settled() && healthy && known;
         settled
+            && in_time
             && self.may_come(Some(id))
             && members.voters.len() >= 3
             && (members.voters.contains(&id) || members.learners.contains(&id))
+    }
+
+    /// Does the log of this node hold no block that is ahead of its time? Clocks of a majority that are wrong at once leave such
+    /// blocks in logs, and the others refuse them until their time has come. With one voter less, nobody goes on meanwhile.
+    fn is_in_time(&self, id: u64) -> bool {
+        let store = self.nodes.get(&id).and_then(|node| Some(&node.up.as_ref()?.store));
+        let last = store.and_then(|store| store.entries(store.last_index()..store.last_index() + 1, 0).ok());
+        let time = last
+            .iter()
+            .flatten()
+            .filter_map(|entry| Payload::from_bytes(entry.data.clone()).ok())
+            .map(|found| found.time);
+        time.max().is_none_or(|time| time <= EPOCH + self.now + TIME_AHEAD_MAX)
     }
 
     /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
@@ -74,7 +91,7 @@ impl World {
 
     /// Puts a new node in the place of one that is lost, if that was still wanted.
     pub(super) fn replace(&mut self, lost: u64) {
-        let Desired { voters, learners } = &self.desired;
+        let Desired { voters, learners, .. } = &self.desired;
         if !voters.contains(&lost) && !learners.contains(&lost) {
             return;
         }
@@ -132,7 +149,7 @@ impl World {
     /// number that it is known by here.
     fn next_order(&self, turn: usize) -> Option<(String, Call)> {
         let organisations = self.plan.organisations;
-        let Desired { voters, learners } = &self.desired;
+        let Desired { voters, learners, .. } = &self.desired;
         let role = |id: &u64| self.records.iter().find(|record| record.id == *id).map(|record| record.role);
         let own_admin = |id: u64| format!("{}/admin", organisation_of(id, organisations));
         if let Some(new) = voters.union(learners).find(|id| role(id).is_none()) {
@@ -143,23 +160,38 @@ impl World {
             // A vote needs the approval of most organisations: each of them says the same in its turn.
             return Some((format!("Org{}/admin", 1 + turn % 3), Call::SetRole { id: *id, role: "voter" }));
         }
+        // Its own organisation takes a vote away alone. Where that ends strict certificates, each of them says the same, too.
+        let admin = |id: u64| match self.would_end_strict(id) {
+            true => format!("Org{}/admin", 1 + turn % 3),
+            false => own_admin(id),
+        };
         if let Some(id) = learners.iter().find(|id| role(id) != Some(NodeRole::Learner)) {
-            return Some((own_admin(*id), Call::SetRole { id: *id, role: "learner" }));
+            return Some((admin(*id), Call::SetRole { id: *id, role: "learner" }));
         }
         let present = self.records.iter().filter(|record| record.role != NodeRole::Removed).map(|record| record.id);
         let gone = present.filter(|id| !voters.contains(id) && !learners.contains(id)).min()?;
         if !self.nobody_is_left_behind_without(gone) {
             return None;
         }
-        Some((own_admin(gone), Call::SetRole { id: gone, role: "removed" }))
+        Some((admin(gone), Call::SetRole { id: gone, role: "removed" }))
     }
 
-    /// Does each node that is the only one of its organisation, once this one is gone, know the members? One that does not
-    /// would find too few of the voters that it knows, and nobody else that it may believe. So a careful operator removes nobody
-    /// meanwhile.
+    /// Are certificates strict, and would they not be without the vote of this node?
+    fn would_end_strict(&self, id: u64) -> bool {
+        let (voters, _) = ledger::msp::desired(&self.records);
+        let hand = |id: &u64| (*id, organisation_of(*id, self.plan.organisations));
+        let (hands, without) = (voters.iter().map(hand).collect(), voters.iter().copied().filter(|voter| *voter != id));
+        self.strict.last() == Some(&true) && spare_one(&voters, &hands) && !spare_one(&without.collect(), &hands)
+    }
+
+    /// Does each wanted node that is the only one of its organisation, once this one is gone, know the members? One that does
+    /// not would find too few of the voters that it knows, and nobody else that it may believe. So a careful operator removes
+    /// nobody meanwhile. Nodes that go next may be switched off already, and are not waited for.
     fn nobody_is_left_behind_without(&self, gone: u64) -> bool {
         let present = self.records.iter().filter(|record| record.role != NodeRole::Removed);
-        let stay = |id: &u64| *id != gone && !self.nodes[id].lost;
+        let Desired { voters, learners, .. } = &self.desired;
+        let wanted = |id: &u64| voters.contains(id) || learners.contains(id);
+        let stay = |id: &u64| *id != gone && wanted(id) && !self.nodes[id].lost;
         let present: Vec<u64> = present.map(|record| record.id).filter(stay).collect();
         let organisation = |id: &u64| organisation_of(*id, self.plan.organisations);
         let is_alone = |id: &u64| present.iter().filter(|other| organisation(other) == organisation(id)).count() == 1;

@@ -8,7 +8,7 @@ pub use untruth::Untruth;
 
 use super::{Event, World};
 use crate::client::{BRIDGE, Client};
-use crate::clock::{MILLISECOND, SECOND};
+use crate::clock::SECOND;
 use crate::confidential::{SERVICE, pair};
 use crate::invariant::{Check, Passed, Violation};
 use crate::robot::{ANSWER_MAX, CONFIDENTIAL, Delivery, IDENTITY, QUIET_MAX, ROBOTS, Robot, Step};
@@ -23,6 +23,9 @@ use testkit::Random;
 
 /// For how long a gate believes a block time that its node has made up, microseconds.
 const WRONG_TIME_MAX: u64 = 10 * SECOND;
+
+/// After so long without faults no delay of before counts any more, microseconds.
+const CALM: u64 = 5 * SECOND;
 
 /// Something that happens to a robot, or at a node for it.
 pub(crate) enum Happening {
@@ -52,7 +55,7 @@ impl World {
             let robot = if self.plan.confidential { CONFIDENTIAL } else { robot };
             let client = self.clients.len();
             self.clients.push(Client::for_robot(IDENTITY));
-            let offset = random.below(100 * MILLISECOND) as i64 - 50 * MILLISECOND as i64;
+            let offset = random.below(2 * SECOND) as i64 - SECOND as i64;
             let mut robot = Robot::new(robot, client, offset, governance);
             robot.liar = random.percent(70).then(|| 1 + random.below(self.plan.voters + self.plan.learners));
             self.robot = Some(Box::new(robot));
@@ -151,8 +154,18 @@ impl World {
     fn delivered(&mut self, robot: &mut Robot, stream: u64, delivery: &Delivery) -> Check {
         let Some(open) = robot.stream.as_mut().filter(|open| open.number == stream) else { return Ok(()) };
         open.heard = self.now;
-        robot.next = robot.next.max(delivery.height.saturating_add(1));
+        if !delivery.early {
+            robot.next = robot.next.max(delivery.height.saturating_add(1));
+        }
         let now = robot.clocks(self.now);
+        if !delivery.heads.is_empty() {
+            let (from, to) = (delivery.height + 1 - delivery.heads.len() as u64 / 8, delivery.height);
+            let before = robot.heads.filter(|(_, last)| from <= last + 1);
+            robot.heads = Some(before.map_or((from, to), |(first, last)| (first, last.max(to))));
+        }
+        if !self.chaos {
+            robot.calm_since.get_or_insert(self.now);
+        }
         for event in &delivery.events {
             // Whatever passes is one of these.
             if let Ok(transaction) = Transaction::decode(event.transaction.clone())
@@ -162,10 +175,18 @@ impl World {
                 robot.told.insert(message, transaction);
             }
         }
+        if delivery.early {
+            self.coverage.early_stops += 1;
+            let stops = delivery.events.iter().filter_map(|event| Transaction::decode(event.transaction.clone()).ok());
+            self.invariants.gate.notified(robot.openings, stops.map(|stop| stop.call_ref()));
+        }
         for at in 0..robot.watched.len() {
             let mut acts = Vec::new();
             let watched = &mut robot.watched[at];
-            watched.guard.heard(delivery.time, now);
+            if !delivery.early {
+                watched.guard.heard(delivery.time, now);
+                watched.guard.heads(delivery.height, &delivery.heads, now);
+            }
             let mut block = Block::new(delivery.height, delivery.time);
             let wanted = delivery
                 .events
@@ -180,7 +201,15 @@ impl World {
                     transaction: &event.transaction,
                     certificate: &event.certificate,
                 };
-                acts.extend(watched.guard.told(&mut block, &told, now));
+                let act = watched.guard.told(&mut block, &told, now);
+                if let Some(Act::Refused { refused, .. }) = &act
+                    && let Ok(transaction) = Transaction::decode(event.transaction.clone())
+                    && robot.calm_since.is_some_and(|calm| self.now >= calm + CALM)
+                    && is_by_block(robot.heads, &transaction)
+                {
+                    self.invariants.gate.refused(watched.id, &transaction, *refused, self.now)?;
+                }
+                acts.extend(act);
             }
             self.act(robot, at, acts)?;
         }
@@ -219,7 +248,8 @@ impl World {
                         let id = transaction.id();
                         self.trace.note(self.now, format_args!("robot: {service} lets {id} of {who} pass"));
                         let (opening, now) = (robot.openings, self.now);
-                        self.invariants.gate.passed(&Passed { opening, service, transaction, now, wall })?;
+                        let by_block = is_by_block(robot.heads, transaction);
+                        self.invariants.gate.passed(&Passed { opening, service, transaction, now, wall, by_block })?;
                         if !self.chaos {
                             robot.passed.insert((service.to_owned(), who));
                         }
@@ -300,4 +330,10 @@ fn waited(robot: &mut Robot, asked: u64) -> Vec<(usize, u64)> {
     let (served, waiting) = std::mem::take(&mut robot.waiting).into_iter().partition(|(_, since)| *since <= asked);
     robot.waiting = waiting;
     served
+}
+
+/// Does the gate measure the age of the message by the block that it names? `heads`: the blocks of which it was told.
+fn is_by_block(heads: Option<(u64, u64)>, transaction: &Transaction) -> bool {
+    let named = transaction.body().known_block.as_ref();
+    heads.zip(named).is_some_and(|((first, _), named)| named.height >= first)
 }

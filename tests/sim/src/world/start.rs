@@ -106,7 +106,7 @@ impl World {
             said.note(&own.latest.attest);
             own.snapshot.iter().for_each(|snapshot| said.note(&snapshot.attest));
         }
-        let certifier = self.certifier(id, &ledger);
+        let certifier = self.certifier(id, &ledger, last);
         let (asked, election_time) = (self.asked_by(id, &ledger), self.plan.timing.election_time());
         let records = msp::nodes(&**ledger.state()).unwrap().into_iter();
         let voters = records.filter(|record| members.is_voter(record.id));
@@ -308,7 +308,7 @@ fn stopped(ledger: &Ledger) -> BTreeSet<String> {
 /// The members that a ledger wants.
 pub(super) fn wanted(ledger: &Ledger) -> Desired {
     let (voters, learners) = msp::desired(&msp::nodes(&**ledger.state()).unwrap());
-    Desired { voters, learners }
+    Desired { voters, learners, strict_hands: msp::strict_hands(&**ledger.state()).unwrap() }
 }
 
 fn does_not_start(id: u64, fault: &Rejection) -> Violation {

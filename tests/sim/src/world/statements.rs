@@ -10,9 +10,11 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_light::{Certificate, Head, Proof, Signature, Signed, Statement, Transfer, Vote};
-use ledger_replica::certifier::{Certifier, Effect, Era, Event, Signing};
+use ledger_replica::certifier::{Certifiable, Certifier, Earlier, Effect, Era, Event, Signing};
 use std::sync::Arc;
 
+/// Most statements in the record of a node.
+const SIGNED_MAX: usize = 64;
 /// Most recent certificates of a node.
 const CERTIFICATES_MAX: usize = 128;
 
@@ -58,9 +60,10 @@ fn era(ledger: &Ledger) -> Era {
 }
 
 impl World {
-    /// The certifier of a node that starts.
-    pub(super) fn certifier(&self, id: u64, ledger: &Ledger) -> Certifier<Keys> {
-        Certifier::new(id, self.network, self.keys(id), era(ledger))
+    /// The certifier of a node that starts, whose log ends at this height.
+    pub(super) fn certifier(&self, id: u64, ledger: &Ledger, end: u64) -> Certifier<Keys> {
+        let signed = self.nodes.get(&id).map(|node| node.signed.iter().copied().collect()).unwrap_or_default();
+        Certifier::new(id, self.network, self.keys(id), era(ledger), Earlier { end, signed })
     }
 
     /// The keys of a node.
@@ -75,15 +78,19 @@ impl World {
             if let Some(running) = self.running(id) {
                 running.stated = outcome.header.height;
             }
-            let statement = Statement {
+            let (height, time, block) = (outcome.header.height, outcome.header.time, outcome.hash);
+            let block = Certifiable { height, time, block, results: roots.results };
+            self.certify(id, Event::Executed { block, governs })?;
+            // Nobody is recovered by force here.
+            let truth = Statement {
                 network: self.network,
-                height: outcome.header.height,
-                time: outcome.header.time,
+                recoveries: 0,
+                height,
+                time,
                 block: outcome.hash,
                 results: roots.results,
             };
-            self.certify(id, Event::Executed { statement, governs })?;
-            self.state_falsely(id, statement)?;
+            self.state_falsely(id, truth)?;
         }
         if governs { self.certify(id, Event::Voters(era(ledger))) } else { Ok(()) }
     }
@@ -120,16 +127,28 @@ impl World {
                     let height = certificate.statement.height as usize;
                     let block = self.blocks.get(height - 1).map(|block| &block.outcome);
                     // As of the block before: the first members are those of the genesis.
-                    let members = &self.members[height - 1];
+                    let voters = (&self.members[height - 1], self.strict[height - 1]);
                     let (people, organisations) = (&self.people, self.plan.organisations);
-                    self.invariants.certified.made(id, &certificate, block, members, &|node| {
+                    self.invariants.certified.made(id, &certificate, block, voters, &|node| {
                         people.node(node, organisations).identity.clone()
                     })?;
                 }
-                Effect::Lied(lie) => {
-                    self.coverage.lies_proved += 1;
-                    let node = lie.first.signature.node;
-                    self.note(format_args!("n{id} proves that n{node} has lied"));
+                Effect::Record(statement) => {
+                    let Some(node) = self.nodes.get_mut(&id) else { continue };
+                    node.signed.push_back(statement);
+                    if node.signed.len() > SIGNED_MAX {
+                        node.signed.pop_front();
+                    }
+                }
+                Effect::Pass(signed) => self.tell_all(id, &signed),
+                Effect::Misbehaved(proof) => {
+                    let node = proof.node();
+                    let (count, what) = match proof.is_lie() {
+                        true => (&mut self.coverage.lies_proved, "has lied"),
+                        false => (&mut self.coverage.faults_proved, "has computed a block in two ways"),
+                    };
+                    *count += 1;
+                    self.note(format_args!("n{id} proves that n{node} {what}"));
                     self.invariants.certified.lied(node, self.liar)?;
                 }
             }
@@ -170,21 +189,24 @@ impl World {
         }
     }
 
-    /// A liar says to each member what it likes: the truth although it does not vote, other results, one after the other, or
-    /// something in the name of another.
+    /// A liar sends each member what it likes: the truth although it does not vote, another block, other results, one after the
+    /// other, or something in the name of another.
     fn state_falsely(&mut self, id: u64, truth: Statement) -> Check {
         if !self.lies(id) {
             return Ok(());
         }
         let node = self.people.node(id, self.plan.organisations);
-        let other = Statement { results: Hash::of(&[b"a lie"]), ..truth };
-        let [truth, other] = [truth, other].map(|said| said.sign(id, node.certificate.clone(), &node.key).unwrap());
+        let results = Statement { results: Hash::of(&[b"a lie"]), ..truth };
+        let block = Statement { block: Hash::of(&[b"a lie"]), ..results };
+        let all = [truth, results, block].map(|said| said.sign(id, node.certificate.clone(), &node.key).unwrap());
+        let [truth, results, block] = all;
         for to in self.newest_members().nodes().into_iter().filter(|to| *to != id) {
             self.coverage.lies += 1;
-            let said = match self.random.statements.below(4) {
+            let said = match self.random.statements.below(5) {
                 0 => vec![truth.clone()],
-                1 => vec![other.clone()],
-                2 => vec![truth.clone(), other.clone()],
+                1 => vec![results.clone()],
+                2 => vec![block.clone()],
+                3 => vec![truth.clone(), block.clone(), results.clone()],
                 _ => {
                     let mut forged = truth.clone();
                     forged.signature.node = 1 + self.random.statements.below(self.plan.voters);

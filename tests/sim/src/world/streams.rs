@@ -44,7 +44,7 @@ impl World {
         match entered {
             Ok(arrived) => {
                 let lane = arrived.ticket.lane;
-                self.invariants.fair_share.takes(id, share.name(), share.in_flight(lane), PLACES)?;
+                self.invariants.fair_share.takes(id, share.name(), share.in_flight_of_organisation(lane), PLACES)?;
                 let new = || Stream { desk: Desk::default(), share, turn: None, reaching: None };
                 running.streams.entry(request.stream).or_insert_with(new).desk.take_in(arrived);
                 self.tend(id, request.stream)
@@ -95,7 +95,7 @@ impl World {
             return self.tend(id, number);
         }
         stream.reaching = None;
-        let who = stream.share.number();
+        let who = stream.share.applicant();
         let share = Arc::clone(&stream.share);
         let others = streams
             .values()
@@ -147,7 +147,8 @@ impl World {
     /// A stream has a turn: it looks at some of what waits.
     fn look(&mut self, id: u64, number: u64) -> Check {
         let (now, wait_max) = (self.clocks(id), self.plan.timing.data_wait);
-        let Some(Running { streams, ledger, waiters, retries, judged: held, .. }) = self.running(id) else {
+        let Some(Running { streams, ledger, waiters, retries, executor, space, judged: held, .. }) = self.running(id)
+        else {
             return Ok(());
         };
         let tip = ledger.tip();
@@ -155,7 +156,8 @@ impl World {
         let Some(stream) = streams.get_mut(&number) else { return Ok(()) };
         let Some(Looking { job, alone, passed, .. }) = stream.turn else { return Ok(()) };
         let who = stream.share.name().to_owned();
-        let node = Admitting { ledger, waiters, retries, now, wait_max };
+        let (budgets, organisation_bytes) = (executor.budgets(), space.organisation_bytes());
+        let node = Admitting { ledger, waiters, retries, budgets, organisation_bytes, now, wait_max };
         let (mut decisions, mut looks) = (Vec::new(), 0);
         stream.desk.begin(job, &node, |decision| decisions.push(decision));
         stream.desk.work(job, &node, |looked| {
@@ -172,7 +174,7 @@ impl World {
         for other in streams.values_mut().filter_map(|stream| stream.turn.as_mut()) {
             other.passed += usize::from(!other.has && other.job.lane() == job.lane());
         }
-        self.invariants.fair_share.looks(id, &who, alone.then_some(passed), self.people.identities())?;
+        self.invariants.fair_share.looks(id, &who, alone.then_some(passed), self.people.turns_of_others(&who))?;
         self.schedule_timer(id, 1 + looks as u64 * LOOK_TIME, Timer::TurnOver(number));
         decisions.into_iter().try_for_each(|decision| self.decided(id, number, decision, judged))?;
         if asks {
@@ -187,9 +189,9 @@ impl World {
             Decision::Order(arrived) => self.order(id, stream, arrived),
             Decision::Known { client, id: transaction, record } => {
                 self.acknowledge(id, &transaction, record.height)?;
-                let Executed { height, index, result, .. } = Executed::recorded(transaction, &record);
+                let Executed { height, index, block, result, .. } = Executed::recorded(transaction, &record);
                 let (code, response) = (result.code(), result.response.clone());
-                self.reply(id, client.reply, Answer::Verdict { height, index, code, response });
+                self.reply(id, client.reply, Answer::Verdict { height, index, block, code, response });
                 Ok(())
             }
             Decision::Hold(_) => Ok(()),
@@ -231,6 +233,7 @@ impl World {
         let start = self.nodes.get(&id).map_or(0, |node| node.start);
         let call = Seen { stream: (id, start, stream), subject, lane: ticket.lane, number: client.number };
         self.invariants.in_order.ordered(call)?;
+        self.notify_robot(id, &transaction);
         let Some(running) = self.running(id) else { return Ok(()) };
         running.waiting.insert(client.reply, now);
         running.waiters.add(now, &transaction, ticket.lane, client);

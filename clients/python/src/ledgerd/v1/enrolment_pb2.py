@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from ledgerd.v1 import gateway_pb2 as ledgerd_dot_v1_dot_gateway__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1aledgerd/v1/enrolment.proto\x12\nledgerd.v1\x1a\x18ledgerd/v1/gateway.proto\"\x1f\n\x0cRenewRequest\x12\x0f\n\x07request\x18\x01 \x01(\x0c\"\x10\n\x0eGenesisRequest\"\"\n\x0fGenesisResponse\x12\x0f\n\x07genesis\x18\x01 \x01(\x0c\"\'\n\x17JoinOrganisationRequest\x12\x0c\n\x04join\x18\x01 \x01(\x0c\"@\n\x18JoinOrganisationResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"\x10\n\x0eNetworkRequest\"\xa2\x01\n\x0fNetworkResponse\x12\x0f\n\x07network\x18\x01 \x01(\x0c\x12\r\n\x05label\x18\x02 \x01(\t\x12/\n\rorganisations\x18\x03 \x03(\x0b\x32\x18.ledgerd.v1.Organisation\x12\r\n\x05\x63lock\x18\x04 \x01(\x04\x12\x0f\n\x07\x63ut_off\x18\x05 \x01(\x08\x12\x0f\n\x07\x63\x61rries\x18\x06 \x03(\t\x12\r\n\x05rules\x18\x07 \x01(\r\"w\n\x0cOrganisation\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05roots\x18\x02 \x03(\x0c\x12\x15\n\rintermediates\x18\x03 \x03(\x0c\x12\x11\n\taddresses\x18\x04 \x03(\t\x12 \n\x05units\x18\x05 \x01(\x0b\x32\x11.ledgerd.v1.Units\"(\n\x05Units\x12\x1f\n\x05units\x18\x01 \x03(\x0b\x32\x10.ledgerd.v1.Unit\"2\n\x04Unit\x12\x0c\n\x04unit\x18\x01 \x01(\t\x12\x0c\n\x04role\x18\x02 \x01(\t\x12\x0e\n\x06issuer\x18\x03 \x01(\x0c\"=\n\x0c\x45nrolRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06secret\x18\x02 \x01(\t\x12\x0f\n\x07request\x18\x03 \x01(\x0c\"\xaf\x01\n\rEnrolResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x13\n\x0b\x63\x65rtificate\x18\x02 \x01(\x0c\x12\r\n\x05\x63hain\x18\x03 \x03(\x0c\x12\x14\n\x0corganisation\x18\x04 \x01(\t\x12,\n\x07network\x18\x05 \x01(\x0b\x32\x1b.ledgerd.v1.NetworkResponse\x12\x10\n\x08\x63\x61rriers\x18\x06 \x03(\t\"&\n\x0eOfferCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\"z\n\x0fOfferCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"h\n\rSealCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"T\n\x0eSealCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"C\n\rTakeCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"6\n\x0eTakeCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"9\n\rCopyCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x12\n\npassphrase\x18\x02 \x01(\t\"D\n\x0e\x43opyCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0c\n\x04\x66ile\x18\x02 \x01(\x0c\"J\n\x10RestoreCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0c\n\x04\x66ile\x18\x02 \x01(\x0c\x12\x12\n\npassphrase\x18\x03 \x01(\t\"9\n\x11RestoreCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"%\n\rDropCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\"6\n\x0e\x44ropCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict2\x80\x06\n\tEnrolment\x12\x42\n\x07Network\x12\x1a.ledgerd.v1.NetworkRequest\x1a\x1b.ledgerd.v1.NetworkResponse\x12<\n\x05\x45nrol\x12\x18.ledgerd.v1.EnrolRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12<\n\x05Renew\x12\x18.ledgerd.v1.RenewRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12\x42\n\x07Genesis\x12\x1a.ledgerd.v1.GenesisRequest\x1a\x1b.ledgerd.v1.GenesisResponse\x12\x42\n\x07OfferCa\x12\x1a.ledgerd.v1.OfferCaRequest\x1a\x1b.ledgerd.v1.OfferCaResponse\x12?\n\x06SealCa\x12\x19.ledgerd.v1.SealCaRequest\x1a\x1a.ledgerd.v1.SealCaResponse\x12?\n\x06TakeCa\x12\x19.ledgerd.v1.TakeCaRequest\x1a\x1a.ledgerd.v1.TakeCaResponse\x12?\n\x06\x43opyCa\x12\x19.ledgerd.v1.CopyCaRequest\x1a\x1a.ledgerd.v1.CopyCaResponse\x12H\n\tRestoreCa\x12\x1c.ledgerd.v1.RestoreCaRequest\x1a\x1d.ledgerd.v1.RestoreCaResponse\x12?\n\x06\x44ropCa\x12\x19.ledgerd.v1.DropCaRequest\x1a\x1a.ledgerd.v1.DropCaResponse\x12]\n\x10JoinOrganisation\x12#.ledgerd.v1.JoinOrganisationRequest\x1a$.ledgerd.v1.JoinOrganisationResponseB\x16Z\x14ledgerd/v1;ledgerdv1b\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1aledgerd/v1/enrolment.proto\x12\nledgerd.v1\x1a\x18ledgerd/v1/gateway.proto\"\x1f\n\x0cRenewRequest\x12\x0f\n\x07request\x18\x01 \x01(\x0c\"\x10\n\x0eGenesisRequest\"\"\n\x0fGenesisResponse\x12\x0f\n\x07genesis\x18\x01 \x01(\x0c\"\'\n\x17JoinOrganisationRequest\x12\x0c\n\x04join\x18\x01 \x01(\x0c\"@\n\x18JoinOrganisationResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"\x10\n\x0eNetworkRequest\"\xc6\x01\n\x0fNetworkResponse\x12\x0f\n\x07network\x18\x01 \x01(\x0c\x12\r\n\x05label\x18\x02 \x01(\t\x12/\n\rorganisations\x18\x03 \x03(\x0b\x32\x18.ledgerd.v1.Organisation\x12\r\n\x05\x63lock\x18\x04 \x01(\x04\x12\x0f\n\x07\x63ut_off\x18\x05 \x01(\x08\x12\x0f\n\x07\x63\x61rries\x18\x06 \x03(\t\x12\r\n\x05rules\x18\x07 \x01(\r\x12\x0e\n\x06height\x18\x08 \x01(\x04\x12\x12\n\nblock_hash\x18\t \x01(\x0c\"w\n\x0cOrganisation\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05roots\x18\x02 \x03(\x0c\x12\x15\n\rintermediates\x18\x03 \x03(\x0c\x12\x11\n\taddresses\x18\x04 \x03(\t\x12 \n\x05units\x18\x05 \x01(\x0b\x32\x11.ledgerd.v1.Units\"(\n\x05Units\x12\x1f\n\x05units\x18\x01 \x03(\x0b\x32\x10.ledgerd.v1.Unit\"2\n\x04Unit\x12\x0c\n\x04unit\x18\x01 \x01(\t\x12\x0c\n\x04role\x18\x02 \x01(\t\x12\x0e\n\x06issuer\x18\x03 \x01(\x0c\"=\n\x0c\x45nrolRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06secret\x18\x02 \x01(\t\x12\x0f\n\x07request\x18\x03 \x01(\x0c\"\xaf\x01\n\rEnrolResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x13\n\x0b\x63\x65rtificate\x18\x02 \x01(\x0c\x12\r\n\x05\x63hain\x18\x03 \x03(\x0c\x12\x14\n\x0corganisation\x18\x04 \x01(\t\x12,\n\x07network\x18\x05 \x01(\x0b\x32\x1b.ledgerd.v1.NetworkResponse\x12\x10\n\x08\x63\x61rriers\x18\x06 \x03(\t\"&\n\x0eOfferCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\"z\n\x0fOfferCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"h\n\rSealCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0c\n\x04node\x18\x02 \x01(\t\x12\x0b\n\x03key\x18\x03 \x01(\x0c\x12\x11\n\tsignature\x18\x04 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x05 \x01(\x0c\"T\n\x0eSealCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"C\n\rTakeCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0e\n\x06sealed\x18\x02 \x01(\x0c\x12\x0c\n\x04root\x18\x03 \x01(\x0c\"6\n\x0eTakeCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"9\n\rCopyCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x12\n\npassphrase\x18\x02 \x01(\t\"D\n\x0e\x43opyCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\x12\x0c\n\x04\x66ile\x18\x02 \x01(\x0c\"J\n\x10RestoreCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\x12\x0c\n\x04\x66ile\x18\x02 \x01(\x0c\x12\x12\n\npassphrase\x18\x03 \x01(\t\"9\n\x11RestoreCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict\"%\n\rDropCaRequest\x12\x14\n\x0corganisation\x18\x01 \x01(\t\"6\n\x0e\x44ropCaResponse\x12$\n\x07verdict\x18\x01 \x01(\x0b\x32\x13.ledgerd.v1.Verdict2\x80\x06\n\tEnrolment\x12\x42\n\x07Network\x12\x1a.ledgerd.v1.NetworkRequest\x1a\x1b.ledgerd.v1.NetworkResponse\x12<\n\x05\x45nrol\x12\x18.ledgerd.v1.EnrolRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12<\n\x05Renew\x12\x18.ledgerd.v1.RenewRequest\x1a\x19.ledgerd.v1.EnrolResponse\x12\x42\n\x07Genesis\x12\x1a.ledgerd.v1.GenesisRequest\x1a\x1b.ledgerd.v1.GenesisResponse\x12\x42\n\x07OfferCa\x12\x1a.ledgerd.v1.OfferCaRequest\x1a\x1b.ledgerd.v1.OfferCaResponse\x12?\n\x06SealCa\x12\x19.ledgerd.v1.SealCaRequest\x1a\x1a.ledgerd.v1.SealCaResponse\x12?\n\x06TakeCa\x12\x19.ledgerd.v1.TakeCaRequest\x1a\x1a.ledgerd.v1.TakeCaResponse\x12?\n\x06\x43opyCa\x12\x19.ledgerd.v1.CopyCaRequest\x1a\x1a.ledgerd.v1.CopyCaResponse\x12H\n\tRestoreCa\x12\x1c.ledgerd.v1.RestoreCaRequest\x1a\x1d.ledgerd.v1.RestoreCaResponse\x12?\n\x06\x44ropCa\x12\x19.ledgerd.v1.DropCaRequest\x1a\x1a.ledgerd.v1.DropCaResponse\x12]\n\x10JoinOrganisation\x12#.ledgerd.v1.JoinOrganisationRequest\x1a$.ledgerd.v1.JoinOrganisationResponseB\x16Z\x14ledgerd/v1;ledgerdv1b\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -46,41 +46,41 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_NETWORKREQUEST']._serialized_start=262
   _globals['_NETWORKREQUEST']._serialized_end=278
   _globals['_NETWORKRESPONSE']._serialized_start=281
-  _globals['_NETWORKRESPONSE']._serialized_end=443
-  _globals['_ORGANISATION']._serialized_start=445
-  _globals['_ORGANISATION']._serialized_end=564
-  _globals['_UNITS']._serialized_start=566
-  _globals['_UNITS']._serialized_end=606
-  _globals['_UNIT']._serialized_start=608
-  _globals['_UNIT']._serialized_end=658
-  _globals['_ENROLREQUEST']._serialized_start=660
-  _globals['_ENROLREQUEST']._serialized_end=721
-  _globals['_ENROLRESPONSE']._serialized_start=724
-  _globals['_ENROLRESPONSE']._serialized_end=899
-  _globals['_OFFERCAREQUEST']._serialized_start=901
-  _globals['_OFFERCAREQUEST']._serialized_end=939
-  _globals['_OFFERCARESPONSE']._serialized_start=941
-  _globals['_OFFERCARESPONSE']._serialized_end=1063
-  _globals['_SEALCAREQUEST']._serialized_start=1065
-  _globals['_SEALCAREQUEST']._serialized_end=1169
-  _globals['_SEALCARESPONSE']._serialized_start=1171
-  _globals['_SEALCARESPONSE']._serialized_end=1255
-  _globals['_TAKECAREQUEST']._serialized_start=1257
-  _globals['_TAKECAREQUEST']._serialized_end=1324
-  _globals['_TAKECARESPONSE']._serialized_start=1326
-  _globals['_TAKECARESPONSE']._serialized_end=1380
-  _globals['_COPYCAREQUEST']._serialized_start=1382
-  _globals['_COPYCAREQUEST']._serialized_end=1439
-  _globals['_COPYCARESPONSE']._serialized_start=1441
-  _globals['_COPYCARESPONSE']._serialized_end=1509
-  _globals['_RESTORECAREQUEST']._serialized_start=1511
-  _globals['_RESTORECAREQUEST']._serialized_end=1585
-  _globals['_RESTORECARESPONSE']._serialized_start=1587
-  _globals['_RESTORECARESPONSE']._serialized_end=1644
-  _globals['_DROPCAREQUEST']._serialized_start=1646
-  _globals['_DROPCAREQUEST']._serialized_end=1683
-  _globals['_DROPCARESPONSE']._serialized_start=1685
-  _globals['_DROPCARESPONSE']._serialized_end=1739
-  _globals['_ENROLMENT']._serialized_start=1742
-  _globals['_ENROLMENT']._serialized_end=2510
+  _globals['_NETWORKRESPONSE']._serialized_end=479
+  _globals['_ORGANISATION']._serialized_start=481
+  _globals['_ORGANISATION']._serialized_end=600
+  _globals['_UNITS']._serialized_start=602
+  _globals['_UNITS']._serialized_end=642
+  _globals['_UNIT']._serialized_start=644
+  _globals['_UNIT']._serialized_end=694
+  _globals['_ENROLREQUEST']._serialized_start=696
+  _globals['_ENROLREQUEST']._serialized_end=757
+  _globals['_ENROLRESPONSE']._serialized_start=760
+  _globals['_ENROLRESPONSE']._serialized_end=935
+  _globals['_OFFERCAREQUEST']._serialized_start=937
+  _globals['_OFFERCAREQUEST']._serialized_end=975
+  _globals['_OFFERCARESPONSE']._serialized_start=977
+  _globals['_OFFERCARESPONSE']._serialized_end=1099
+  _globals['_SEALCAREQUEST']._serialized_start=1101
+  _globals['_SEALCAREQUEST']._serialized_end=1205
+  _globals['_SEALCARESPONSE']._serialized_start=1207
+  _globals['_SEALCARESPONSE']._serialized_end=1291
+  _globals['_TAKECAREQUEST']._serialized_start=1293
+  _globals['_TAKECAREQUEST']._serialized_end=1360
+  _globals['_TAKECARESPONSE']._serialized_start=1362
+  _globals['_TAKECARESPONSE']._serialized_end=1416
+  _globals['_COPYCAREQUEST']._serialized_start=1418
+  _globals['_COPYCAREQUEST']._serialized_end=1475
+  _globals['_COPYCARESPONSE']._serialized_start=1477
+  _globals['_COPYCARESPONSE']._serialized_end=1545
+  _globals['_RESTORECAREQUEST']._serialized_start=1547
+  _globals['_RESTORECAREQUEST']._serialized_end=1621
+  _globals['_RESTORECARESPONSE']._serialized_start=1623
+  _globals['_RESTORECARESPONSE']._serialized_end=1680
+  _globals['_DROPCAREQUEST']._serialized_start=1682
+  _globals['_DROPCAREQUEST']._serialized_end=1719
+  _globals['_DROPCARESPONSE']._serialized_start=1721
+  _globals['_DROPCARESPONSE']._serialized_end=1775
+  _globals['_ENROLMENT']._serialized_start=1778
+  _globals['_ENROLMENT']._serialized_end=2546
 # @@protoc_insertion_point(module_scope)

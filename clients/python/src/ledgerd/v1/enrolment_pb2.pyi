@@ -40,7 +40,7 @@ class NetworkRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class NetworkResponse(_message.Message):
-    __slots__ = ("network", "label", "organisations", "clock", "cut_off", "carries", "rules")
+    __slots__ = ("network", "label", "organisations", "clock", "cut_off", "carries", "rules", "height", "block_hash")
     NETWORK_FIELD_NUMBER: _ClassVar[int]
     LABEL_FIELD_NUMBER: _ClassVar[int]
     ORGANISATIONS_FIELD_NUMBER: _ClassVar[int]
@@ -48,6 +48,8 @@ class NetworkResponse(_message.Message):
     CUT_OFF_FIELD_NUMBER: _ClassVar[int]
     CARRIES_FIELD_NUMBER: _ClassVar[int]
     RULES_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    BLOCK_HASH_FIELD_NUMBER: _ClassVar[int]
     network: bytes
     label: str
     organisations: _containers.RepeatedCompositeFieldContainer[Organisation]
@@ -55,7 +57,9 @@ class NetworkResponse(_message.Message):
     cut_off: bool
     carries: _containers.RepeatedScalarFieldContainer[str]
     rules: int
-    def __init__(self, network: _Optional[bytes] = ..., label: _Optional[str] = ..., organisations: _Optional[_Iterable[_Union[Organisation, _Mapping]]] = ..., clock: _Optional[int] = ..., cut_off: _Optional[bool] = ..., carries: _Optional[_Iterable[str]] = ..., rules: _Optional[int] = ...) -> None: ...
+    height: int
+    block_hash: bytes
+    def __init__(self, network: _Optional[bytes] = ..., label: _Optional[str] = ..., organisations: _Optional[_Iterable[_Union[Organisation, _Mapping]]] = ..., clock: _Optional[int] = ..., cut_off: _Optional[bool] = ..., carries: _Optional[_Iterable[str]] = ..., rules: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ...) -> None: ...
 
 class Organisation(_message.Message):
     __slots__ = ("name", "roots", "intermediates", "addresses", "units")

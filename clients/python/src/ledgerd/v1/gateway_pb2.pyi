@@ -31,20 +31,22 @@ class SubmitRequest(_message.Message):
     def __init__(self, transaction: _Optional[bytes] = ..., min_height: _Optional[int] = ..., first_attempt: _Optional[bool] = ...) -> None: ...
 
 class SubmitResponse(_message.Message):
-    __slots__ = ("id", "verdict", "height", "index", "time", "response")
+    __slots__ = ("id", "verdict", "height", "index", "time", "response", "block_hash")
     ID_FIELD_NUMBER: _ClassVar[int]
     VERDICT_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     INDEX_FIELD_NUMBER: _ClassVar[int]
     TIME_FIELD_NUMBER: _ClassVar[int]
     RESPONSE_FIELD_NUMBER: _ClassVar[int]
+    BLOCK_HASH_FIELD_NUMBER: _ClassVar[int]
     id: bytes
     verdict: Verdict
     height: int
     index: int
     time: int
     response: bytes
-    def __init__(self, id: _Optional[bytes] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., response: _Optional[bytes] = ...) -> None: ...
+    block_hash: bytes
+    def __init__(self, id: _Optional[bytes] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., response: _Optional[bytes] = ..., block_hash: _Optional[bytes] = ...) -> None: ...
 
 class QueryRequest(_message.Message):
     __slots__ = ("chaincode", "function", "args", "min_height", "may_be_stale")
@@ -75,7 +77,7 @@ class QueryResponse(_message.Message):
     def __init__(self, verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., height: _Optional[int] = ..., time: _Optional[int] = ..., stale_for: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("from_height", "chaincode", "subjects", "names", "heartbeat_ms", "early", "proofs")
+    __slots__ = ("from_height", "chaincode", "subjects", "names", "heartbeat_ms", "early", "proofs", "heads")
     FROM_HEIGHT_FIELD_NUMBER: _ClassVar[int]
     CHAINCODE_FIELD_NUMBER: _ClassVar[int]
     SUBJECTS_FIELD_NUMBER: _ClassVar[int]
@@ -83,6 +85,7 @@ class SubscribeRequest(_message.Message):
     HEARTBEAT_MS_FIELD_NUMBER: _ClassVar[int]
     EARLY_FIELD_NUMBER: _ClassVar[int]
     PROOFS_FIELD_NUMBER: _ClassVar[int]
+    HEADS_FIELD_NUMBER: _ClassVar[int]
     from_height: int
     chaincode: str
     subjects: _containers.RepeatedScalarFieldContainer[str]
@@ -90,23 +93,26 @@ class SubscribeRequest(_message.Message):
     heartbeat_ms: int
     early: bool
     proofs: bool
-    def __init__(self, from_height: _Optional[int] = ..., chaincode: _Optional[str] = ..., subjects: _Optional[_Iterable[str]] = ..., names: _Optional[_Iterable[str]] = ..., heartbeat_ms: _Optional[int] = ..., early: _Optional[bool] = ..., proofs: _Optional[bool] = ...) -> None: ...
+    heads: bool
+    def __init__(self, from_height: _Optional[int] = ..., chaincode: _Optional[str] = ..., subjects: _Optional[_Iterable[str]] = ..., names: _Optional[_Iterable[str]] = ..., heartbeat_ms: _Optional[int] = ..., early: _Optional[bool] = ..., proofs: _Optional[bool] = ..., heads: _Optional[bool] = ...) -> None: ...
 
 class Delivery(_message.Message):
-    __slots__ = ("height", "time", "block_hash", "events", "early", "proof")
+    __slots__ = ("height", "time", "block_hash", "events", "early", "proof", "heads")
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     TIME_FIELD_NUMBER: _ClassVar[int]
     BLOCK_HASH_FIELD_NUMBER: _ClassVar[int]
     EVENTS_FIELD_NUMBER: _ClassVar[int]
     EARLY_FIELD_NUMBER: _ClassVar[int]
     PROOF_FIELD_NUMBER: _ClassVar[int]
+    HEADS_FIELD_NUMBER: _ClassVar[int]
     height: int
     time: int
     block_hash: bytes
     events: _containers.RepeatedCompositeFieldContainer[EventRecord]
     early: bool
     proof: bytes
-    def __init__(self, height: _Optional[int] = ..., time: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., early: _Optional[bool] = ..., proof: _Optional[bytes] = ...) -> None: ...
+    heads: bytes
+    def __init__(self, height: _Optional[int] = ..., time: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., early: _Optional[bool] = ..., proof: _Optional[bytes] = ..., heads: _Optional[bytes] = ...) -> None: ...
 
 class EventRecord(_message.Message):
     __slots__ = ("chaincode", "name", "subject", "payload", "index", "transaction", "certificate")
@@ -131,7 +137,7 @@ class StatusRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class StatusResponse(_message.Message):
-    __slots__ = ("version", "network", "network_label", "node_id", "node_name", "organisation", "role", "leader_id", "term", "height", "block_hash", "block_time", "state_digest", "committed", "last_index", "clock", "uptime_ms", "chaincodes", "refused", "executed", "peers", "subscribers", "payload_bytes_max", "resident_bytes", "first_height", "snapshot_height", "catching_up_to", "divergence", "in_flight", "in_flight_max", "waiting_control", "waiting_data", "data_directory", "disk_free_bytes", "disk_total_bytes", "disk_accepts", "certificates", "voters", "voters_connected", "certified", "lies", "console", "wall_clock", "attention")
+    __slots__ = ("version", "network", "network_label", "node_id", "node_name", "organisation", "role", "leader_id", "term", "height", "block_hash", "block_time", "state_digest", "committed", "last_index", "clock", "uptime_ms", "chaincodes", "refused", "executed", "peers", "subscribers", "payload_bytes_max", "resident_bytes", "first_height", "snapshot_height", "catching_up_to", "divergence", "in_flight", "in_flight_max", "waiting_control", "waiting_data", "data_directory", "disk_free_bytes", "disk_total_bytes", "disk_accepts", "certificates", "voters", "voters_connected", "certified", "lies", "console", "wall_clock", "attention", "certificate_rule", "open_stops", "faults")
     class RefusedEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -190,6 +196,9 @@ class StatusResponse(_message.Message):
     CONSOLE_FIELD_NUMBER: _ClassVar[int]
     WALL_CLOCK_FIELD_NUMBER: _ClassVar[int]
     ATTENTION_FIELD_NUMBER: _ClassVar[int]
+    CERTIFICATE_RULE_FIELD_NUMBER: _ClassVar[int]
+    OPEN_STOPS_FIELD_NUMBER: _ClassVar[int]
+    FAULTS_FIELD_NUMBER: _ClassVar[int]
     version: str
     network: bytes
     network_label: str
@@ -234,7 +243,36 @@ class StatusResponse(_message.Message):
     console: str
     wall_clock: int
     attention: _containers.RepeatedCompositeFieldContainer[Attention]
-    def __init__(self, version: _Optional[str] = ..., network: _Optional[bytes] = ..., network_label: _Optional[str] = ..., node_id: _Optional[int] = ..., node_name: _Optional[str] = ..., organisation: _Optional[str] = ..., role: _Optional[str] = ..., leader_id: _Optional[int] = ..., term: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., block_time: _Optional[int] = ..., state_digest: _Optional[bytes] = ..., committed: _Optional[int] = ..., last_index: _Optional[int] = ..., clock: _Optional[int] = ..., uptime_ms: _Optional[int] = ..., chaincodes: _Optional[_Iterable[str]] = ..., refused: _Optional[_Mapping[int, int]] = ..., executed: _Optional[_Mapping[int, int]] = ..., peers: _Optional[_Iterable[_Union[PeerStatus, _Mapping]]] = ..., subscribers: _Optional[int] = ..., payload_bytes_max: _Optional[int] = ..., resident_bytes: _Optional[int] = ..., first_height: _Optional[int] = ..., snapshot_height: _Optional[int] = ..., catching_up_to: _Optional[int] = ..., divergence: _Optional[str] = ..., in_flight: _Optional[int] = ..., in_flight_max: _Optional[int] = ..., waiting_control: _Optional[int] = ..., waiting_data: _Optional[int] = ..., data_directory: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., disk_total_bytes: _Optional[int] = ..., disk_accepts: _Optional[str] = ..., certificates: _Optional[_Iterable[_Union[CertificateStatus, _Mapping]]] = ..., voters: _Optional[int] = ..., voters_connected: _Optional[int] = ..., certified: _Optional[int] = ..., lies: _Optional[str] = ..., console: _Optional[str] = ..., wall_clock: _Optional[int] = ..., attention: _Optional[_Iterable[_Union[Attention, _Mapping]]] = ...) -> None: ...
+    certificate_rule: CertificateRule
+    open_stops: _containers.RepeatedCompositeFieldContainer[OpenStop]
+    faults: str
+    def __init__(self, version: _Optional[str] = ..., network: _Optional[bytes] = ..., network_label: _Optional[str] = ..., node_id: _Optional[int] = ..., node_name: _Optional[str] = ..., organisation: _Optional[str] = ..., role: _Optional[str] = ..., leader_id: _Optional[int] = ..., term: _Optional[int] = ..., height: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., block_time: _Optional[int] = ..., state_digest: _Optional[bytes] = ..., committed: _Optional[int] = ..., last_index: _Optional[int] = ..., clock: _Optional[int] = ..., uptime_ms: _Optional[int] = ..., chaincodes: _Optional[_Iterable[str]] = ..., refused: _Optional[_Mapping[int, int]] = ..., executed: _Optional[_Mapping[int, int]] = ..., peers: _Optional[_Iterable[_Union[PeerStatus, _Mapping]]] = ..., subscribers: _Optional[int] = ..., payload_bytes_max: _Optional[int] = ..., resident_bytes: _Optional[int] = ..., first_height: _Optional[int] = ..., snapshot_height: _Optional[int] = ..., catching_up_to: _Optional[int] = ..., divergence: _Optional[str] = ..., in_flight: _Optional[int] = ..., in_flight_max: _Optional[int] = ..., waiting_control: _Optional[int] = ..., waiting_data: _Optional[int] = ..., data_directory: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., disk_total_bytes: _Optional[int] = ..., disk_accepts: _Optional[str] = ..., certificates: _Optional[_Iterable[_Union[CertificateStatus, _Mapping]]] = ..., voters: _Optional[int] = ..., voters_connected: _Optional[int] = ..., certified: _Optional[int] = ..., lies: _Optional[str] = ..., console: _Optional[str] = ..., wall_clock: _Optional[int] = ..., attention: _Optional[_Iterable[_Union[Attention, _Mapping]]] = ..., certificate_rule: _Optional[_Union[CertificateRule, _Mapping]] = ..., open_stops: _Optional[_Iterable[_Union[OpenStop, _Mapping]]] = ..., faults: _Optional[str] = ...) -> None: ...
+
+class CertificateRule(_message.Message):
+    __slots__ = ("needed", "strict_since", "survives_crashes", "survives_lie", "survives_silence")
+    NEEDED_FIELD_NUMBER: _ClassVar[int]
+    STRICT_SINCE_FIELD_NUMBER: _ClassVar[int]
+    SURVIVES_CRASHES_FIELD_NUMBER: _ClassVar[int]
+    SURVIVES_LIE_FIELD_NUMBER: _ClassVar[int]
+    SURVIVES_SILENCE_FIELD_NUMBER: _ClassVar[int]
+    needed: int
+    strict_since: int
+    survives_crashes: int
+    survives_lie: bool
+    survives_silence: bool
+    def __init__(self, needed: _Optional[int] = ..., strict_since: _Optional[int] = ..., survives_crashes: _Optional[int] = ..., survives_lie: _Optional[bool] = ..., survives_silence: _Optional[bool] = ...) -> None: ...
+
+class OpenStop(_message.Message):
+    __slots__ = ("id", "robot", "by", "not_after")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    BY_FIELD_NUMBER: _ClassVar[int]
+    NOT_AFTER_FIELD_NUMBER: _ClassVar[int]
+    id: bytes
+    robot: str
+    by: str
+    not_after: int
+    def __init__(self, id: _Optional[bytes] = ..., robot: _Optional[str] = ..., by: _Optional[str] = ..., not_after: _Optional[int] = ...) -> None: ...
 
 class Attention(_message.Message):
     __slots__ = ("check", "severity", "message", "next")

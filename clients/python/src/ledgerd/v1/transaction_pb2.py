@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cledgerd/v1/transaction.proto\x12\nledgerd.v1\"C\n\x0bTransaction\x12\x0c\n\x04\x62ody\x18\x01 \x01(\x0c\x12\x11\n\tsignature\x18\x02 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x03 \x01(\x0c\"\x88\x01\n\x0fTransactionBody\x12\x0f\n\x07network\x18\x01 \x01(\x0c\x12\x0f\n\x07\x63reator\x18\x02 \x01(\x0c\x12\r\n\x05nonce\x18\x03 \x01(\x0c\x12\x11\n\tnot_after\x18\x04 \x01(\x04\x12\x11\n\tchaincode\x18\x05 \x01(\t\x12\x10\n\x08\x66unction\x18\x06 \x01(\t\x12\x0c\n\x04\x61rgs\x18\x07 \x03(\x0c\x42\x16Z\x14ledgerd/v1;ledgerdv1b\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cledgerd/v1/transaction.proto\x12\nledgerd.v1\"C\n\x0bTransaction\x12\x0c\n\x04\x62ody\x18\x01 \x01(\x0c\x12\x11\n\tsignature\x18\x02 \x01(\x0c\x12\x13\n\x0b\x63\x65rtificate\x18\x03 \x01(\x0c\"\xb5\x01\n\x0fTransactionBody\x12\x0f\n\x07network\x18\x01 \x01(\x0c\x12\x0f\n\x07\x63reator\x18\x02 \x01(\x0c\x12\r\n\x05nonce\x18\x03 \x01(\x0c\x12\x11\n\tnot_after\x18\x04 \x01(\x04\x12\x11\n\tchaincode\x18\x05 \x01(\t\x12\x10\n\x08\x66unction\x18\x06 \x01(\t\x12\x0c\n\x04\x61rgs\x18\x07 \x03(\x0c\x12+\n\x0bknown_block\x18\x08 \x01(\x0b\x32\x16.ledgerd.v1.KnownBlock\"<\n\nKnownBlock\x12\x0e\n\x06height\x18\x01 \x01(\x04\x12\x0c\n\x04hash\x18\x02 \x01(\x0c\x12\x10\n\x08known_us\x18\x03 \x01(\x04\x42\x16Z\x14ledgerd/v1;ledgerdv1b\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,5 +35,7 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_TRANSACTION']._serialized_start=44
   _globals['_TRANSACTION']._serialized_end=111
   _globals['_TRANSACTIONBODY']._serialized_start=114
-  _globals['_TRANSACTIONBODY']._serialized_end=250
+  _globals['_TRANSACTIONBODY']._serialized_end=295
+  _globals['_KNOWNBLOCK']._serialized_start=297
+  _globals['_KNOWNBLOCK']._serialized_end=357
 # @@protoc_insertion_point(module_scope)

@@ -125,7 +125,11 @@ fn version(node: &Node) -> Option<Finding> {
 fn clocks(nodes: &[Node]) -> Vec<Finding> {
     let told: Vec<(String, i64, u64)> =
         nodes.iter().filter_map(|node| Some((node.full_name(), node.clock_offset_us?, node.clock_error_us?))).collect();
-    let mut offsets: Vec<i64> = told.iter().map(|(_, offset, _)| *offset).collect();
+    // The voters decide which clock is wrong, where any of them answers.
+    let of = |voters: bool| {
+        nodes.iter().filter(move |node| !voters || node.role != "learner").filter_map(|node| node.clock_offset_us)
+    };
+    let mut offsets: Vec<i64> = if of(true).next().is_some() { of(true).collect() } else { of(false).collect() };
     offsets.sort_unstable();
     // Of an even number the nearer to us: two nodes that differ say nothing against this machine.
     let below = offsets.get(offsets.len().saturating_sub(1) / 2);
@@ -182,6 +186,14 @@ mod tests {
         assert_eq!(states(&[0, 9_000_000]), [(State::Ok, true), (State::Wrong, false)]);
         assert_eq!(states(&[300_000]), [(State::Advice, true)]);
         assert_eq!(states(&[]), [(State::Unknown, false)]);
+    }
+
+    #[test]
+    fn learners_do_not_decide_which_clock_is_wrong() {
+        let mut nodes = [0, 0, 9_000_000, 9_000_000, 9_000_000].map(|offset| node("a", offset));
+        nodes.iter_mut().skip(2).for_each(|node| node.role = "learner".into());
+        let wrong: Vec<bool> = clocks(&nodes).iter().map(|found| found.state == State::Wrong).collect();
+        assert_eq!(wrong, [false, true, true, true]);
     }
 
     #[test]

@@ -87,6 +87,8 @@ impl Facts for Node {
             "certified",
             if facts.certified == 0 { "nothing yet".to_owned() } else { facts.certified.to_string() },
         );
+        table.pair("certificates", facts.certificate_rule.rule());
+        table.pair("survives", facts.certificate_rule.survives());
         table.pair("block hash", &facts.block_hash);
         table.pair("block time", time::moment(facts.block_time));
         table.pair("state digest", &facts.state_digest);
@@ -101,6 +103,10 @@ impl Facts for Node {
         table.pair("disk", disk_text(&facts.disk));
         for certificate in &facts.certificates {
             table.pair("certificate", certificate_text(certificate, self.now));
+        }
+        for stop in &facts.open_stops {
+            let until = time::moment(stop.not_after);
+            table.pair("stop without a verdict", format!("of {}, by {}, open until {until}", stop.robot, stop.by));
         }
         table.pair("clock", time::moment(facts.clock));
         table.pair("running for", time::span(facts.uptime_ms.saturating_mul(1000)));

@@ -16,6 +16,7 @@ use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Subscription;
+use ledger_api::pages::PageBound;
 use ledger_api::v1::AuditRequest;
 use ledger_base::rejection::Rejection;
 use ledger_contract::ServiceState;
@@ -142,8 +143,10 @@ async fn stretches(session: &Session, service: &str, (since, until): (u64, u64))
     let until = if until == u64::MAX { 0 } else { until };
     let mut request = AuditRequest { robot, since, until, limit: ROWS_AT_ONCE, ..AuditRequest::default() };
     let mut found: Vec<Stretch> = Vec::new();
+    let mut bound = PageBound::default();
     loop {
         let answer = session.client.audit(request.clone()).await?;
+        bound.count("the rows of the audit", answer.rows.len())?;
         for row in answer.rows.iter().filter(|row| row.decision == "used" && row.subject == service) {
             match found.last_mut().filter(|last| row.height <= last.to.saturating_add(GAP)) {
                 Some(last) => last.to = last.to.max(row.last_height),

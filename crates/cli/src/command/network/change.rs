@@ -10,9 +10,13 @@ use crate::output::{Facts, Output};
 use crate::session::{MSP, Session};
 use bytes::Bytes;
 use ledger::msp::{CarrierRecord, NodeRecord, NodeRole, SetNodeRole};
-use ledger_base::rejection::Rejection;
+use ledger_base::durable;
+use ledger_base::rejection::{Code, Rejection};
+use ledger_light::Misbehaviour;
+use ledger_light::lie::MISBEHAVIOUR_BYTES_MAX;
 use serde::Serialize;
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 
 /// Let a node vote; for admins.
 ///
@@ -42,13 +46,18 @@ pub(crate) struct Demote {
 #[command(after_help = "\
 Example:
   ledgerctl network remove node2
-  ledgerctl network remove node2 --i-mean-it")]
+  ledgerctl network remove node2 --i-mean-it
+  ledgerctl network remove Org2/node2 --proof 00000000000000000104-2.lie")]
 pub(crate) struct Remove {
     /// The node: its name, ORGANISATION/NAME, or its id
     node: String,
     /// Do not ask when it is the last node of an organisation, or the last one that carries its CA
     #[arg(long)]
     i_mean_it: bool,
+    /// The proof that the node has lied: its organisation need not approve then. A node keeps proofs in certificates/ of its
+    /// data directory
+    #[arg(long, value_name = "FILE")]
+    proof: Option<PathBuf>,
 }
 
 /// Remove an organisation with its nodes and robots; for admins, with approval.
@@ -72,23 +81,36 @@ pub(crate) struct Transfer {
 impl Promote {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let soon = "becomes a voter as soon as it has caught up; ledgerctl network status shows it";
-        set(session, output, &self.node, NodeRole::Voter, soon).await
+        set(session, output, (&self.node, None), NodeRole::Voter, soon).await
     }
 }
 
 impl Demote {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
-        set(session, output, &self.node, NodeRole::Learner, "becomes a learner").await
+        set(session, output, (&self.node, None), NodeRole::Learner, "becomes a learner").await
     }
 }
 
 impl Remove {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let proof = self.proof.as_deref().map(read_proof).transpose()?;
         let nodes = nodes(session).await?.nodes;
         let lost = lost(find(&nodes, &self.node)?, &nodes, &carriers(session).await?);
         confirm(&format!("removing {}", self.node), &lost, self.i_mean_it)?;
-        set(session, output, &self.node, NodeRole::Removed, "leaves the network").await
+        set(session, output, (&self.node, proof), NodeRole::Removed, "leaves the network").await
     }
+}
+
+/// The proof of a lie in a file, in hexadecimal.
+fn read_proof(file: &Path) -> Result<String, Rejection> {
+    let bytes = durable::read(file, MISBEHAVIOUR_BYTES_MAX)?;
+    let proof = Misbehaviour::from_bytes(&bytes)?;
+    if !proof.is_lie() {
+        return Err(Rejection::new(Code::BadArgument, "the file proves no lie")
+            .found("two different results of one block: the machine or the state of that node is at fault")
+            .wanted("a file HEIGHT-NODE.lie, TERM-NODE.votes or TERM-NODE.heads in certificates/ of a node"));
+    }
+    Ok(hex::encode(bytes))
 }
 
 /// The losses of an organisation after this node has left, a sentence each.
@@ -117,13 +139,13 @@ fn lost(node: &NodeRecord, nodes: &[NodeRecord], carriers: &[CarrierRecord]) -> 
 async fn set(
     session: &Session,
     output: &mut Output,
-    meant: &str,
+    (meant, proof): (&str, Option<String>),
     role: NodeRole,
     becomes: &str,
 ) -> Result<(), Failure> {
     let nodes = nodes(session).await?.nodes;
     let node = find(&nodes, meant)?;
-    let set = SetNodeRole { id: Some(node.id), organisation: None, name: None, role };
+    let set = SetNodeRole { id: Some(node.id), organisation: None, name: None, role, proof };
     let done = format!("node {} (id {}) {becomes}", node.full_name(), node.id);
     decide(session, output, "set_node_role", json(&set)?, done).await
 }

@@ -6,13 +6,15 @@ use bytes::Bytes;
 use ledger::Call;
 use ledger::Quorum;
 use ledger::msp::{
-    self, ActivateRules, AddOrganisation, Decision, InviteOrganisation, NodeRole, RemoveOrganisation, SetNodeRole,
+    self, ActivateRules, AddOrganisation, Decision, InviteOrganisation, NodeRole, RemoveOrganisation,
+    SetCertificateRule, SetNodeRole,
 };
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::collections::BTreeSet;
 use std::io::{self, Write};
 
 /// The outcome of a wish.
@@ -86,10 +88,32 @@ fn added(add: &AddOrganisation) -> String {
     format!("add organisation {name} with {}; units: {units}; revocation lists: {lists}", authorities.join(", "))
 }
 
+/// Another rule of certificates in words.
+fn certificates(SetCertificateRule { strict, hands }: &SetCertificateRule) -> String {
+    let strict = strict.map(|strict| match strict {
+        true => "make certificates strict".to_owned(),
+        false => "end strict certificates: one organisation that lies can then have two blocks certified".to_owned(),
+    });
+    let names = |hand: &BTreeSet<String>| hand.iter().map(String::as_str).collect::<Vec<_>>().join(" and ");
+    let hands = hands.as_ref().map(|hands| match hands.as_slice() {
+        [] => "count each organisation as a hand of its own".to_owned(),
+        hands => format!("count as one hand: {}", hands.iter().map(names).collect::<Vec<_>>().join("; ")),
+    });
+    strict.into_iter().chain(hands).collect::<Vec<_>>().join("; ")
+}
+
 /// A proposed change of what a node shall be, if the call is one: its number, its name and the role.
 pub(super) fn node_role(call: &Call) -> Option<(u64, String, NodeRole)> {
-    let SetNodeRole { id, organisation, name, role } = argument(call, "set_node_role")?;
+    let SetNodeRole { id, organisation, name, role, .. } = argument(call, "set_node_role")?;
     Some((id?, format!("{}/{}", organisation?, name?), role))
+}
+
+/// The reason in a proposed change of what a node shall be.
+fn reason(call: &Call) -> &'static str {
+    match argument(call, "set_node_role") {
+        Some(SetNodeRole { proof: Some(_), .. }) => ", by the proof that it has lied",
+        _ => "",
+    }
 }
 
 /// The argument of a call of this function of `msp`.
@@ -103,8 +127,8 @@ fn argument<T: DeserializeOwned>(call: &Call, function: &str) -> Option<T> {
 fn in_words(call: &Call) -> Option<String> {
     if let Some((id, node, role)) = node_role(call) {
         return Some(match role {
-            NodeRole::Removed => format!("remove node {node} (id {id})"),
-            role => format!("make node {node} (id {id}) a {role}"),
+            NodeRole::Removed => format!("remove node {node} (id {id}){}", reason(call)),
+            role => format!("make node {node} (id {id}) a {role}{}", reason(call)),
         });
     }
     if let Some(InviteOrganisation { name, .. }) = argument(call, "invite_organisation") {
@@ -116,6 +140,9 @@ fn in_words(call: &Call) -> Option<String> {
     if let Some(ActivateRules { number, height }) = argument(call, "activate_rules") {
         let at = height.map_or_else(String::new, |height| format!(" at block {height}"));
         return Some(format!("activate rules {number}{at}"));
+    }
+    if let Some(rule) = argument::<SetCertificateRule>(call, "set_certificate_rule") {
+        return Some(certificates(&rule));
     }
     argument::<AddOrganisation>(call, "add_organisation").as_ref().map(added)
 }

@@ -12,7 +12,7 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
 use ledger::msp::{AttestationRecord, NodeRecord, NodeRole, Nodes};
-use ledger_api::facts::{CertificateFacts, DiskFacts};
+use ledger_api::facts::{CertificateFacts, CertificateRuleFacts, DiskFacts};
 use ledger_api::{Client, Context, Credentials, Options, v1};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
@@ -53,6 +53,8 @@ pub(crate) struct Overview {
     pub(crate) height: u64,
     #[serde(flatten)]
     pub(crate) quorum: Voters,
+    /// How many signatures make a certificate, and the faults that the voters survive.
+    pub(crate) certificate_rule: CertificateRuleFacts,
     pub(crate) nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
     pub(crate) certificates: Vec<CertificateFacts>,
@@ -90,9 +92,12 @@ pub(crate) struct Node {
     pub(crate) divergence: String,
     /// Newest height for which it has a certificate.
     certified: Option<u64>,
-    /// Nodes that it has caught at a lie.
+    /// Members that have lied, by proof.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub(crate) lies: String,
+    /// Members that have signed two different results of one block.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    faults: String,
     /// How much of the log is on its disk, as the leader knows.
     matched: Option<u64>,
     /// Last height that it has attested.
@@ -222,6 +227,7 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
             divergence: said.map_or_else(String::new, |said| said.divergence.clone()),
             certified: said.map(|said| said.certified).filter(|height| *height > 0),
             lies: said.map_or_else(String::new, |said| said.lies.clone()),
+            faults: said.map_or_else(String::new, |said| said.faults.clone()),
             matched: match said {
                 Some(leader) if node.id == leader_id => Some(leader.last_index),
                 _ => matched.get(&node.id).copied().filter(|matched| *matched > 0),
@@ -242,6 +248,7 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
         term,
         height,
         quorum: Voters::new(count(voters().count()), count(reachable), leader_id != 0),
+        certificate_rule: CertificateRuleFacts::of(&known.voters()),
         nodes,
         certificates,
         attention: Vec::new(),
@@ -272,6 +279,7 @@ impl Node {
             divergence: String::new(),
             certified: None,
             lies: String::new(),
+            faults: String::new(),
             matched: None,
             attested: None,
             disk: None,
@@ -338,6 +346,8 @@ impl Facts for Overview {
         table.pair("leader", format!("{leader}, term {}", self.term));
         table.pair("height", self.height);
         table.pair("voters", self.quorum.text());
+        table.pair("certificates", self.certificate_rule.rule());
+        table.pair("survives", self.certificate_rule.survives());
         for certificate in &self.certificates {
             table.pair("certificate", certificate_text(certificate, self.now));
         }
@@ -391,6 +401,7 @@ mod tests {
             term: 1,
             height: 9,
             quorum: Voters::new(1, 1, true),
+            certificate_rule: CertificateRuleFacts::default(),
             nodes,
             certificates: Vec::new(),
             attention: Vec::new(),

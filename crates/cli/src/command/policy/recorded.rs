@@ -10,6 +10,7 @@ use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
+use ledger_api::pages::PageBound;
 use ledger_api::v1::{AuditRequest, AuditRow};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Ask, PolicyProposalTexts, PolicyText, RobotAsset};
@@ -232,8 +233,10 @@ async fn decided(session: &Session, since: u64, most: u64) -> Result<VecDeque<De
         robots.iter().filter(|robot| robot.organisation == *own).map(|robot| robot.name.as_str()).collect();
     let mut found: BTreeMap<(String, String, String, bool), Decided> = BTreeMap::new();
     let mut request = AuditRequest { since, limit: ROWS_AT_ONCE, ..AuditRequest::default() };
+    let mut bound = PageBound::default();
     loop {
         let answer = session.client.audit(request.clone()).await?;
+        bound.count("the rows of the audit", answer.rows.len())?;
         for row in answer.rows.iter().filter(|row| mine.contains(row.robot.as_str()) && row.who.contains('/')) {
             let Some((action, allowed)) = verdict(row) else { continue };
             let key = (row.who.clone(), row.subject.clone(), action.to_owned(), allowed);

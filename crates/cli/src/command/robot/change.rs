@@ -29,6 +29,8 @@ Who wins when several want a service (docs/conflict.md); `default` as the value 
   priority=attribute:NAME|policy|fixed:N, aging=30s, min-hold=5s, idle-release=1m
 Who can read its messages (docs/policies.md):
   confidential=true encrypts them for those whom policies permit to subscribe
+How much all its publishers together may send, at most the quota of your organisation (docs/operations.md):
+  bytes-per-s=N, messages-per-s=N
 Settings of the robot:
   attr-required=KEY[=VALUE], trust=ORG[,ORG]
 Attributes for policies, of the robot, or of the service if one is named (docs/policies.md):

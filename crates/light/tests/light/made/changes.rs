@@ -1,6 +1,6 @@
 //! Ways over changes of who governs.
 
-use crate::scenes::{Scene, Ways, change, members, node, organisation, step};
+use crate::scenes::{Block, Scene, Ways, change, members, node, organisation, step};
 use crate::world::NOW;
 use bytes::Bytes;
 use ledger_base::rejection::Code;
@@ -23,6 +23,33 @@ pub(super) fn chains(ways: &mut Ways, scene: &Scene) {
     ways.good("the same block twice", "genesis", [shown(&[&moved, &again]), shown(&[])].concat());
     let unchanged = scene.proof(&scene.block(4, &[]), &[1, 3]).to_bytes();
     ways.good("a block before the changes", "genesis", vec![step(&[&moved, &again], &unchanged)]);
+
+    let forced = change(5, vec![("recovery/00000000000000000005".into(), Some("{}".into()))]);
+    for (name, recoveries, height, why) in [
+        ("the block of a forced recovery", 0, 5, None),
+        ("a block after a forced recovery", 1, 8, None),
+        (
+            "a block after a forced recovery, signed as if there had been none",
+            0,
+            8,
+            Some("the records count one forced recovery"),
+        ),
+        (
+            "a block after a forced recovery, signed as if there had been two",
+            2,
+            8,
+            Some("the records count one forced recovery"),
+        ),
+    ] {
+        let block = Block { recoveries, ..scene.block(height, &[&forced]) };
+        let at_recovery = step(&[&forced], scene.proof(&scene.block(5, &[&forced]), &[1, 3]).to_bytes());
+        let proof = scene.proof(&block, &[1, 3]).to_bytes();
+        let steps = if height > 5 { vec![at_recovery, step(&[], proof)] } else { vec![step(&[&forced], proof)] };
+        match why {
+            None => ways.good(name, "genesis", steps),
+            Some(why) => ways.refused(name, (Code::Untrusted, why), "genesis", steps),
+        }
+    }
 
     let at = |height: u64, of: &Change| Change { height, ..of.clone() };
     let without_value = change(5, vec![node(4, ["Org2", "node4"], "learner"), ("revoked/x".into(), None)]);

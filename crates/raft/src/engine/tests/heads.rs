@@ -3,6 +3,7 @@
 use super::chain::{append, entry, follower, hash, responses};
 use super::votes::signed_head;
 use super::*;
+use crate::engine::standing::LOOK_TIMEOUTS;
 use crate::interface::DoubleHead;
 use crate::message::{LeaderHead, MandateWanted};
 
@@ -216,6 +217,27 @@ fn a_node_that_lacks_the_certificate_of_its_leader_asks_for_the_mandate_and_take
     bare_step(&mut node, vote(signed(1, 1, 1)));
     bare_step(&mut node, append(1, 1, &[], &[entry(1, 1, b"a")], 0));
     assert_eq!(node.store.last_index(), 1);
+}
+
+#[test]
+fn a_node_that_cannot_check_the_heads_of_its_leader_asks_its_peers_for_blocks() {
+    let mut node = follower();
+    let mut asked = 0;
+    for _ in 0..2 * LOOK_TIMEOUTS * node.config.election_tick {
+        let unchecked = append(1, 1, &[entry(1, 1, b"a"), entry(2, 1, b"b")], &[entry(3, 1, b"c")], 0);
+        step(&mut node, changed(unchecked, |message| message.head = Bytes::from_static(b"after a recovery")));
+        step(&mut node, message(1, RaftKind::Heartbeat, |_| {}));
+        let out = step(&mut node, Input::Tick);
+        asked += out.iter().filter(|output| matches!(output, Output::Behind { from: 2, .. })).count();
+        assert_eq!(node.leader(), Some(1), "its mandate was checked");
+    }
+    assert!((1..=2).contains(&asked), "{asked}");
+    step(&mut node, append(1, 1, &[entry(1, 1, b"a"), entry(2, 1, b"b")], &[entry(3, 1, b"c")], 0));
+    for _ in 0..2 * LOOK_TIMEOUTS * node.config.election_tick {
+        step(&mut node, message(1, RaftKind::Heartbeat, |_| {}));
+        let out = step(&mut node, Input::Tick);
+        assert!(!out.iter().any(|output| matches!(output, Output::Behind { .. })), "it takes heads again");
+    }
 }
 
 #[test]

@@ -320,3 +320,42 @@ fn a_node_whose_voters_have_not_elected_the_leader_asks_its_peers_for_blocks() {
     assert!(out.iter().any(|output| matches!(output, Output::Behind { .. })));
     assert_ne!(node.leader(), Some(1));
 }
+
+#[test]
+fn a_node_that_has_lied_is_followed_no_more_and_gets_no_vote_and_its_acknowledgements_count() {
+    let mut node = engine(2, &VOTERS, &[]);
+    bare_step(&mut node, mandate(5, 1, &[1, 3]));
+    bare_step(&mut node, heartbeat(1, 5));
+    assert_eq!(node.leader(), Some(1));
+    bare_step(&mut node, Input::Exclude([1].into()));
+    let last = node.raw.raft.raft_log.last_index();
+    let append = |term| {
+        let entries = vec![WireEntry { index: 1, term, kind: 1, data: Bytes::new() }];
+        message(1, RaftKind::Append, move |message| (message.term, message.entries) = (term, entries))
+    };
+    let stands = |kind| message(1, kind, |vote| (vote.term, vote.index, vote.log_term) = (9, 9, 8));
+    for input in [
+        append(5),
+        heartbeat(1, 5),
+        message(1, RaftKind::TimeoutNow, |message| message.term = 5),
+        stands(RaftKind::PreVote),
+        stands(RaftKind::Vote),
+        mandate(9, 1, &[1, 3]),
+        append(9),
+    ] {
+        let out = bare_step(&mut node, input.clone());
+        assert!(matches!(out[..], [Output::Ignored { from: 1, .. }]), "{input:?}: {out:?}");
+    }
+    assert_eq!((node.raw.raft.term, node.raw.raft.raft_log.last_index()), (5, last));
+    // It waits for no leader that it ignores.
+    for _ in 0..3 * node.config.election_tick {
+        bare_step(&mut node, Input::Tick);
+    }
+    assert_eq!(node.leader(), None);
+
+    let mut leads = leader(1);
+    bare_step(&mut leads, Input::Exclude([2].into()));
+    bare_step(&mut leads, Input::Submit { lane: Lane::Data, transaction: vec![0; 10].into() });
+    bare_step(&mut leads, message(2, RaftKind::AppendResponse, |message| message.index = 3));
+    assert_eq!(leads.raw.raft.raft_log.committed, 3, "what it has on its disk still counts");
+}

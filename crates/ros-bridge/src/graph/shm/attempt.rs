@@ -28,8 +28,9 @@ pub(super) fn retry<T, E: std::fmt::Debug + std::fmt::Display>(
 }
 
 pub(super) fn failed(what: &str, error: &dyn std::fmt::Debug) -> Error {
-    let wanted = "free, compatible shared memory of this user in /dev/shm and /tmp/iceoryx2";
-    let hint = "run all processes as one user, with the types that docs/bridge.md names; if it stays, stop them and delete /tmp/iceoryx2";
+    let wanted =
+        "free, compatible shared memory of this user in /dev/shm and in the directory that docs/bridge.md names";
+    let hint = "run all processes as one user, with the types that docs/bridge.md names; if it stays, stop them and delete that directory";
     Error::Shm(Explained::new(what, format!("{error:?}"), wanted, hint))
 }
 

@@ -16,6 +16,7 @@ use iceoryx2::{
 
 use super::{
     attempt::{blocking, failed, retry},
+    directory,
     header::Header,
     service::{BUFFER_SAMPLES, DataService, EventService, NODES_MAX, PUBLISHERS_MAX, SUBSCRIBERS_MAX},
 };
@@ -32,12 +33,16 @@ pub struct Node {
 impl Node {
     /// Opens the shared memory of a ROS domain under a name that tools show. `origin` marks what we publish: unique in
     /// the world, such as the GUID of a DDS participant.
+    ///
+    /// # Errors
+    /// [`Error::Shm`](crate::error::Error::Shm) if the directory of shared memory is not safe ([`directory::config`]), or iceoryx2 fails.
     pub async fn open(domain: u16, name: &str, origin: [u8; 16]) -> Result<Self> {
         let node_name = NodeName::new(name).map_err(|error| failed(&format!("node name {name:?}"), &error))?;
         blocking(move || {
             set_log_level_from_env_or(LogLevel::Error);
+            let config = directory::config()?;
             let create = || -> std::result::Result<_, NodeCreationFailure> {
-                let builder = NodeBuilder::new().name(&node_name);
+                let builder = NodeBuilder::new().name(&node_name).config(&config);
                 builder.signal_handling_mode(SignalHandlingMode::Disabled).create::<Service>()
             };
             Ok(Self { node: Arc::new(retry("cannot open shared memory", create)?), domain, origin })

@@ -8,6 +8,7 @@ mod feedback;
 mod goal_runner;
 
 use std::{
+    collections::BTreeSet,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -153,7 +154,7 @@ async fn may_be_used(service: Service, asker: Arc<RobotStateQuery>, since: Insta
     if !is_new(&service) {
         return true;
     }
-    let answer = asker.ask(since).await;
+    let answer = asker.ask(since, &BTreeSet::new()).await;
     let certified = answer.and_then(|answered| answered.standing.service(&service.service));
     !certified.is_ok_and(|certified| is_new(&certified))
 }

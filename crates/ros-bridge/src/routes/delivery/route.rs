@@ -223,7 +223,9 @@ impl FromLedger {
                     if let Ok(delivery) = &delivery && !delivery.early {
                         self.counters.lock().live.heard = Some(Instant::now());
                         self.next_height = self.next_height.max(delivery.height.saturating_add(1));
-                        self.guard.heard(delivery.time, self.clocks.now());
+                        let now = self.clocks.now();
+                        self.guard.heard(delivery.time, now);
+                        self.guard.heads(delivery.height, &delivery.heads, now);
                     }
                     let known = self.count_of(Refused::UnknownCreator);
                     self.handle_all(delivery).await;
@@ -251,7 +253,7 @@ impl FromLedger {
     /// Asks how the robot stands.
     fn ask(&mut self) {
         let since = self.clocks.instant(self.guard.ask(self.clocks.now()));
-        self.question.ask(since);
+        self.question.ask(since, self.guard.open_stops().collect());
     }
 
     /// Handles the events of a block in their order.

@@ -1,6 +1,7 @@
 //! Stop messages. Each is said three times, unless somebody drives on meanwhile: a reader that does not insist on every message
 //! may miss one. A bridge may come back to a robot that still follows what it heard last. So where the service was used before,
-//! the bridge says the stop to everybody who listens, until somebody drives.
+//! the bridge says the stop to everybody who listens, until somebody drives. It says it for some seconds to a new listener. In
+//! DDS a writer knows of a reader before the reader knows of the writer: what comes meanwhile is lost.
 
 use std::time::{Duration, Instant};
 
@@ -15,8 +16,10 @@ use crate::{
 
 /// How often a stop message is said again.
 const AGAIN: u32 = 2;
-/// Time between two times.
-const AGAIN_EVERY: Duration = Duration::from_millis(50);
+/// How often it is said again to a new listener: within three seconds.
+const AGAIN_TO_NEW: u32 = 6;
+/// Time until it is said again; doubles each time.
+const AGAIN_AFTER: Duration = Duration::from_millis(50);
 
 /// `command_timeout_ms` of types with a stop message of their own.
 const COMMAND_TIMEOUT_DEFAULT: Duration = Duration::from_millis(500);
@@ -32,6 +35,8 @@ pub(in crate::routes) fn command_timeout(setting: Option<Duration>, message: &Ty
 pub(super) struct StopMessages {
     message: Option<Sample>,
     again: u32,
+    /// Time after `said` until it is said again.
+    pause: Duration,
     said: Instant,
     /// How many heard it since the bridge came; none if the robot cannot be moving, or somebody drives.
     listeners: Option<usize>,
@@ -45,7 +50,8 @@ impl StopMessages {
             let Service { service, type_name: message, .. } = service;
             tracing::warn!(service, message, "no stop message is known for this type: set stop_hex");
         }
-        let mut new = Self { message, again: 0, said: Instant::now(), listeners: None, is_new: true };
+        let (pause, said) = (AGAIN_AFTER, Instant::now());
+        let mut new = Self { message, again: 0, pause, said, listeners: None, is_new: true };
         new.may_move(service);
         new
     }
@@ -76,7 +82,7 @@ impl StopMessages {
 
     /// Says the stop message, and again a little later.
     pub(super) fn say(&mut self, outlet: &Outlet, service: &str) {
-        self.again = AGAIN;
+        (self.again, self.pause) = (self.again.max(AGAIN), AGAIN_AFTER);
         self.write(outlet, service);
     }
 
@@ -87,7 +93,7 @@ impl StopMessages {
         // One who leaves and comes again is somebody new.
         self.listeners = self.listeners.map(|known| known.min(now));
         let is_new = self.listeners.is_some_and(|known| known < now);
-        let due = if is_new { Some(self.said) } else { (self.again > 0).then(|| self.said + AGAIN_EVERY) };
+        let due = if is_new { Some(self.said) } else { (self.again > 0).then(|| self.said + self.pause) };
         let (matched, undriven) = (outlet.matched().clone(), self.listeners.is_some());
         let count = matched.now().matched;
         async move {
@@ -104,17 +110,19 @@ impl StopMessages {
         let now = outlet.listeners();
         let is_new = self.listeners.is_some_and(|known| known < now);
         if is_new {
-            self.listeners = Some(now);
+            (self.listeners, self.again, self.pause) = (Some(now), AGAIN_TO_NEW, AGAIN_AFTER);
+        } else {
+            (self.again, self.pause) = (self.again.saturating_sub(1), self.pause * 2);
         }
-        self.again = if is_new { AGAIN } else { self.again.saturating_sub(1) };
         self.write(outlet, service);
         is_new
     }
 
     /// Says what is still to be said: the bridge ends.
     pub(super) async fn finish(&mut self, outlet: &Outlet, service: &str) {
-        while self.again > 0 {
-            sleep_until((self.said + AGAIN_EVERY).into()).await;
+        self.pause = AGAIN_AFTER;
+        for _ in 0..self.again.min(AGAIN) {
+            sleep_until((self.said + self.pause).into()).await;
             self.say_again(outlet, service);
         }
     }

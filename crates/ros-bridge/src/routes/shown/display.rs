@@ -2,6 +2,7 @@
 //! tells of something that may have changed it.
 
 use std::{
+    collections::BTreeSet,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -68,7 +69,7 @@ impl HolderDisplay {
     }
 
     async fn run(mut self) {
-        self.question.ask(Instant::now());
+        self.question.ask(Instant::now(), BTreeSet::new());
         let mut due = None;
         loop {
             let (rests, again) = (!self.question.is_under_way(), due.unwrap_or_else(Instant::now));
@@ -85,7 +86,7 @@ impl HolderDisplay {
                     }
                 }
                 () = sleep_until(again.into()), if rests && due.is_some() => {
-                    self.question.ask(Instant::now());
+                    self.question.ask(Instant::now(), BTreeSet::new());
                     due = None;
                 }
             }

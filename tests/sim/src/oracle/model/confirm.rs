@@ -1,7 +1,7 @@
 //! Confirmation: a contender asks, others agree, and then it competes like everybody.
 
 use super::contest::{Stage, Wishes};
-use super::{Model, Service, Verdict};
+use super::{Model, Robot, Service, Verdict};
 use crate::people::Person;
 use ledger_base::rejection::Code;
 use std::collections::BTreeMap;
@@ -29,15 +29,15 @@ impl Model {
     pub(super) fn must_wait(
         &mut self,
         (who, person): (&Person, usize),
+        (robot, service): (&Robot, &Service),
         id: &str,
-        service: &Service,
         wishes: &Wishes,
         time: u64,
     ) -> bool {
         let Some(wanted) = service.setting("confirm") else { return false };
         let place = (id.to_owned(), who.id());
         if let Some(known) = self.asking.get(&place).filter(|known| known.person == person && known.until > time) {
-            return self.counted(known, time) < wanted;
+            return self.counted(known, robot, time) < wanted;
         }
         let within = service.setting("confirm_within_ms").unwrap_or(WITHIN_MS);
         let until = (time + within * 1000).min(who.identity.not_after);
@@ -58,22 +58,22 @@ impl Model {
         asking.confirmed.retain(|confirmed| people.all[*confirmed].id() != who.id());
         asking.confirmed.push(person);
         self.asking.insert(place, asking.clone());
-        if self.counted(&asking, time) < service.setting("confirm").unwrap_or(0) {
+        if self.counted(&asking, &robot, time) < service.setting("confirm").unwrap_or(0) {
             return Ok(Code::Ok.into());
         }
         let contender = (&people.all[asking.person], asking.person);
-        match self.compete(contender, id, &asking.wishes, Stage::Confirmed, time) {
-            // Then there is no place for it to wait, and nothing has happened.
-            Err(Code::LineFull) => Err(Code::LineFull),
-            // It may try again until the confirmations end.
-            _ => Ok(Code::Ok.into()),
-        }
+        // It may try again until the confirmations end, also if there is no place for it to wait now.
+        let _perhaps_refused = self.compete(contender, id, &asking.wishes, Stage::Confirmed, time);
+        Ok(Code::Ok.into())
     }
 
-    /// How many confirmations count now.
-    fn counted(&self, asking: &Asking, time: u64) -> u64 {
-        let valid = |person: &&usize| self.people.all[**person].identity.not_after > time;
-        asking.confirmed.iter().filter(valid).count() as u64
+    /// The number of confirmations that count now: by valid certificates that policies still permit to confirm.
+    fn counted(&self, asking: &Asking, robot: &Robot, time: u64) -> u64 {
+        let counts = |person: &&usize| {
+            let who = &self.people.all[**person];
+            who.identity.not_after > time && self.governs(who, robot, time).is_ok()
+        };
+        asking.confirmed.iter().filter(counts).count() as u64
     }
 
     /// Somebody asks no more to be confirmed; answers if it did.
@@ -92,5 +92,49 @@ impl Model {
         for asking in self.asking.values_mut() {
             asking.confirmed.retain(|confirmed| !is_gone(*confirmed));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Model;
+    use crate::client::{Call, Terms, sign};
+    use crate::clock::{EPOCH, SECOND};
+    use crate::lists::Lists;
+    use crate::people::People;
+    use crate::plan::Plan;
+    use crate::policy::Policy;
+    use ledger_base::hash::Hash;
+    use ledger_base::rejection::Code;
+    use std::sync::Arc;
+
+    const SERVICE: &str = "Husky/cmd_vel";
+
+    #[test]
+    fn a_confirmation_counts_only_while_policies_permit_it() {
+        let people = Arc::new(People::new());
+        let mut model = Model::new(&people, Hash::ZERO, &Plan::new(0), &Lists::default());
+        let (mut nonce, service) = (0, || SERVICE.to_owned());
+        let mut call = |who: &str, call: Call| {
+            nonce += 1;
+            let who = &people.all[people.index(who, 0).unwrap()];
+            let transaction = sign(who, Hash::ZERO, nonce, EPOCH + SECOND, call.transaction(), true);
+            let judged = model.execute(Some(&transaction), EPOCH);
+            assert_eq!(judged.code, Code::Ok, "{call:?}");
+            judged.grant
+        };
+        let acquire = || Call::Acquire { service: service(), lease_ms: None };
+        let confirm = || Call::Confirm { service: service(), contender: "Org1/Salma" };
+        let terms = Terms { mode: "exclusive", sharing: r#"{"confirm":2}"# };
+        call("Org2/admin", Call::Setup { open: true });
+        call("Org2/admin", Call::Configure { service: service(), terms });
+        call("Org2/admin", Call::Put(Policy::Trusted));
+        assert_eq!(call("Org1/Salma", acquire()), None, "nobody has confirmed it");
+        call("Org1/admin", confirm());
+        call("Org2/admin", Call::Put(Policy::Attribute));
+        call("Org2/admin", confirm());
+        assert_eq!(call("Org1/Salma", acquire()), None, "one of two counts no more");
+        call("Org2/admin", Call::Put(Policy::Trusted));
+        assert!(call("Org1/Salma", acquire()).is_some(), "both count again");
     }
 }

@@ -255,7 +255,10 @@ impl Model {
         let place = service.place(&live, &line[at], time).filter(|_| is_first);
         let may_wait = service.line_max() > 0 && wishes.wait_ms != Some(0);
         let is_new = known.is_none() && stage == Stage::Asks;
-        if is_new && (place.is_some() || may_wait) && self.must_wait((who, person), id, &service, wishes, time) {
+        if is_new
+            && (place.is_some() || may_wait)
+            && self.must_wait((who, person), (&robot, &service), id, wishes, time)
+        {
             return Ok(Code::Ok.into());
         }
         if let Some(loser) = place {

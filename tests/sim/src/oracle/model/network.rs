@@ -29,6 +29,8 @@ pub(super) struct Nodes {
     wanted: BTreeMap<(u32, Option<u64>), BTreeSet<String>>,
     /// The next block, and the members before it.
     next: (u64, Membership),
+    /// Certificates are strict, so that no organisation makes them weaker alone.
+    strict: bool,
 }
 
 #[derive(Deserialize)]
@@ -69,12 +71,37 @@ impl Nodes {
             rules: vec![Activation { number: Rules::NEWEST.number(), height: 0 }],
             wanted: BTreeMap::new(),
             next: (1, Membership::new(1..=voters, voters + 1..=voters + learners)),
+            strict: false,
         }
+        .settled()
+    }
+
+    /// With strict certificates, where the voters allow it.
+    fn settled(mut self) -> Self {
+        let Membership { voters, outgoing, .. } = &self.next.1;
+        self.strict |= outgoing.is_empty() && self.spares_one(voters) && self.spares_one(&self.voters());
+        self
+    }
+
+    /// The voters by their roles.
+    fn voters(&self) -> BTreeSet<u64> {
+        self.nodes.iter().filter(|(_, (_, role))| role == "voter").map(|(id, _)| *id).collect()
+    }
+
+    /// Without any one of these voters, the rest is still more than half of all and the largest organisation's together.
+    fn spares_one(&self, voters: &BTreeSet<u64>) -> bool {
+        let mut largest = BTreeMap::<&str, usize>::new();
+        for (name, _) in voters.iter().filter_map(|id| self.nodes.get(id)) {
+            *largest.entry(name.split('/').next().unwrap_or_default()).or_default() += 1;
+        }
+        let largest = largest.into_values().max().unwrap_or_default();
+        2 * voters.len() > voters.len() + largest + 2
     }
 
     /// Later calls are executed in the block of this height, or judged by its rules.
     pub(super) fn next(&mut self, height: u64, members: &Membership) {
         self.next = (height, members.clone());
+        *self = self.clone().settled();
     }
 
     /// The rules of the last block instead of those of the next; answers whether they are others.
@@ -168,14 +195,19 @@ impl Nodes {
         if before == role {
             return Ok(Code::Ok.into());
         }
+        let mut after = self.clone();
+        after.nodes.insert(id, (name.clone(), role.clone()));
+        let ends = self.strict && self.spares_one(&self.voters()) && !after.spares_one(&after.voters());
         let approvals = self.proposed.entry((id, role.clone())).or_default();
         approvals.insert(organisation.clone());
-        if own || approvals.len() >= APPROVALS_MIN {
+        if (own && !ends) || approvals.len() >= APPROVALS_MIN {
             self.proposed.remove(&(id, role.clone()));
             if role == "removed" {
                 self.attested.remove(&name);
             }
             self.nodes.insert(id, (name, role));
+            self.strict &= !ends;
+            *self = self.clone().settled();
         }
         Ok(Code::Ok.into())
     }

@@ -8,10 +8,12 @@ use crate::node::{Answer, Reply, Request, What};
 use crate::robot::{IDENTITY, Question, Robot};
 use crate::world::{Awake, Event, World};
 use bytes::Bytes;
+use ledger::CallRef;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_gate::standing::{Members, Standing};
 use ledger_light::fact::Fact;
 use ledger_light::{Proof, Way};
+use std::collections::BTreeSet;
 
 /// How long a question may be on its way to its block, microseconds.
 const QUESTION_TTL: u64 = 5 * SECOND;
@@ -31,10 +33,13 @@ impl World {
             if guard.asks_at().is_none_or(|due| due > self.now) {
                 continue;
             }
-            let since = guard.ask(now);
+            let (since, stops) = (guard.ask(now), guard.open_stops().collect::<BTreeSet<_>>());
             robot.waiting.push((at, since));
-            let known = robot.answered.clone().filter(|(asked, _)| *asked >= since && robot.question.is_none());
-            if let Some((asked, standing)) = known {
+            let known = robot
+                .answered
+                .clone()
+                .filter(|(asked, named, _)| *asked >= since && stops.is_subset(named) && robot.question.is_none());
+            if let Some((asked, _, standing)) = known {
                 self.stands(robot, asked, &standing)?;
             }
         }
@@ -50,10 +55,12 @@ impl World {
         let (number, nonce) = (robot.questions, self.random.robot.number());
         let Some(whose) = self.people.index(IDENTITY, 0) else { return };
         let clock = robot.clocks(self.now).wall.max(robot.ahead + self.now);
-        let call = ("abac", "declare", vec![Bytes::from(robot.name)]);
+        let stops: BTreeSet<CallRef> = robot.watched.iter().flat_map(|watched| watched.guard.open_stops()).collect();
+        let names = stops.iter().map(|stop| Bytes::from(stop.to_string()));
+        let call = ("abac", "declare", std::iter::once(Bytes::from(robot.name)).chain(names).collect());
         let transaction = sign(&self.people.all[whose], self.network, nonce, clock + QUESTION_TTL, call, true);
         let id = transaction.id();
-        robot.question = Some(Question { number, node, asked: self.now, id, response: None });
+        robot.question = Some(Question { number, node, asked: self.now, id, stops, response: None });
         self.coverage.questions += 1;
         self.note(format_args!("robot: question {number} to n{node}, {id}"));
         if robot.liar == Some(node) && self.chaos && self.random.robot.percent(10) {
@@ -83,7 +90,7 @@ impl World {
         };
         robot.ahead = clock.saturating_sub(self.now).max(EPOCH);
         match answer {
-            Answer::Verdict { height, index, code: Code::Ok, response } => {
+            Answer::Verdict { height, index, code: Code::Ok, response, .. } => {
                 question.response = Some(self.made_up_answer(robot, &response));
                 let until = self.now + CERTIFICATE_WAIT;
                 if let Some(at) = self.links.client(self.now, &mut self.random.robot, &mut self.coverage) {
@@ -155,7 +162,7 @@ impl World {
                 self.coverage.believed += 1;
                 let height = standing.height;
                 self.note(format_args!("robot: question {number} is answered by block {height}"));
-                robot.answered = Some((question.asked, standing.clone()));
+                robot.answered = Some((question.asked, question.stops.clone(), standing.clone()));
                 self.stands(robot, question.asked, &standing)
             }
             Err(refused) => {

@@ -3,8 +3,9 @@
 use super::Happening;
 use crate::clock::MILLISECOND;
 use crate::robot::{Delivery, Robot, Stream, Told};
-use crate::world::{Awake, Event, World};
-use ledger::transaction::Transaction;
+use crate::world::{Awake, Block, Event as Happens, World};
+use ledger::transaction::{KnownBlock, Transaction};
+use ledger_storage::result::Event;
 use std::collections::BTreeSet;
 
 /// Most blocks that a node looks at in one go.
@@ -39,6 +40,7 @@ impl World {
             node,
             start,
             next,
+            heads: next - 1,
             shown: BTreeSet::new(),
             opened: now,
             sent: now,
@@ -63,7 +65,7 @@ impl World {
         let Some(stream) = robot.stream.as_ref().filter(|stream| stream.number == number) else { return };
         let (node, start) = (stream.node, stream.start);
         match self.awake(node) {
-            Awake::At(later) => return self.schedule_at(later, Event::Robot(Happening::Look { stream: number })),
+            Awake::At(later) => return self.schedule_at(later, Happens::Robot(Happening::Look { stream: number })),
             Awake::Yes if self.start_of(node) == start => {}
             _ => return self.happens(1, Happening::Lost { stream: number }),
         }
@@ -124,18 +126,53 @@ impl World {
                 events.push(told);
             }
             if !events.is_empty() {
-                batch.push(Delivery { height, time: outcome.header.time, events });
+                let heads = heads(&self.blocks, &mut stream.heads, height);
+                batch.push(Delivery { height, time: outcome.header.time, events, early: false, heads });
             }
         }
         if batch.is_empty() && now >= stream.sent + HEARTBEAT {
             let height = stream.next.saturating_sub(1).min(tip);
             let time = self.blocks.get((height as usize).wrapping_sub(1)).map_or(0, |block| block.outcome.header.time);
-            batch.push(Delivery { height, time, events: Vec::new() });
+            let heads = heads(&self.blocks, &mut stream.heads, height);
+            batch.push(Delivery { height, time, events: Vec::new(), early: false, heads });
         }
         if now < stream.silent_until {
             batch.clear();
         }
         batch
+    }
+
+    /// A node has taken a call in: the robot is notified of a stop before it is ordered (`src/peers/early_stop.rs`). Its own node judges
+    /// the call as if a user of its own had submitted it, unless the way from the other one is cut.
+    pub(in crate::world) fn notify_robot(&mut self, from: u64, transaction: &Transaction) {
+        let Some(mut robot) = self.robot.take() else { return };
+        let node = robot.stream.as_ref().map(|stream| stream.node);
+        let passed_on = node.filter(|node| *node == from || self.random.robot.percent(80));
+        let foreseen = passed_on.and_then(|node| {
+            let node = self.nodes.get(&node)?;
+            let running = node.up.as_ref()?;
+            Some((running.ledger.foresee(transaction, node.clock.now(self.now))?, running.ledger.tip()))
+        });
+        if let Some((events, tip)) = foreseen {
+            let of_robot = events.into_iter().filter(|event| event.subject == robot.name);
+            let told = |event: Event| Told {
+                index: 0,
+                chaincode: event.chaincode,
+                name: event.name,
+                subject: event.subject,
+                payload: event.payload,
+                transaction: transaction.encoded().clone(),
+                certificate: bytes::Bytes::new(),
+            };
+            let events: Vec<_> = of_robot.map(told).collect();
+            if !events.is_empty() {
+                let _lost = self.send_to_robot(
+                    &mut robot,
+                    Delivery { height: tip.height, time: tip.time, events, early: true, heads: Vec::new() },
+                );
+            }
+        }
+        self.robot = Some(robot);
     }
 
     /// Sends a delivery on its way, behind those before it. False if the connection is lost.
@@ -144,7 +181,14 @@ impl World {
         let Some(at) = self.links.client(self.now, &mut self.random.robot, &mut self.coverage) else { return false };
         (stream.sent, stream.arrives) = (self.now, at.max(stream.arrives));
         let (number, at) = (stream.number, stream.arrives);
-        self.schedule_at(at, Event::Robot(Happening::Delivered { stream: number, delivery }));
+        self.schedule_at(at, Happens::Robot(Happening::Delivered { stream: number, delivery }));
         true
     }
+}
+
+/// The hashes of the blocks that were not told yet, up to this height.
+fn heads(blocks: &[Block], told: &mut u64, height: u64) -> Vec<u8> {
+    let from = std::mem::replace(told, height.max(*told)) as usize;
+    let hashes = blocks.iter().take(height as usize).skip(from).map(|block| block.outcome.hash);
+    hashes.filter_map(|hash| KnownBlock::prefix(&hash.0)).flatten().collect()
 }

@@ -109,7 +109,13 @@ impl World {
         let Some(kind) = self.random.robot.pick(&Untruth::ABOUT_EVENTS).copied() else { return };
         let Some(newest) = self.blocks.last().map(|block| block.outcome.header.clone()) else { return };
         let Some(service) = self.random.robot.pick(&robot.watched).map(|watched| watched.id) else { return };
-        let own = |events: Vec<Told>| Delivery { height: newest.height, time: newest.time, events };
+        let own = |events: Vec<Told>| Delivery {
+            height: newest.height,
+            time: newest.time,
+            events,
+            early: false,
+            heads: Vec::new(),
+        };
         match kind {
             Untruth::Grant => {
                 batch.push(own(self.made_up_grant(service, newest.time)));
@@ -127,7 +133,7 @@ impl World {
             }
             Untruth::Height => {
                 let height = u64::MAX >> self.random.robot.below(3);
-                batch.push(Delivery { height, time: newest.time, events: Vec::new() });
+                batch.push(Delivery { height, time: newest.time, events: Vec::new(), early: false, heads: Vec::new() });
             }
             Untruth::Time => {
                 let by = [4 * SECOND, 3600 * SECOND, u64::MAX >> 1];

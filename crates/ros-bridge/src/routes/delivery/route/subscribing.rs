@@ -46,6 +46,7 @@ impl FromLedger {
             heartbeat: HEARTBEAT_MS,
             early: true,
             proofs: false,
+            heads: true,
         })
     }
 }
