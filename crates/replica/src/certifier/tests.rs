@@ -28,6 +28,14 @@ impl Signing for Keys {
         vote.sign(self.1.certificate.clone(), &self.1.key)
     }
 
+    fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
+        transfer.sign(self.1.certificate.clone(), &self.1.key)
+    }
+
+    fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {
+        head.sign(self.1.certificate.clone(), &self.1.key)
+    }
+
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], time: u64) -> Result<Identity, Rejection> {
         msps.verify(certificate, &[], time).map_err(Rejection::from)
     }
