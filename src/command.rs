@@ -140,7 +140,7 @@ fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
             ExitCode::from(match rejection.code {
                 Code::ShuttingDown => INTERRUPTED,
                 Code::NotAMember => NO_MEMBER,
-                Code::Forked => FORKED,
+                Code::Forked | Code::Contradicted => FORKED,
                 code => code.class().exit_code().max(Class::Failure.exit_code()),
             })
         }

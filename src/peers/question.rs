@@ -7,10 +7,11 @@ use crate::process::clock::wall;
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
 use futures::stream::FuturesUnordered;
+use ledger::branch::CertifiedBranch;
 use ledger_api::v1::peer_client::PeerClient;
-use ledger_api::v1::{ChainRequest, ChainResponse};
+use ledger_api::v1::{CertifiedRequest, ChainRequest, ChainResponse};
 use ledger_base::hash::Hash;
-use ledger_replica::catch_up::{ASK_TIME_MAX, Holding, RECEIPTS_MAX, Who};
+use ledger_replica::catch_up::{ASK_TIME_MAX, Holding, RECEIPTS_MAX, SILENCE_MAX, Who};
 use ledger_replica::company::Point;
 use ledger_replica::offsets::Offset;
 use std::time::Duration;
@@ -160,6 +161,29 @@ impl Dialer {
             }
         });
         asked.collect::<FuturesUnordered<_>>().filter_map(|answer| async move { answer }).collect().await
+    }
+}
+
+impl Dialer {
+    /// The certified part of a member's chain from a height on; none if it has none, or does not answer.
+    pub(crate) async fn certified(&self, member: &Member, height: u64) -> Option<CertifiedBranch> {
+        let answer = async {
+            let channel = self.channel(member).await?;
+            let answer = PeerClient::new(channel).certified(CertifiedRequest { height }).await;
+            let branch = answer.map_err(|status| status.message().to_owned())?.into_inner().branch;
+            if branch.is_empty() {
+                return Err("it has no certificate".to_owned());
+            }
+            CertifiedBranch::from_bytes(&branch).map_err(|refused| refused.to_string())
+        };
+        match timeout(Duration::from_micros(SILENCE_MAX), answer).await {
+            Ok(Ok(branch)) => Some(branch).filter(|branch| branch.height() == height),
+            Ok(Err(reason)) => {
+                tracing::debug!(node = %member.full_name(), reason, "the peer does not show a certificate of its chain");
+                None
+            }
+            Err(_) => None,
+        }
     }
 }
 

@@ -4,6 +4,7 @@
 //! certificates   the task around the machine of `ledger_replica::certifier`; the view of the rest of the node
 //!   keys         the node's key, and whose certificates are believed
 //!   inbox        statements of peers that wait: a few of each
+//!   branches     certificates of other blocks than this node has
 //!   evidence     proofs of misbehaviour
 //!   kept         the files below the data directory
 //!   recent       the newest certificates, for those who ask for a proof
@@ -12,6 +13,7 @@
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
 
+mod branches;
 mod evidence;
 mod inbox;
 mod kept;
@@ -19,6 +21,7 @@ mod keys;
 mod passed;
 mod recent;
 
+pub(crate) use branches::OtherBlocks;
 pub(crate) use kept::{newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
 
@@ -29,6 +32,7 @@ use crate::storage::files::DIVERGED_FILE;
 use evidence::Evidence;
 use inbox::Inbox;
 use kept::Kept;
+use ledger::branch::CertifiedBranch;
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::fact::Fact;
@@ -63,6 +67,8 @@ pub(crate) enum Told {
     Event(Event),
     /// A node has misbehaved, as this node has seen.
     Misbehaved(Box<Misbehaviour>),
+    /// The certified part of the branch of another node.
+    Branch(Box<CertifiedBranch>),
 }
 
 /// The view that the rest of the node has of its certificates.
@@ -88,7 +94,7 @@ impl Certificates {
         // Bounded by what is executed, which takes longer than signing.
         let (told, events) = mpsc::unbounded_channel();
         let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
-        let evidence = Evidence::new(kept.misbehaviours()?);
+        let evidence = Evidence::new(kept.misbehaviours()?, kept.kept_branch()?.as_ref());
         let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
         Ok((Arc::new(Self { told, heard, shown, certified, evidence, recent, kept, passed }), events))
@@ -236,6 +242,8 @@ pub(crate) struct Certifying {
     pub me: u64,
     /// Heights and nodes for whose statements the signatures of a certificate were sent.
     pub exchanged: BTreeSet<(u64, u64)>,
+    /// Other blocks than this node has.
+    pub others: OtherBlocks,
     /// Executed blocks and proofs.
     pub told: mpsc::UnboundedReceiver<Told>,
 }
@@ -256,11 +264,16 @@ impl Certifying {
                         self.misbehaved(&proof, self.me).await;
                         continue;
                     }
+                    Some(Told::Branch(branch)) => {
+                        self.judge_branch(*branch).await;
+                        continue;
+                    }
                     None => return,
                 },
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
                     Ok(signed) => {
                         self.compare(&signed).await;
+                        self.hear_of_branch(from, &signed);
                         Event::Heard { from, signed }
                     }
                     Err(reason) => {
@@ -288,6 +301,7 @@ impl Certifying {
             for effect in effects.drain(..) {
                 self.act(effect, &mut written).await;
             }
+            self.look_at_branches().await;
         }
     }
 

@@ -261,6 +261,9 @@ codes! {
         "install the release of ledgerd that the other nodes of the network run";
     /// The network has another history than this node.
     Forked = 5008 "FORKED" Failure;
+    /// A strict certificate contradicts the chain of this node.
+    Contradicted = 5009 "CONTRADICTED" Failure,
+        "ledgerd rejoin --config FILE keeps this branch for auditors, verifies the certified one, and brings the node back under a new number";
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid,
