@@ -167,24 +167,35 @@ impl Dialer {
 impl Dialer {
     /// The certified part of a member's chain from a height on; none if it has none, or does not answer.
     pub(crate) async fn certified(&self, member: &Member, height: u64) -> Option<CertifiedBranch> {
-        let answer = async {
-            let channel = self.channel(member).await?;
-            let answer = PeerClient::new(channel).certified(CertifiedRequest { height }).await;
-            let branch = answer.map_err(|status| status.message().to_owned())?.into_inner().branch;
-            if branch.is_empty() {
-                return Err("it has no certificate".to_owned());
-            }
-            CertifiedBranch::from_bytes(&branch).map_err(|refused| refused.to_string())
-        };
-        match timeout(Duration::from_micros(SILENCE_MAX), answer).await {
-            Ok(Ok(branch)) => Some(branch).filter(|branch| branch.height() == height),
-            Ok(Err(reason)) => {
+        let answer = async { certified(&self.channel(member).await?, height).await };
+        let shown = timeout(Duration::from_micros(ASK_TIME_MAX), answer)
+            .await
+            .unwrap_or_else(|_| Err("it is silent".to_owned()));
+        shown
+            .inspect_err(|reason| {
                 tracing::debug!(node = %member.full_name(), reason, "the peer does not show a certificate of its chain");
-                None
-            }
-            Err(_) => None,
-        }
+            })
+            .ok()
     }
+}
+
+/// The certified part of the chain of a node from a height on. No signature is checked.
+///
+/// # Errors
+/// The reason why it shows none.
+pub(crate) async fn certified(channel: &Channel, height: u64) -> Result<CertifiedBranch, String> {
+    let mut client = PeerClient::new(channel.clone());
+    let asked = client.certified(CertifiedRequest { height });
+    let answer = timeout(Duration::from_micros(SILENCE_MAX), asked).await.map_err(|_| "it is silent".to_owned())?;
+    let branch = answer.map_err(|status| status.message().to_owned())?.into_inner().branch;
+    let branch = match branch.is_empty() {
+        true => Err("it has no certificate".to_owned()),
+        false => CertifiedBranch::from_bytes(&branch).map_err(|refused| refused.to_string()),
+    };
+    branch.and_then(|branch| match branch.height() == height {
+        true => Ok(branch),
+        false => Err(format!("it shows block {}, not {height}", branch.height())),
+    })
 }
 
 fn who(member: &Member) -> Who {

@@ -22,7 +22,7 @@ mod passed;
 mod recent;
 
 pub(crate) use branches::OtherBlocks;
-pub(crate) use kept::{newest_proof, set_proofs_aside};
+pub(crate) use kept::{certified_up_to, newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
 
 use crate::ordering::Ordering;

@@ -94,6 +94,18 @@ pub(crate) fn newest_proof(data: &Path) -> Result<Option<Proof>, Rejection> {
     Kept::open(data)?.newest()
 }
 
+/// The newest height up to this one for which a data directory has a proof: the newest one, or that of a governing block; 0 if it
+/// has none.
+///
+/// # Errors
+/// A directory that cannot be read.
+pub(crate) fn certified_up_to(data: &Path, height: u64) -> Result<u64, Rejection> {
+    let kept = Kept::open(data)?;
+    let newest = kept.newest()?.map(|newest| newest.certificate.statement.height);
+    let governing = kept.names()?.into_iter().filter_map(|name| name.to_str()?.strip_suffix(".proof")?.parse().ok());
+    Ok(governing.chain(newest).filter(|certified| *certified <= height).max().unwrap_or_default())
+}
+
 /// Moves the proofs of blocks into another directory: they are of a history that this node leaves. Proofs of
 /// misbehaviour stay.
 ///
