@@ -224,8 +224,9 @@ fn begin(data: &Path, lost: Option<&Lost>) -> Result<String, Rejection> {
     let name = names.into_iter().find(|name| !data.join(name).exists() || free(name));
     let name = name.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
     ledger_base::durable::create_directory(&data.join(&name))?;
+    branches::keep_genesis(data, &data.join(&name))?;
     if let Some(lost) = lost {
-        branches::write_list(data, &data.join(&name), lost)?;
+        branches::write_list(&data.join(&name), lost)?;
     }
     let mark = format!("ledgerd rejoin has begun here\n{MARK_ASIDE}{name}\n");
     ledger_base::durable::replace(&data.join(REJOINING_FILE), mark.as_bytes(), PUBLIC_MODE)?;

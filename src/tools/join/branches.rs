@@ -416,11 +416,15 @@ fn clear(directory: &Path) -> Result<(), Rejection> {
     }
 }
 
-/// Writes the list, and what `ledgerd verify` needs besides, into the directory that keeps the own branch.
-pub(super) fn write_list(data: &Path, aside: &Path, lost: &Lost) -> Result<(), Rejection> {
+/// Copies the genesis beside blocks that are set aside, so that `ledgerd verify` reads them.
+pub(super) fn keep_genesis(data: &Path, aside: &Path) -> Result<(), Rejection> {
     let genesis = data.join(GENESIS_FILE);
     let bytes = fs::read(&genesis).map_err(|error| failed("read", &genesis, &error))?;
-    replace(&aside.join(GENESIS_FILE), &bytes, PUBLIC_MODE)?;
+    replace(&aside.join(GENESIS_FILE), &bytes, PUBLIC_MODE)
+}
+
+/// Writes the list into the directory that keeps the own branch.
+pub(super) fn write_list(aside: &Path, lost: &Lost) -> Result<(), Rejection> {
     let list = serde_json::to_vec_pretty(lost).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
     replace(&aside.join(LOST_FILE), &list, PUBLIC_MODE)
 }
