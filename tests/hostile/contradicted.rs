@@ -127,9 +127,15 @@ impl Scene {
             (self.certified.light(&self.salma).await.ok()? == "Org1/Farhad").then_some(())
         })
         .await;
-        let (_, shown, _) = self.certified.run(&self.salma, &["status", "-o", "json"]).await;
-        let status: Value = serde_json::from_str(&shown).unwrap();
-        assert!(status["node_id"].as_u64().unwrap() > 5, "{status}");
+        until("b1 is there under a new number, and has what was ordered since", || async {
+            let (_, shown, _) = self.certified.run(&self.salma, &["network", "status", "-o", "json"]).await;
+            let status: Value = serde_json::from_str(&shown).ok()?;
+            let nodes = status["nodes"].as_array()?;
+            let highest = nodes.iter().filter_map(|node| node["height"].as_u64()).max()?;
+            let b1 = nodes.iter().find(|node| node["name"] == "b1")?;
+            (b1["node_id"].as_u64()? > 5 && b1["height"].as_u64()? + 2 > highest).then_some(())
+        })
+        .await;
         back.check();
         back.interrupt();
     }

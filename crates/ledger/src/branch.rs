@@ -93,6 +93,9 @@ impl CertifiedBranch {
         if count > HEADERS_MAX {
             return Err(reader.malformed(&format!("{count} headers"), &format!("at most {HEADERS_MAX}")));
         }
+        if count == 0 && (height, previous) != (0, Hash::ZERO) {
+            return Err(reader.malformed("a place without headers", "height 0 and a hash of zeros"));
+        }
         let mut headers = Vec::new();
         for _ in 0..count {
             let header = Header { height, term: reader.u64()?, time: reader.u64()?, previous, root: reader.hash()? };
@@ -139,6 +142,9 @@ mod tests {
             assert_eq!(CertifiedBranch::new(wrong, certificate.clone()).unwrap_err().code, Code::Malformed);
         }
         let mut bytes = branch.to_bytes().to_vec();
+        bytes[DOMAIN.len() + 8] ^= 1;
+        assert_eq!(CertifiedBranch::from_bytes(&bytes).unwrap_err().code, Code::Malformed);
+        let mut bytes = CertifiedBranch::of(certificate).to_bytes().to_vec();
         bytes[DOMAIN.len() + 8] ^= 1;
         assert_eq!(CertifiedBranch::from_bytes(&bytes).unwrap_err().code, Code::Malformed);
     }

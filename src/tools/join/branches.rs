@@ -93,12 +93,15 @@ struct LostTransaction {
     verdict: &'static str,
 }
 
-/// The organisations that a stopped node knows, for TLS.
-struct Known(Arc<Ledger>);
+/// The organisations that a stopped node knows, for TLS. It holds no store, because connections end later than what they are used for.
+struct Known {
+    msps: Arc<Msps>,
+    governance: Governance,
+}
 
 impl TrustSource for Known {
     fn msps(&self) -> Arc<Msps> {
-        self.0.msps()
+        Arc::clone(&self.msps)
     }
 
     fn now(&self) -> u64 {
@@ -106,7 +109,7 @@ impl TrustSource for Known {
     }
 
     fn revoked(&self, identity: &Identity) -> bool {
-        self.0.check_revoked(identity).is_err()
+        self.governance.is_revoked(identity)
     }
 }
 
@@ -183,7 +186,10 @@ impl Own {
             network: ledger.network(),
             organisation: me.organisation.clone(),
             identity: tls.clone(),
-            trust: Arc::new(Known(Arc::clone(ledger))),
+            trust: Arc::new(Known {
+                msps: ledger.msps(),
+                governance: governance(&genesis, ledger, ledger.tip().height)?,
+            }),
             rules: Arc::new(config.dial_rules()),
             paces: Arc::default(),
         };
@@ -287,7 +293,7 @@ impl Own {
     ) -> Result<(), Rejection> {
         let own = &self.stores.ledger;
         let certified = certified_up_to(&config.data, common)?;
-        let known = self.governance(own, certified)?;
+        let known = governance(&self.genesis, own, certified)?;
         let (theirs, ours) = (other.changes(0, usize::MAX)?, own.changes(0, usize::MAX)?);
         for certificate in certificates {
             known.check_branch(&theirs, certificate)?;
@@ -302,10 +308,6 @@ impl Own {
             .found(format!("block {} at height {}, certified for this node", statement.block, statement.height))
             .wanted("one certified branch: blocks that a strict certificate covers are never dropped by a program")
             .next("people decide which branch stays: \"Two certified branches\" in docs/operations.md"))
-    }
-
-    fn governance(&self, ledger: &Ledger, height: u64) -> Result<Governance, Rejection> {
-        Genesis::governance(&self.genesis)?.as_of(height, &ledger.changes(0, usize::MAX)?)
     }
 
     /// What was executed here, and is not on the other branch.
@@ -346,6 +348,11 @@ impl Own {
             transactions,
         })
     }
+}
+
+/// The governance after a block of a ledger.
+fn governance(genesis: &[u8], ledger: &Ledger, height: u64) -> Result<Governance, Rejection> {
+    Genesis::governance(genesis)?.as_of(height, &ledger.changes(0, usize::MAX)?)
 }
 
 /// A newer certificate of that node than one of this height; none if it shows none.

@@ -263,7 +263,7 @@ codes! {
     Forked = 5008 "FORKED" Failure;
     /// A strict certificate contradicts the chain of this node.
     Contradicted = 5009 "CONTRADICTED" Failure,
-        "ledgerd rejoin --config FILE keeps this branch for auditors, verifies the certified one, and brings the node back under a new number";
+        "ledgerd rejoin --config FILE; it verifies the certified branch, keeps this one for auditors, and brings the node back";
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid,
