@@ -44,9 +44,9 @@ use passed::Passed;
 use recent::Recent;
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -58,6 +58,8 @@ const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// Time until the proofs of misbehaviour are sent to every member again: a member may have been away.
 const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
 
+/// Without a certificate for so long, a network does not certify now: nobody waits for one.
+const LAG_MAX: Duration = Duration::from_secs(2);
 /// Most old statements that are remembered because the signatures of a certificate were sent for them.
 const EXCHANGED_MAX: usize = 4096;
 
@@ -78,6 +80,8 @@ pub(crate) struct Certificates {
     /// Proofs that peers have sent.
     shown: Inbox,
     certified: AtomicU64,
+    /// Since when a block that is due has no certificate, and none has come.
+    lagging: Mutex<Option<Instant>>,
     evidence: Evidence,
     recent: Recent,
     kept: Kept,
@@ -97,7 +101,10 @@ impl Certificates {
         let evidence = Evidence::new(kept.misbehaviours()?, kept.kept_branch()?.as_ref());
         let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
-        Ok((Arc::new(Self { told, heard, shown, certified, evidence, recent, kept, passed }), events))
+        Ok((
+            Arc::new(Self { told, heard, shown, certified, lagging: Mutex::default(), evidence, recent, kept, passed }),
+            events,
+        ))
     }
 
     /// The statements that this node has signed last, as far as its record has them.
@@ -111,6 +118,28 @@ impl Certificates {
     /// The newest height for which this node has a certificate; 0 if there is none.
     pub(crate) fn certified(&self) -> u64 {
         self.certified.load(Relaxed)
+    }
+
+    /// Waits so long until a block is certified, itself or with a later one; is it? It does not wait for a block that is not due to be
+    /// certified, nor while the network certifies nothing.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) async fn reaches(&self, ledger: &Ledger, height: u64, patience: Duration) -> Result<bool, Rejection> {
+        let is_reached = || self.certified() >= height;
+        let is_due = ledger.block_hashes(height)?.is_some_and(|block| block.roots.is_some());
+        let lags = self.lagging().is_some_and(|since| since.elapsed() > LAG_MAX);
+        if is_reached() || !is_due || lags || patience.is_zero() {
+            return Ok(is_reached());
+        }
+        let mut added = self.recent.added();
+        let reached = async { while !is_reached() && added.changed().await.is_ok() {} };
+        let _perhaps_not = tokio::time::timeout(patience, reached).await;
+        Ok(is_reached())
+    }
+
+    fn lagging(&self) -> MutexGuard<'_, Option<Instant>> {
+        self.lagging.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The members that have lied, in words; empty if none has.
@@ -195,6 +224,7 @@ impl Observer for Certificates {
         if let Some(roots) = outcome.certifiable {
             let (height, time, block) = (header.height, header.time, outcome.hash);
             let block = Certifiable { height, time, block, results: roots.results };
+            self.lagging().get_or_insert_with(Instant::now);
             let _stopping = self.told.send(Told::Event(Event::Executed { block, governs }));
         }
         if governs {
@@ -318,6 +348,8 @@ impl Certifying {
             Effect::Certified { certificate, governs } => {
                 let height = certificate.statement.height;
                 self.certificates.certified.fetch_max(height, Relaxed);
+                let is_newest = height >= self.certifier.executed_height();
+                *self.certificates.lagging() = (!is_newest).then(Instant::now);
                 let newest = height == self.certificates.certified();
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());

@@ -68,6 +68,7 @@ struct Invoked {
     height: u64,
     index: u32,
     time: u64,
+    certified: bool,
     #[serde(flatten)]
     answer: DecodedBytes,
 }
@@ -116,6 +117,7 @@ impl Invoke {
             height: done.height,
             index: done.index,
             time: done.time,
+            certified: done.certified,
             answer: DecodedBytes::read(&done.response),
         })?;
         output.note(&format!("executed in block {}, transaction {}", done.height, done.id));
