@@ -68,10 +68,13 @@ impl Scene {
         let acquire = ["acquire", "Turtlebot4/cmd_vel", "--for", "10m", "-o", "json"];
         self.certified.does(&self.farhad, &acquire).await;
         let acquired = until("the dead side orders", || async {
-            let (code, shown, _) = self.dead.run(&self.salma, &acquire).await;
-            (code == 0).then(|| serde_json::from_str::<Value>(&shown).unwrap())
+            let (code, shown, noted) = self.dead.run(&self.salma, &acquire).await;
+            (code == 0).then(|| (serde_json::from_str::<Value>(&shown).unwrap(), noted))
         })
         .await;
+        let (acquired, noted) = acquired;
+        // On this side nothing is certified, and the answer says so.
+        assert!(acquired["certified"] == false && noted.contains("executed, not certified yet"), "{acquired} {noted}");
         until("the other side is certified", || async {
             let held = self.certified.light(&self.farhad).await.ok()?;
             (held == "Org1/Farhad").then_some(())
@@ -128,12 +131,15 @@ impl Scene {
         })
         .await;
         until("b1 is there under a new number, and has what was ordered since", || async {
+            let release = ["release", "Turtlebot4/cmd_vel", "-o", "json"];
+            let (code, shown, noted) = self.certified.run(&self.farhad, &release).await;
+            assert!(code != 0 || (shown.contains("\"certified\":true") && noted.is_empty()), "{shown} {noted}");
             let (_, shown, _) = self.certified.run(&self.salma, &["network", "status", "-o", "json"]).await;
             let status: Value = serde_json::from_str(&shown).ok()?;
             let nodes = status["nodes"].as_array()?;
             let highest = nodes.iter().filter_map(|node| node["height"].as_u64()).max()?;
             let b1 = nodes.iter().find(|node| node["name"] == "b1")?;
-            (b1["node_id"].as_u64()? > 5 && b1["height"].as_u64()? + 2 > highest).then_some(())
+            (b1["id"].as_u64()? > 5 && b1["height"].as_u64()? + 2 > highest).then_some(())
         })
         .await;
         back.check();

@@ -154,7 +154,9 @@ mod tests {
     #[test]
     fn an_invocation_in_json_is_flat_and_keeps_the_response_as_it_is() {
         let answer = DecodedBytes::read(br#"{"b":1,"a":2}"#);
-        let text = serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, answer }).unwrap();
+        let text =
+            serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, certified: true, answer })
+                .unwrap();
         assert!(
             text.ends_with(r#""height":3,"index":1,"time":9,"encoding":"json","response":{"b":1,"a":2}}"#),
             "{text}"
