@@ -53,7 +53,7 @@ enum Command {
     Init(setup::InitOptions),
     /// Brings a node into a network, with a token from one of its admins.
     Join(join::JoinOptions),
-    /// Brings a node back whose blocks are damaged or lost, under a new number; needs its certificate, and no token.
+    /// Brings a node back whose blocks are damaged, lost or contradicted, under a new number; needs its certificate, and no token.
     Rejoin(join::RejoinOptions),
     /// Copies a node, which may run, into a directory, and verifies the copy.
     Backup(backup::BackupOptions),
@@ -140,7 +140,7 @@ fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
             ExitCode::from(match rejection.code {
                 Code::ShuttingDown => INTERRUPTED,
                 Code::NotAMember => NO_MEMBER,
-                Code::Forked => FORKED,
+                Code::Forked | Code::Contradicted => FORKED,
                 code => code.class().exit_code().max(Class::Failure.exit_code()),
             })
         }

@@ -39,7 +39,7 @@ use ledger_replica::Executor;
 use ledger_replica::catch_up::Ballot;
 use ledger_replica::certifier::{Certifier, Earlier};
 use question::Bootstrap;
-use quorum_certificates::{Certificates, Certifying, Keys, era};
+use quorum_certificates::{Certificates, Certifying, Keys, OtherBlocks, era};
 use reachability::Reachability;
 use service::PeerService;
 use std::collections::BTreeSet;
@@ -132,6 +132,7 @@ impl Peers {
             },
             asking: Asking {
                 monitor: Arc::clone(&peers.monitor),
+                certificates: Arc::clone(&peers.certificates),
                 ordering: Arc::clone(ordering),
                 reachability: Arc::clone(&peers.reachability),
                 dialer: peers.dialer.clone(),
@@ -141,6 +142,7 @@ impl Peers {
                 certifier: Certifier::new(me.id, ledger.network(), keys(), era(ledger)?, earlier),
                 keys: keys(),
                 exchanged: BTreeSet::new(),
+                others: OtherBlocks::default(),
                 ordering: Arc::clone(ordering),
                 connections: Arc::clone(&peers.connections),
                 me: me.id,
@@ -153,7 +155,7 @@ impl Peers {
 
     /// The service that other nodes call.
     pub(crate) fn service(self: &Arc<Self>, ordering: &Arc<Ordering>) -> PeerService {
-        let source = Source::new(ordering, &self.monitor, self.receipts.clone());
+        let source = Source::new(ordering, (&self.monitor, &self.certificates), self.receipts.clone());
         let (peers, slot) = (Arc::clone(self), Arc::clone(&ordering.slot));
         let deliver = Box::new(move |from, message| {
             let message = match message {

@@ -19,6 +19,8 @@ pub const ALL: &[(&str, Round)] = &[
     ("BlocksRequest", round::<v1::BlocksRequest>),
     ("CertificateRule", round::<v1::CertificateRule>),
     ("CertificateStatus", round::<v1::CertificateStatus>),
+    ("CertifiedRequest", round::<v1::CertifiedRequest>),
+    ("CertifiedResponse", round::<v1::CertifiedResponse>),
     ("ChainRequest", round::<v1::ChainRequest>),
     ("ChainResponse", round::<v1::ChainResponse>),
     ("CopyCaRequest", round::<v1::CopyCaRequest>),

@@ -170,7 +170,7 @@ impl Gateway for GatewayService {
         request: Request<GetTransactionRequest>,
     ) -> Result<Response<TransactionRecord>, Status> {
         let caller = self.caller(&request)?;
-        answer(self.records.transaction(&caller, &request.into_inner().id).await)
+        answer(self.records.transaction(&caller, &request.into_inner()).await)
     }
 
     type GovernanceStream = Pin<Box<dyn Stream<Item = Result<GovernanceStep, Status>> + Send>>;

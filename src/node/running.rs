@@ -11,7 +11,7 @@ use crate::process::failure::advised;
 use crate::process::meters::Meters;
 use crate::process::telemetry;
 use crate::storage::Storage;
-use crate::storage::files::refuse_restored;
+use crate::storage::files::{refuse_contradicted, refuse_restored};
 use crate::trust::credentials::NodeCredentials;
 use crate::trust::membership::nothing_here;
 use crate::trust::renewal;
@@ -128,6 +128,7 @@ impl Node {
         let started = Instant::now();
         let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         refuse_restored(config)?;
+        refuse_contradicted(config)?;
         let meters = Meters::default();
         let storage = Storage::open(config, genesis, registry, &meters)?;
         let credentials = NodeCredentials::read(config)?;

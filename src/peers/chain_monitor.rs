@@ -18,6 +18,7 @@ use crate::storage::files::DIVERGED_FILE;
 use crate::ordering::directory::Member;
 use crate::peers::connections::Dialer;
 use crate::peers::question::Asked;
+use crate::peers::quorum_certificates::Certificates;
 use crate::peers::reachability::Reachability;
 use confirmed::Confirmed;
 use ledger::Ledger;
@@ -38,6 +39,10 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 const ASK_EVERY: Duration = Duration::from_secs(5);
 /// How long a node reaches no leader before it asks whether it was removed.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// How long a node whose certificates are strict looks for a certificate of the other history, before it stops without one.
+const FORKED_PATIENCE: Duration = Duration::from_secs(10);
+/// Most nodes with another block that are asked for a certificate in a round.
+const BRANCHES_MAX: usize = 8;
 
 type Machine = company::Company<Arc<Ledger>>;
 
@@ -140,6 +145,7 @@ impl ChainMonitor {
 /// The task that asks.
 pub(crate) struct Asking {
     pub monitor: Arc<ChainMonitor>,
+    pub certificates: Arc<Certificates>,
     pub ordering: Arc<Ordering>,
     pub reachability: Arc<Reachability>,
     pub dialer: Dialer,
@@ -150,7 +156,7 @@ impl Asking {
     pub(crate) async fn run(self) {
         let mut time = interval(LOOK_EVERY);
         time.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut asked: Option<Instant> = None;
+        let (mut asked, mut forked): (Option<Instant>, Option<Instant>) = (None, None);
         loop {
             time.tick().await;
             let cut_off = self.monitor.cut_off_for(&self.reachability);
@@ -158,8 +164,14 @@ impl Asking {
             if asked.is_none_or(|asked| hurries || asked.elapsed() >= ASK_EVERY) {
                 asked = Some(Instant::now());
                 match self.round(cut_off > PATIENCE).await {
+                    Ok(Some(end)) if end.code == Code::Forked && self.is_strict() => {
+                        let since = *forked.get_or_insert_with(Instant::now);
+                        if since.elapsed() > FORKED_PATIENCE {
+                            return self.stop(uncertified(&end)).await;
+                        }
+                    }
                     Ok(Some(end)) => return self.stop(end).await,
-                    Ok(None) => {}
+                    Ok(None) => forked = None,
                     Err(fault) => {
                         tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chains of the others")
                     }
@@ -183,6 +195,7 @@ impl Asking {
         let mut height = None;
         loop {
             let said = self.ask(&asked, height.unwrap_or(u64::MAX)).await;
+            self.ask_for_certificates(&said, &members).await;
             let follows = self.monitor.machine().heard(&said, &place, height)?;
             match follows {
                 Follows::Nothing => return Ok(None),
@@ -209,6 +222,23 @@ impl Asking {
         self.monitor.off.store(offsets::ahead_of_this(voters.copied()), Memory::Relaxed);
         *self.monitor.clocks() = clocks;
         answers.into_iter().map(|Asked { who, has, at, stranger, .. }| Said { who, has, at, stranger }).collect()
+    }
+
+    /// Asks those that have another block for the certificate that covers it. A strict one contradicts this node.
+    async fn ask_for_certificates(&self, said: &[Said], members: &[Member]) {
+        let differs =
+            |at: &Point| self.monitor.own(at.height).is_some_and(|own| own.height == at.height && own.hash != at.hash);
+        let other = said.iter().filter_map(|one| Some((one.who.id, one.at.filter(differs)?.height)));
+        for (id, height) in other.take(BRANCHES_MAX) {
+            let Some(member) = members.iter().find(|member| member.id == id) else { continue };
+            if let Some(branch) = self.dialer.certified(member, height).await {
+                self.certificates.branch(branch);
+            }
+        }
+    }
+
+    fn is_strict(&self) -> bool {
+        self.ordering.storage.ledger.voters().is_ok_and(|voters| voters.rule.strict_since.is_some())
     }
 
     /// This node is wrong: it stops serving, and says where that began.
@@ -240,4 +270,15 @@ impl ChainMonitor {
         let confirmed = self.machine().confirmed().clone();
         self.kept.write(&confirmed);
     }
+}
+
+/// Most voters have another history, and nobody shows a certificate of it.
+fn uncertified(reason: &Rejection) -> Rejection {
+    Rejection::new(Code::Forked, "most voters have another history than this node, and neither is certified")
+        .found(reason.found.clone())
+        .wanted(reason.wanted.clone())
+        .next(
+            "stop all nodes, choose a history, and type ledgerd recover --force-single --config FILE on the node with its newest \
+             blocks: \"No history is certified\" in docs/operations.md",
+        )
 }

@@ -7,10 +7,11 @@ use crate::process::clock::wall;
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
 use futures::stream::FuturesUnordered;
+use ledger::branch::CertifiedBranch;
 use ledger_api::v1::peer_client::PeerClient;
-use ledger_api::v1::{ChainRequest, ChainResponse};
+use ledger_api::v1::{CertifiedRequest, ChainRequest, ChainResponse};
 use ledger_base::hash::Hash;
-use ledger_replica::catch_up::{ASK_TIME_MAX, Holding, RECEIPTS_MAX, Who};
+use ledger_replica::catch_up::{ASK_TIME_MAX, Holding, RECEIPTS_MAX, SILENCE_MAX, Who};
 use ledger_replica::company::Point;
 use ledger_replica::offsets::Offset;
 use std::time::Duration;
@@ -161,6 +162,40 @@ impl Dialer {
         });
         asked.collect::<FuturesUnordered<_>>().filter_map(|answer| async move { answer }).collect().await
     }
+}
+
+impl Dialer {
+    /// The certified part of a member's chain from a height on; none if it has none, or does not answer.
+    pub(crate) async fn certified(&self, member: &Member, height: u64) -> Option<CertifiedBranch> {
+        let answer = async { certified(&self.channel(member).await?, height).await };
+        let shown = timeout(Duration::from_micros(ASK_TIME_MAX), answer)
+            .await
+            .unwrap_or_else(|_| Err("it is silent".to_owned()));
+        shown
+            .inspect_err(|reason| {
+                tracing::debug!(node = %member.full_name(), reason, "the peer does not show a certificate of its chain");
+            })
+            .ok()
+    }
+}
+
+/// The certified part of the chain of a node from a height on. No signature is checked.
+///
+/// # Errors
+/// The reason why it shows none.
+pub(crate) async fn certified(channel: &Channel, height: u64) -> Result<CertifiedBranch, String> {
+    let mut client = PeerClient::new(channel.clone());
+    let asked = client.certified(CertifiedRequest { height });
+    let answer = timeout(Duration::from_micros(SILENCE_MAX), asked).await.map_err(|_| "it is silent".to_owned())?;
+    let branch = answer.map_err(|status| status.message().to_owned())?.into_inner().branch;
+    let branch = match branch.is_empty() {
+        true => Err("it has no certificate".to_owned()),
+        false => CertifiedBranch::from_bytes(&branch).map_err(|refused| refused.to_string()),
+    };
+    branch.and_then(|branch| match branch.height() == height {
+        true => Ok(branch),
+        false => Err(format!("it shows block {}, not {height}", branch.height())),
+    })
 }
 
 fn who(member: &Member) -> Who {

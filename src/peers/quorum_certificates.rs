@@ -4,6 +4,7 @@
 //! certificates   the task around the machine of `ledger_replica::certifier`; the view of the rest of the node
 //!   keys         the node's key, and whose certificates are believed
 //!   inbox        statements of peers that wait: a few of each
+//!   branches     certificates of other blocks than this node has
 //!   evidence     proofs of misbehaviour
 //!   kept         the files below the data directory
 //!   recent       the newest certificates, for those who ask for a proof
@@ -12,6 +13,7 @@
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
 
+mod branches;
 mod evidence;
 mod inbox;
 mod kept;
@@ -19,7 +21,8 @@ mod keys;
 mod passed;
 mod recent;
 
-pub(crate) use kept::{newest_proof, set_proofs_aside};
+pub(crate) use branches::OtherBlocks;
+pub(crate) use kept::{certified_up_to, newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
 
 use crate::ordering::Ordering;
@@ -29,6 +32,7 @@ use crate::storage::files::DIVERGED_FILE;
 use evidence::Evidence;
 use inbox::Inbox;
 use kept::Kept;
+use ledger::branch::CertifiedBranch;
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::fact::Fact;
@@ -40,9 +44,9 @@ use passed::Passed;
 use recent::Recent;
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -54,6 +58,8 @@ const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// Time until the proofs of misbehaviour are sent to every member again: a member may have been away.
 const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
 
+/// Without a certificate for so long, a network does not certify now: nobody waits for one.
+const LAG_MAX: Duration = Duration::from_secs(2);
 /// Most old statements that are remembered because the signatures of a certificate were sent for them.
 const EXCHANGED_MAX: usize = 4096;
 
@@ -63,6 +69,8 @@ pub(crate) enum Told {
     Event(Event),
     /// A node has misbehaved, as this node has seen.
     Misbehaved(Box<Misbehaviour>),
+    /// The certified part of the branch of another node.
+    Branch(Box<CertifiedBranch>),
 }
 
 /// The view that the rest of the node has of its certificates.
@@ -72,6 +80,8 @@ pub(crate) struct Certificates {
     /// Proofs that peers have sent.
     shown: Inbox,
     certified: AtomicU64,
+    /// Since when a block that is due has no certificate, and none has come.
+    lagging: Mutex<Option<Instant>>,
     evidence: Evidence,
     recent: Recent,
     kept: Kept,
@@ -88,10 +98,13 @@ impl Certificates {
         // Bounded by what is executed, which takes longer than signing.
         let (told, events) = mpsc::unbounded_channel();
         let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
-        let evidence = Evidence::new(kept.misbehaviours()?);
+        let evidence = Evidence::new(kept.misbehaviours()?, kept.kept_branch()?.as_ref());
         let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
-        Ok((Arc::new(Self { told, heard, shown, certified, evidence, recent, kept, passed }), events))
+        Ok((
+            Arc::new(Self { told, heard, shown, certified, lagging: Mutex::default(), evidence, recent, kept, passed }),
+            events,
+        ))
     }
 
     /// The statements that this node has signed last, as far as its record has them.
@@ -105,6 +118,28 @@ impl Certificates {
     /// The newest height for which this node has a certificate; 0 if there is none.
     pub(crate) fn certified(&self) -> u64 {
         self.certified.load(Relaxed)
+    }
+
+    /// Waits so long until a block is certified, itself or with a later one; is it? It does not wait for a block that is not due to be
+    /// certified, nor while the network certifies nothing.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) async fn reaches(&self, ledger: &Ledger, height: u64, patience: Duration) -> Result<bool, Rejection> {
+        let is_reached = || self.certified() >= height;
+        let is_due = ledger.block_hashes(height)?.is_some_and(|block| block.roots.is_some());
+        let lags = self.lagging().is_some_and(|since| since.elapsed() > LAG_MAX);
+        if is_reached() || !is_due || lags || patience.is_zero() {
+            return Ok(is_reached());
+        }
+        let mut added = self.recent.added();
+        let reached = async { while !is_reached() && added.changed().await.is_ok() {} };
+        let _perhaps_not = tokio::time::timeout(patience, reached).await;
+        Ok(is_reached())
+    }
+
+    fn lagging(&self) -> MutexGuard<'_, Option<Instant>> {
+        self.lagging.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The members that have lied, in words; empty if none has.
@@ -189,6 +224,7 @@ impl Observer for Certificates {
         if let Some(roots) = outcome.certifiable {
             let (height, time, block) = (header.height, header.time, outcome.hash);
             let block = Certifiable { height, time, block, results: roots.results };
+            self.lagging().get_or_insert_with(Instant::now);
             let _stopping = self.told.send(Told::Event(Event::Executed { block, governs }));
         }
         if governs {
@@ -236,6 +272,8 @@ pub(crate) struct Certifying {
     pub me: u64,
     /// Heights and nodes for whose statements the signatures of a certificate were sent.
     pub exchanged: BTreeSet<(u64, u64)>,
+    /// Other blocks than this node has.
+    pub others: OtherBlocks,
     /// Executed blocks and proofs.
     pub told: mpsc::UnboundedReceiver<Told>,
 }
@@ -256,11 +294,16 @@ impl Certifying {
                         self.misbehaved(&proof, self.me).await;
                         continue;
                     }
+                    Some(Told::Branch(branch)) => {
+                        self.judge_branch(*branch).await;
+                        continue;
+                    }
                     None => return,
                 },
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
                     Ok(signed) => {
                         self.compare(&signed).await;
+                        self.hear_of_branch(from, &signed);
                         Event::Heard { from, signed }
                     }
                     Err(reason) => {
@@ -288,6 +331,7 @@ impl Certifying {
             for effect in effects.drain(..) {
                 self.act(effect, &mut written).await;
             }
+            self.look_at_branches().await;
         }
     }
 
@@ -304,6 +348,8 @@ impl Certifying {
             Effect::Certified { certificate, governs } => {
                 let height = certificate.statement.height;
                 self.certificates.certified.fetch_max(height, Relaxed);
+                let is_newest = height >= self.certifier.executed_height();
+                *self.certificates.lagging() = (!is_newest).then(Instant::now);
                 let newest = height == self.certificates.certified();
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());

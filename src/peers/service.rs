@@ -141,6 +141,14 @@ impl Peer for PeerService {
         self.source.digest(request.into_inner().height).map(Response::new)
     }
 
+    async fn certified(
+        &self,
+        request: Request<v1::CertifiedRequest>,
+    ) -> Result<Response<v1::CertifiedResponse>, Status> {
+        self.reader(&request)?;
+        self.source.certified(request.into_inner().height).await.map(Response::new)
+    }
+
     async fn writes(&self, request: Request<v1::WritesRequest>) -> Result<Response<v1::WritesResponse>, Status> {
         self.sender(&request)?;
         Ok(Response::new(self.source.writes(request.into_inner().height)))

@@ -14,7 +14,7 @@
 //! **Newcomers.** A node that has joined has a ledger that stands at the genesis: it does not know the network as it is,
 //! nor perhaps its own organisation. The join token names nodes and their CA, which it asks as well, and believes.
 
-mod blocks;
+pub(crate) mod blocks;
 mod first_look;
 mod serve;
 mod snapshot;

@@ -1,10 +1,12 @@
 //! Names of files in the data directory, and the marks that keep a node from starting.
 
 use crate::process::config::Config;
+use ledger::branch::{BRANCH_BYTES_MAX, CertifiedBranch};
 use ledger_base::durable::read;
 use ledger_base::rejection::{Code, Rejection};
 use serde::Deserialize;
 use std::fs;
+use std::path::Path;
 
 /// The node's certificate, with those above it.
 pub(crate) const CERTIFICATE_FILE: &str = "node.pem";
@@ -16,6 +18,8 @@ pub(crate) const JOINED_FILE: &str = "node.json";
 pub(crate) const DIVERGED_FILE: &str = "diverged";
 /// Heights that voters have confirmed, across restarts: JSON, the number of each voter with a height and its receipt.
 pub(crate) const CONFIRMED_FILE: &str = "confirmed.json";
+/// The mark of a chain that a strict certificate contradicts: the certificate, as [`ledger::branch::CertifiedBranch`] encodes it.
+pub(crate) const CONTRADICTED_FILE: &str = "contradicted";
 /// The mark of a data directory that is a copy: the manifest of the backup.
 pub(crate) const RESTORED_FILE: &str = "restored.json";
 /// The mark of a rejoin that has begun and not ended.
@@ -55,6 +59,36 @@ pub(crate) fn refuse_restored(config: &Config) -> Result<(), Rejection> {
             "ledgerd rejoin --config {file}, if another node of the network runs; if all are lost: \
              ledgerd recover --force-single --config {file}"
         )))
+}
+
+/// Refuses a data directory whose chain a strict certificate contradicts.
+///
+/// # Errors
+/// [`Code::Contradicted`] with the command that brings the node back.
+pub(crate) fn refuse_contradicted(config: &Config) -> Result<(), Rejection> {
+    match contradicted_by(&config.data)? {
+        None => Ok(()),
+        Some(branch) => Err(Rejection::new(
+            Code::Contradicted,
+            "this node has stopped because enough voters have certified another block than it has executed",
+        )
+        .found(format!("the certificate of block {}", branch.certificate().statement.height))
+        .wanted(format!("block {} at height {}", branch.block(), branch.height()))),
+    }
+}
+
+/// The certified part of another branch that contradicts the chain in this data directory; none if nothing does.
+///
+/// # Errors
+/// A file that cannot be read.
+pub(crate) fn contradicted_by(data: &Path) -> Result<Option<CertifiedBranch>, Rejection> {
+    let mark = data.join(CONTRADICTED_FILE);
+    if fs::symlink_metadata(&mark).is_err() {
+        return Ok(None);
+    }
+    CertifiedBranch::from_bytes(&read(&mark, BRANCH_BYTES_MAX)?)
+        .map(Some)
+        .map_err(|refused| refused.prefix(format_args!("{}: ", mark.display())))
 }
 
 /// Refuses a data directory in which a rejoin was interrupted.

@@ -63,7 +63,11 @@ fn open_directory(directory: &Path) -> Result<RealDisk, Rejection> {
     })
 }
 
-fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> {
+/// Opens the log of a data directory.
+///
+/// # Errors
+/// As [`Stores::open`].
+pub(crate) fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> {
     let disk = open_directory(&config.data.join(BLOCKS_DIRECTORY))?;
     // One number from the system; each segment's salt follows from it, unknown to clients.
     let (seed, mut segment) = (random::number()?, 0u64);

@@ -13,6 +13,7 @@
 //! | submit `msp join_node` as the node | its record on the ledger, `node.json` |
 
 mod again;
+mod branches;
 mod identity;
 mod place;
 

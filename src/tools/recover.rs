@@ -14,8 +14,9 @@ use crate::ordering::directory::{Directory, Member};
 use crate::peers::chain_monitor::confirmed_heights;
 use crate::process::clock::wall;
 use crate::process::config::Config;
+use crate::process::failure::advised;
 use crate::storage::files::RESTORED_FILE;
-use crate::storage::files::refuse_rejoining;
+use crate::storage::files::{refuse_contradicted, refuse_rejoining};
 use crate::storage::stores::Stores;
 use crate::trust::credentials::NodeCredentials;
 use crate::trust::membership::{Joined, own_membership};
@@ -90,6 +91,7 @@ impl Survivor {
     fn open(builder: &NodeBuilder, config: &Config) -> Result<Self, Rejection> {
         let genesis = fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         refuse_rejoining(config)?;
+        refuse_contradicted(config).map_err(|reason| advised(reason, config))?;
         let stores = Stores::open(config, &genesis, builder.registry()?)?;
         let (ledger, papers) = (&stores.ledger, NodeCredentials::read(config)?);
         let members = Directory::read(ledger).members().to_vec();

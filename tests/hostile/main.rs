@@ -9,6 +9,7 @@
 //! | `liars` | is a member, or an admin, that abuses its rights |
 //! | `pretenders` | is a node that lies about the ordering protocol |
 //! | `equivocation` | is a voter that signs different things for one place |
+//! | `contradicted` | is an organisation whose voters make another node execute what nobody certifies |
 //! | `twice` | is an organisation that runs its voter twice |
 //! | `target` | the node that is attacked, and its people |
 //!
@@ -16,6 +17,7 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, clippy::print_stdout, reason = "tests")]
 
+mod contradicted;
 mod crowd;
 mod equivocation;
 mod greedy;

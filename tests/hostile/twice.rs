@@ -11,13 +11,13 @@ use std::process::Command;
 use testkit::own_network::isolated;
 
 /// A part of the network that hears nothing of the rest: a network namespace of its own.
-struct Side {
+pub(crate) struct Side {
     holder: Process,
-    nodes: Vec<Process>,
+    pub(crate) nodes: Vec<Process>,
 }
 
 impl Side {
-    fn new(fleet: &Fleet, name: &str) -> Self {
+    pub(crate) fn new(fleet: &Fleet, name: &str) -> Self {
         let mut command = Command::new("unshare");
         command.args(["-n", "sh", "-c", "ip link set lo up && echo up && exec sleep 600"]);
         let mut holder = Process::start(name, fleet.path(), command);
@@ -26,7 +26,7 @@ impl Side {
     }
 
     /// The command, in this part.
-    fn within(&self, command: &Command) -> Command {
+    pub(crate) fn within(&self, command: &Command) -> Command {
         let mut inside = Command::new("nsenter");
         inside.args(["-t", &self.holder.id().to_string(), "-n", "--"]).arg(command.get_program());
         inside.args(command.get_args());
@@ -39,12 +39,12 @@ impl Side {
         inside
     }
 
-    fn start(&mut self, place: &NodePlace) {
+    pub(crate) fn start(&mut self, place: &NodePlace) {
         self.nodes.push(place.start_as(self.within(&place.command())));
     }
 
     /// Runs `ledgerctl` in this part until it succeeds.
-    async fn does(&self, user: &Ctl, words: &[&str]) {
+    pub(crate) async fn does(&self, user: &Ctl, words: &[&str]) {
         until(&format!("{words:?} is done"), || async {
             let done = self.run(user, words).await;
             (done.0 == 0).then_some(())
@@ -52,7 +52,7 @@ impl Side {
         .await;
     }
 
-    async fn run(&self, user: &Ctl, words: &[&str]) -> (i32, String, String) {
+    pub(crate) async fn run(&self, user: &Ctl, words: &[&str]) -> (i32, String, String) {
         let mut command = tokio::process::Command::from(self.within(&user.command(words)));
         let done = command.stdin(std::process::Stdio::null()).output().await.unwrap();
         let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
@@ -60,7 +60,7 @@ impl Side {
     }
 
     /// The holder of the robot as voters have signed it, or the reason why nobody believes it.
-    async fn light(&self, user: &Ctl) -> Result<Value, String> {
+    pub(crate) async fn light(&self, user: &Ctl) -> Result<Value, String> {
         match self.run(user, &["light", "Turtlebot4", "-o", "json"]).await {
             (0, shown, _) => {
                 let shown: Value = serde_json::from_str(&shown).unwrap();
@@ -73,14 +73,14 @@ impl Side {
 
 /// A network of so many organisations with a voter each. The first one runs its voter twice: once with the first half of the
 /// others, once with the second half. In each part a user acquires the robot.
-struct Twice {
-    fleet: Fleet,
-    sides: [Side; 2],
-    users: [Ctl; 2],
+pub(crate) struct Twice {
+    pub(crate) fleet: Fleet,
+    pub(crate) sides: [Side; 2],
+    pub(crate) users: [Ctl; 2],
 }
 
 impl Twice {
-    async fn new(organisations: usize) -> Self {
+    pub(crate) async fn new(organisations: usize) -> Self {
         let wish = |number: usize| NodeWish {
             name: format!("node{number}"),
             organisation: format!("Org{number}"),
@@ -114,7 +114,7 @@ impl Twice {
     }
 
     /// Both users acquire the robot.
-    async fn acquire(&self) {
+    pub(crate) async fn acquire(&self) {
         for (side, user) in self.sides.iter().zip(&self.users) {
             side.does(user, &["acquire", "Turtlebot4/cmd_vel", "--for", "10m"]).await;
         }
@@ -160,6 +160,6 @@ fn with_three_voters_a_voter_that_runs_twice_has_both_stories_certified_as_the_t
     });
 }
 
-fn runtime() -> tokio::runtime::Runtime {
+pub(crate) fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
 }

@@ -55,6 +55,9 @@ use session::Session;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// How long an outcome is waited for to be certified: a majority of the voters is one exchange of messages away.
+const CERTIFIED_WITHIN: Duration = Duration::from_secs(2);
+
 /// How patient a client is.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
@@ -65,11 +68,18 @@ pub struct Options {
     /// How long after now transactions of [`Client::invoke`] may still be executed, by the node's clock. Longer than
     /// `deadline`, or a late retry expires instead of being answered.
     pub ttl: Duration,
+    /// How long [`Client::invoke`] waits until its outcome is certified, where the network certifies now.
+    pub certified: Duration,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { deadline: Duration::from_secs(10), connect: Duration::from_secs(3), ttl: Duration::from_secs(30) }
+        Self {
+            deadline: Duration::from_secs(10),
+            connect: Duration::from_secs(3),
+            ttl: Duration::from_secs(30),
+            certified: CERTIFIED_WITHIN,
+        }
     }
 }
 
@@ -99,6 +109,9 @@ pub struct Committed {
     pub time: u64,
     /// The answer of the function.
     pub response: Bytes,
+    /// Enough voters have signed its block or a later one, as the node says. [`Client::invoke`] waits for that; other ways to submit do
+    /// not. Under a leader that lies, only certified outcomes are final.
+    pub certified: bool,
 }
 
 /// A connection to a network as one identity. Clones share it; it ends with the last clone.
@@ -179,11 +192,22 @@ impl Client {
         transaction.with_certificate(Bytes::copy_from_slice(own.certificate()))
     }
 
-    /// Signs a call, submits it and waits for its verdict.
+    /// Signs a call, submits it and waits for its verdict; then until that is certified, for as long as [`Options::certified`] says.
     ///
     /// # Errors
-    /// The verdict, if it is not 0. [`Code::Timeout`] if the outcome is unknown: the text has the id.
+    /// The verdict, if it is not 0. [`Code::Timeout`] if the outcome is unknown: the text has the id. [`Code::Contradicted`] if a node
+    /// has executed it, and the network does not have it.
     pub async fn invoke(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
+        let done = self.executed(chaincode, function, args).await?;
+        match self.certified(done.id, self.session.options.certified).await {
+            Ok(certified) => Ok(Committed { certified, ..done }),
+            Err(refused) if refused.code == Code::NotFound => Err(lost(&done)),
+            // Nobody answers that question now.
+            Err(_) => Ok(done),
+        }
+    }
+
+    async fn executed(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
         let call = Call { chaincode: chaincode.into(), function: function.into(), args, ttl: self.session.options.ttl };
         let first = self.submit(self.prepare(call.clone())?).await;
         match first {
@@ -249,4 +273,16 @@ impl Client {
     pub fn height_seen(&self) -> u64 {
         self.session.height_seen()
     }
+}
+
+/// A node has answered that a transaction was executed, and another one has no such transaction.
+fn lost(done: &Committed) -> Rejection {
+    let Committed { id, height, .. } = done;
+    Rejection::new(
+        Code::Contradicted,
+        format!("transaction {id} was executed by a node, and the network does not have it"),
+    )
+    .found(format!("an answer for block {height} that is not certified"))
+    .wanted("a certified outcome")
+    .next("look at ledgerctl network status, and call again what is still wanted")
 }

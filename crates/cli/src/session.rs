@@ -2,6 +2,7 @@
 
 use crate::context;
 use crate::global::Global;
+use crate::output::{Format, warn};
 use bytes::Bytes;
 use ledger_api::{Client, Committed, Context};
 use ledger_base::hash::Hash;
@@ -20,24 +21,37 @@ pub(crate) struct Session {
     context: Context,
     /// For what is no call of a chaincode.
     pub(crate) client: Client,
+    format: Format,
 }
 
 impl Session {
     /// Connects as the context that the command line, the environment or `context use` selects.
     pub(crate) async fn open(global: &Global) -> Result<Self, Rejection> {
-        let session = Self::connect(context::selected(global)?).await?;
+        let session = Self { format: global.format(), ..Self::connect(context::selected(global)?).await? };
         global.upkeep.begin(global.format(), &session.context, &session.client);
         Ok(session)
     }
 
     /// Connects as this context, to whichever of its nodes serves.
     pub(crate) async fn connect(context: Context) -> Result<Self, Rejection> {
-        Ok(Self { client: Client::connect(&context).await?, context })
+        Ok(Self { client: Client::connect(&context).await?, context, format: Format::Table })
     }
 
-    /// Calls a function in a transaction and waits for its verdict.
+    /// Calls a function in a transaction and waits for its verdict, and a moment until that is certified. Warns if it is not.
     pub(crate) async fn call(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
-        self.client.invoke(chaincode, function, args).await
+        let done = self.client.invoke(chaincode, function, args).await?;
+        self.warn_uncertified(&done.id, done.certified);
+        Ok(done)
+    }
+
+    /// Warns if the outcome of a transaction is not certified.
+    pub(crate) fn warn_uncertified(&self, id: &Hash, certified: bool) {
+        if !certified {
+            let message = format!(
+                "transaction {id} is executed, not certified yet: if the leader lies, only certified outcomes are final"
+            );
+            warn(self.format, &message, &format!("look again: ledgerctl tx {id}"));
+        }
     }
 
     /// Calls a function on the committed state.

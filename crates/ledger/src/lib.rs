@@ -12,6 +12,7 @@
 //! | [`msp`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
 //! | [`network`], [`Rules`] | the genesis; the numbers of the rules by which blocks are executed |
 //! | [`evidence`] | one file that proves a transaction to somebody without a network |
+//! | [`branch`] | headers of another branch up to a block that voters have certified |
 //! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
 //! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
 //!
@@ -43,6 +44,7 @@
 //! ```
 
 pub mod block;
+pub mod branch;
 mod call_ref;
 mod chain;
 mod chaincode;

@@ -276,6 +276,47 @@ impl Governance {
         earlier.try_fold(self.clone(), |before, change| before.after(change))
     }
 
+    /// The governance after the block at a height, by these changes of the reader's own chain, which the reader has executed.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if keys are not in order.
+    pub fn as_of(&self, height: u64, changes: &[Change]) -> Result<Self, Rejection> {
+        let after = self.before(height.saturating_add(1), changes)?;
+        Ok(Self { height: height.max(self.height), ..after })
+    }
+
+    /// Is it a strict certificate, by the voters that are known here?
+    ///
+    /// # Errors
+    /// [`Code::Untrusted`] if certificates are not strict here; as [`Certificate::verify`].
+    pub fn check_strict(&self, certificate: &Certificate) -> Result<(), Rejection> {
+        if self.certificate_rule()?.strict_since.is_none() {
+            return Err(Rejection::new(Code::Untrusted, "certificates are not strict as of this block")
+                .found(format!("a certificate of block {}", certificate.statement.height))
+                .wanted("a strict certificate: one organisation that lies can complete two others"));
+        }
+        self.check(certificate)
+    }
+
+    /// Is it a strict certificate of a branch that begins here? That is by the voters that are known here, and by all voters after
+    /// the changes of the branch, up to those as of the block before the certified one.
+    ///
+    /// # Errors
+    /// As [`Governance::check_strict`].
+    pub fn check_branch(&self, changes: &[Change], certificate: &Certificate) -> Result<(), Rejection> {
+        let height = certificate.statement.height;
+        let mut since = self.clone();
+        since.check_strict(certificate)?;
+        for change in changes.iter().filter(|change| change.height > self.height && change.height < height) {
+            let before = since.voters()?;
+            since = since.after(change)?;
+            if since.voters()? != before {
+                since.check_strict(certificate)?;
+            }
+        }
+        since.check_strict(certificate)
+    }
+
     /// Its values, as if one block had written them all.
     pub(crate) fn all(&self) -> Change {
         let writes = self.state.iter().map(|(key, value)| (key.clone(), Some(value.clone()))).collect();

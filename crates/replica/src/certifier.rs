@@ -204,6 +204,16 @@ impl<S: Signing> Certifier<S> {
         self.heights.get(&height).is_some_and(|entry| entry.own.is_some())
     }
 
+    /// The newest height that was executed and is to be certified.
+    pub fn executed_height(&self) -> u64 {
+        self.executed
+    }
+
+    /// Does this node state the same about that block?
+    pub fn agrees_with(&self, statement: &Statement) -> bool {
+        self.heights.get(&statement.height).and_then(|entry| entry.own).is_some_and(|(own, _)| own == *statement)
+    }
+
     /// Does a statement of this node wait until its block is on the disk?
     pub fn waits_for_disk(&self) -> bool {
         self.heights.range(self.durable + 1..).any(|(_, height)| height.own.is_some())

@@ -6,7 +6,9 @@ use crate::ordering::waiters::verdict_of;
 use crate::peers::Peers;
 use bytes::Bytes;
 use ledger::Outcome;
-use ledger_api::v1::{Block, EventRecord, QueryRequest, QueryResponse, TransactionRecord, Verdict};
+use ledger_api::v1::{
+    Block, EventRecord, GetTransactionRequest, QueryRequest, QueryResponse, TransactionRecord, Verdict,
+};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
@@ -15,6 +17,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use tonic::Status;
 
+/// How long a question waits for a certificate at most.
+const CERTIFIED_WITHIN_MAX: Duration = Duration::from_secs(10);
 /// The chaincode that knows the members.
 const MSP: &str = "msp";
 
@@ -86,14 +90,21 @@ impl Records {
     }
 
     /// A transaction. One that this node does not know may be committed.
-    pub(super) async fn transaction(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
-        match self.in_turn(caller, id).await {
+    pub(super) async fn transaction(
+        &self,
+        caller: &Identity,
+        request: &GetTransactionRequest,
+    ) -> Result<TransactionRecord, Rejection> {
+        let patience = Duration::from_millis(request.certified_within_ms.into()).min(CERTIFIED_WITHIN_MAX);
+        let record = match self.in_turn(caller, &request.id).await {
             Err(rejection) if rejection.code == Code::NotFound => {
                 self.ordering.reads.reach().await?;
-                self.in_turn(caller, id).await
+                self.in_turn(caller, &request.id).await?
             }
-            found => found,
-        }
+            found => found?,
+        };
+        let certified = self.peers.certificates.reaches(&self.ordering.storage.ledger, record.height, patience).await?;
+        Ok(TransactionRecord { certified, ..record })
     }
 
     async fn in_turn(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
@@ -182,6 +193,7 @@ impl Records {
             transaction: if readable { encoded } else { Bytes::new() },
             creator: creator.unwrap_or_default(),
             events,
+            certified: outcome.header.height <= self.peers.certificates.certified(),
         }
     }
 }

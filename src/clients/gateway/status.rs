@@ -125,7 +125,7 @@ impl Description {
             first_height: self.ordering.storage.blocks.first_height(),
             snapshot_height: self.peers.witness.snapshot_height(),
             catching_up_to: self.ordering.slot.catching_up_to().unwrap_or_default(),
-            divergence: self.peers.monitor.describe(),
+            divergence: self.divergence(),
             certified: self.peers.certificates.certified(),
             lies: self.peers.certificates.lies(&self.ordering.directory),
             faults: self.peers.certificates.faults(&self.ordering.directory),
@@ -150,6 +150,12 @@ impl Description {
     }
 
     /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out: then the node does not run.
+    /// What contradicts this node's chain, in words; empty if nothing does.
+    fn divergence(&self) -> String {
+        let said = [self.peers.monitor.describe(), self.peers.certificates.two_certificates()];
+        said.into_iter().filter(|said| !said.is_empty()).collect::<Vec<_>>().join(", ")
+    }
+
     fn certificates(&self) -> Vec<CertificateStatus> {
         let status = |kind: &str, name: Option<String>, der: &[u8]| {
             let Certificate { subject, not_before, not_after, .. } = Certificate::parse(der).ok()?;

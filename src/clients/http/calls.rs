@@ -90,9 +90,13 @@ struct Executed {
     index: u32,
     time: u64,
     time_utc: Option<String>,
+    certified: bool,
     #[serde(flatten)]
     response: DecodedBytes,
 }
+
+/// How long an answer waits for a certificate, unless the request says something else, milliseconds.
+const CERTIFIED_WITHIN: u32 = 2000;
 
 pub(super) async fn submit(
     State(api): State<Arc<Api>>,
@@ -100,18 +104,24 @@ pub(super) async fn submit(
     request: Request,
 ) -> Result<Response, Rejected> {
     let read = |request: &Request| {
-        let given = Parameters::read(request.uri(), &["min_height", "first_attempt"])?;
-        Ok((given.number("min_height")?, given.is_on("first_attempt")?))
+        let given = Parameters::read(request.uri(), &["min_height", "first_attempt", "certified_within_ms"])?;
+        let within = given.text("certified_within_ms")?.is_empty().then_some(CERTIFIED_WITHIN);
+        let within = within.map_or_else(|| given.number("certified_within_ms"), Ok)?;
+        Ok((given.number("min_height")?, given.is_on("first_attempt")?, within))
     };
-    let ((min_height, first_attempt), request) = body::before(request, read).await?;
+    let ((min_height, first_attempt, certified_within_ms), request) = body::before(request, read).await?;
     let transaction = body::bytes(request, body::BODY_BYTES_MAX).await?;
     let request = v1::SubmitRequest { transaction, min_height, first_attempt };
-    let told = api.gateway.submit(call(caller, request)).await?.into_inner();
+    let told = api.gateway.submit(call(caller.clone(), request)).await?.into_inner();
+    let asked = v1::GetTransactionRequest { id: told.id.clone(), certified_within_ms };
     let v1::SubmitResponse { id, height, index, time, .. } = told;
     let (id, time_utc) = (hex::encode(id), utc(time));
     if let Err(rejection) = ledger_api::accepted(told.verdict.as_ref()) {
         let place = json!({ "id": id, "height": height, "index": index, "time": time, "time_utc": time_utc });
         return Err(Rejected::from(rejection).with(place));
     }
-    answer(&Executed { id, height, index, time, time_utc, response: DecodedBytes::read(&told.response) })
+    // An answer without a record is not certified.
+    let record = api.gateway.get_transaction(call(caller, asked)).await;
+    let certified = record.is_ok_and(|record| record.into_inner().certified);
+    answer(&Executed { id, height, index, time, time_utc, certified, response: DecodedBytes::read(&told.response) })
 }

@@ -56,9 +56,10 @@ pub(super) async fn transaction(
     id: Part,
     uri: Uri,
 ) -> Result<Response, Rejected> {
-    Parameters::read(&uri, &[])?;
+    let certified_within_ms = Parameters::read(&uri, &["certified_within_ms"])?.number("certified_within_ms")?;
     let id = parameters::id(id)?.0.to_vec().into();
-    let record = api.gateway.get_transaction(call(caller, v1::GetTransactionRequest { id })).await?;
+    let request = v1::GetTransactionRequest { id, certified_within_ms };
+    let record = api.gateway.get_transaction(call(caller, request)).await?;
     answer(&TransactionFacts::from(record.into_inner()))
 }
 

@@ -128,6 +128,12 @@ impl Dialer {
         Ok(channel)
     }
 
+    /// A connection to whichever node of the network has this address.
+    pub(crate) async fn at(&self, address: &str) -> Result<Channel, String> {
+        let trust = ServerTrust::Network(Arc::clone(&self.trust));
+        open((address, self.network), None, client_config(Some(self.identity.clone()), trust)).await
+    }
+
     async fn open(&self, member: &Member) -> Result<Channel, String> {
         let trust = ServerTrust::Network(Arc::clone(&self.trust));
         let config = client_config_expecting(Some(self.identity.clone()), trust, &member.full_name());

@@ -2,6 +2,7 @@
 
 use super::kept::{Kind, ProofName};
 use crate::ordering::directory::Directory;
+use ledger::branch::CertifiedBranch;
 use ledger_light::Misbehaviour;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -9,12 +10,29 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// The proofs in memory.
 pub(super) struct Evidence {
     proofs: Mutex<Vec<Misbehaviour>>,
+    /// Two strict certificates that contradict each other, in words; empty if there are none.
+    other: Mutex<String>,
 }
 
 impl Evidence {
     /// Those that the disk holds.
-    pub(super) fn new(proofs: Vec<Misbehaviour>) -> Self {
-        Self { proofs: Mutex::new(proofs) }
+    pub(super) fn new(proofs: Vec<Misbehaviour>, other: Option<&CertifiedBranch>) -> Self {
+        Self { proofs: Mutex::new(proofs), other: Mutex::new(other.map(two_certificates).unwrap_or_default()) }
+    }
+
+    /// Keeps that a strict certificate contradicts one of this node; false if there was one before.
+    pub(super) fn set_other(&self, branch: &CertifiedBranch) -> bool {
+        let mut other = self.other.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_first = other.is_empty();
+        if is_first {
+            *other = two_certificates(branch);
+        }
+        is_first
+    }
+
+    /// Two strict certificates that contradict each other, in words; empty if there are none.
+    pub(super) fn other(&self) -> String {
+        self.other.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Is there a proof that says as much?
@@ -71,4 +89,12 @@ impl Evidence {
     fn lock(&self) -> MutexGuard<'_, Vec<Misbehaviour>> {
         self.proofs.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn two_certificates(branch: &CertifiedBranch) -> String {
+    format!(
+        "voters have certified two blocks of height {}, this node's own and {}: people must decide",
+        branch.height(),
+        branch.block()
+    )
 }

@@ -1,5 +1,6 @@
 //! The files: the proof of the newest certified block, those of blocks that changed who governs, and the proofs of misbehaviour.
 
+use ledger::branch::{BRANCH_BYTES_MAX, CertifiedBranch};
 use ledger_base::durable::{PUBLIC_MODE, create_directory, failed, read, rename, replace};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::lie::MISBEHAVIOUR_BYTES_MAX;
@@ -15,6 +16,8 @@ use std::path::{Path, PathBuf};
 const DIRECTORY: &str = "certificates";
 /// The proof of the newest certified block.
 const NEWEST: &str = "newest.proof";
+/// The certified part of another branch that contradicts a block which this node's own certificate covers.
+const OTHER: &str = "other.branch";
 /// The statements that this node has signed last, one after the other; see [`Kept::record`].
 const SIGNED: &str = "signed";
 /// Statements in it.
@@ -95,6 +98,18 @@ pub(crate) fn newest_proof(data: &Path) -> Result<Option<Proof>, Rejection> {
     Kept::open(data)?.newest()
 }
 
+/// The newest height up to this one for which a data directory has a proof: the newest one, or that of a governing block; 0 if it
+/// has none.
+///
+/// # Errors
+/// A directory that cannot be read.
+pub(crate) fn certified_up_to(data: &Path, height: u64) -> Result<u64, Rejection> {
+    let kept = Kept::open(data)?;
+    let newest = kept.newest()?.map(|newest| newest.certificate.statement.height);
+    let governing = kept.names()?.into_iter().filter_map(|name| name.to_str()?.strip_suffix(".proof")?.parse().ok());
+    Ok(governing.chain(newest).filter(|certified| *certified <= height).max().unwrap_or_default())
+}
+
 /// Moves the proofs of blocks into another directory: they are of a history that this node leaves. Proofs of
 /// misbehaviour stay.
 ///
@@ -151,6 +166,28 @@ impl Kept {
             replace(&self.0.join(of_height(proof.certificate.statement.height)), &bytes, PUBLIC_MODE)?;
         }
         if newest { replace(&self.0.join(NEWEST), &bytes, PUBLIC_MODE) } else { Ok(()) }
+    }
+
+    /// Keeps the certified part of another branch that contradicts an own certificate.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(super) fn other_branch(&self, branch: &CertifiedBranch) -> Result<(), Rejection> {
+        replace(&self.0.join(OTHER), &branch.to_bytes(), PUBLIC_MODE)
+    }
+
+    /// The certified part of another branch that was kept. One that cannot be read proves nothing.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(super) fn kept_branch(&self) -> Result<Option<CertifiedBranch>, Rejection> {
+        let path = self.0.join(OTHER);
+        if !path.exists() {
+            return Ok(None);
+        }
+        Ok(CertifiedBranch::from_bytes(&read(&path, BRANCH_BYTES_MAX)?)
+            .inspect_err(|reason| tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "a kept branch cannot be read"))
+            .ok())
     }
 
     /// Records that this node signs a statement, in the place of one of 256 heights before. It is not synchronised with the

@@ -37,6 +37,11 @@ impl Recent {
         self.added.send_replace(height);
     }
 
+    /// Notices each certificate that is added.
+    pub(super) fn added(&self) -> watch::Receiver<u64> {
+        self.added.subscribe()
+    }
+
     /// The newest.
     pub(super) fn newest(&self) -> Option<Certificate> {
         self.lock().last_key_value().map(|(_, certificate)| certificate.clone())

@@ -3,7 +3,7 @@
 use crate::peers::question::Contact;
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger_api::v1::peer_client::PeerClient;
-use ledger_api::v1::{BlockEntries, BlockEntry, BlocksRequest, DigestRequest};
+use ledger_api::v1::{BlockEntries, BlockEntry, BlocksRequest, ChainRequest, DigestRequest};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_replica::catch_up::SILENCE_MAX;
@@ -15,14 +15,14 @@ use tonic::Streaming;
 const MESSAGE_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + 2 * 1024 * 1024;
 
 /// Opens a stream of blocks from a height on.
-pub(super) async fn open(peer: &Contact, from_height: u64) -> Result<Streaming<BlockEntries>, Rejection> {
+pub(crate) async fn open(peer: &Contact, from_height: u64) -> Result<Streaming<BlockEntries>, Rejection> {
     let mut client = PeerClient::new(peer.channel.clone()).max_decoding_message_size(MESSAGE_BYTES_MAX);
     let answer = in_time(client.blocks(BlocksRequest { from_height })).await?;
     Ok(answer.map_err(|status| ledger_api::from_status(&peer.address, &status))?.into_inner())
 }
 
 /// The blocks of the next message of a stream, which comes from that address; none at its end.
-pub(super) async fn next(
+pub(crate) async fn next(
     stream: &mut Option<(Streaming<BlockEntries>, String)>,
 ) -> Result<Option<Vec<Entry>>, Rejection> {
     let Some((stream, address)) = stream else { return Ok(None) };
@@ -32,10 +32,17 @@ pub(super) async fn next(
 }
 
 /// The block hash of a node at a height, if it has that block.
-pub(super) async fn block_hash(peer: &Contact, height: u64) -> Result<Option<Hash>, Rejection> {
+pub(crate) async fn block_hash(peer: &Contact, height: u64) -> Result<Option<Hash>, Rejection> {
     let answer = in_time(PeerClient::new(peer.channel.clone()).digest(DigestRequest { height })).await?;
     let answer = answer.map_err(|status| Rejection::new(Code::Unreachable, status.message().to_owned()))?.into_inner();
     Ok(Hash::from_slice(&answer.block_hash))
+}
+
+/// The newest committed block of a node.
+pub(crate) async fn tip(peer: &Contact) -> Result<u64, Rejection> {
+    let answer = in_time(PeerClient::new(peer.channel.clone()).chain(ChainRequest::default())).await?;
+    let answer = answer.map_err(|status| Rejection::new(Code::Unreachable, status.message().to_owned()))?;
+    Ok(answer.into_inner().height)
 }
 
 /// The answer of another node, unless it is silent for too long.

@@ -4,13 +4,16 @@ use super::blocks::to_wire;
 use crate::ordering::Ordering;
 use crate::ordering::directory::Member;
 use crate::peers::chain_monitor::ChainMonitor;
+use crate::peers::quorum_certificates::Certificates;
 use crate::peers::receipt;
 use crate::process::clock::wall;
 use crate::storage::Storage;
+use ledger::branch::CertifiedBranch;
+use ledger::evidence::HEADERS_MAX;
 use ledger_api::to_status;
 use ledger_api::v1::{
-    self, Attested, BlockEntries, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse,
-    WritesResponse,
+    self, Attested, BlockEntries, CertifiedResponse, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk,
+    SnapshotResponse, WritesResponse,
 };
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -39,6 +42,7 @@ pub(crate) type Reader = Option<Member>;
 pub(crate) struct Source {
     ordering: Arc<Ordering>,
     monitor: Arc<ChainMonitor>,
+    certificates: Arc<Certificates>,
     /// Makes receipts for what this node holds.
     receipts: ReceiptKey,
     streams: Shares,
@@ -46,9 +50,14 @@ pub(crate) struct Source {
 
 impl Source {
     /// Gives what is in the node's stores.
-    pub(crate) fn new(ordering: &Arc<Ordering>, monitor: &Arc<ChainMonitor>, receipts: ReceiptKey) -> Arc<Self> {
-        let (ordering, monitor) = (Arc::clone(ordering), Arc::clone(monitor));
-        Arc::new(Self { ordering, monitor, receipts, streams: Shares::new(STREAMS_MAX) })
+    pub(crate) fn new(
+        ordering: &Arc<Ordering>,
+        (monitor, certificates): (&Arc<ChainMonitor>, &Arc<Certificates>),
+        receipts: ReceiptKey,
+    ) -> Arc<Self> {
+        let (monitor, certificates) = (Arc::clone(monitor), Arc::clone(certificates));
+        let (ordering, streams) = (Arc::clone(ordering), Shares::new(STREAMS_MAX));
+        Arc::new(Self { ordering, monitor, certificates, receipts, streams })
     }
 
     fn storage(&self) -> &Storage {
@@ -155,6 +164,34 @@ impl Source {
             }
         };
         Ok(DigestResponse { digest: digest.0.to_vec().into(), block_hash: hash.0.to_vec().into() })
+    }
+
+    /// The certified part of this node's chain from a height on; empty if there is none.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) async fn certified(self: &Arc<Self>, height: u64) -> Result<CertifiedResponse, Status> {
+        let ledger = &self.storage().ledger;
+        if height == 0 || height > ledger.tip().height {
+            return Ok(CertifiedResponse::default());
+        }
+        let covering = self.certificates.covering(ledger, height, u32::MAX).await;
+        let Some(proof) = covering.map_err(|fault| to_status(&fault))? else {
+            return Ok(CertifiedResponse::default());
+        };
+        let last = proof.certificate.statement.height;
+        if last - height >= HEADERS_MAX as u64 {
+            return Ok(CertifiedResponse::default());
+        }
+        let source = Arc::clone(self);
+        let branch = tokio::task::spawn_blocking(move || {
+            let header = |height| Ok(source.storage().blocks.get(height)?.map(|block| block.header.clone()));
+            let headers = (height..=last).map(header).collect::<Result<Option<Vec<_>>, Rejection>>()?;
+            headers.map(|headers| CertifiedBranch::new(headers, proof.certificate)).transpose()
+        });
+        let branch = branch.await.map_err(|_| Status::internal("a thread panicked"))?;
+        let branch = branch.map_err(|fault| to_status(&fault))?;
+        Ok(CertifiedResponse { branch: branch.map(|branch| branch.to_bytes()).unwrap_or_default() })
     }
 
     fn permit(&self, reader: &Reader) -> Result<InFlight, Status> {

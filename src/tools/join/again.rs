@@ -4,9 +4,14 @@
 //! ledger for a new one, as itself, and fetches everything from the others. It needs no token and no CA: a node that
 //! carries the CA of its organisation comes back in the same way, and the CA stays where it is.
 //!
+//! A node that a strict certificate contradicts fetches and verifies the certified branch first, and keeps its own one for
+//! auditors ([`super::branches`]).
+//!
 //! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing. Until then a mark
-//! keeps the node from starting: without its blocks, a founder would begin the network again, alone.
+//! keeps the node from starting: without its blocks, a founder would begin the network again, alone. The mark names the directory
+//! into which things are moved, so that another try moves the rest there.
 
+use super::branches::{self, DEAD_PREFIX, Lost};
 use super::{Records, enter};
 use crate::node::NodeBuilder;
 use crate::peers::quorum_certificates::set_proofs_aside;
@@ -15,7 +20,7 @@ use crate::storage::files::JOINED_FILE;
 use crate::storage::files::REJOINING_FILE;
 use crate::storage::files::RESTORED_FILE;
 use crate::storage::files::{CERTIFICATE_FILE, KEY_FILE};
-use crate::storage::files::{CONFIRMED_FILE, DIVERGED_FILE};
+use crate::storage::files::{CONFIRMED_FILE, CONTRADICTED_FILE, DIVERGED_FILE, contradicted_by};
 use crate::tools::backup::CopiedBlocks;
 use crate::tools::setup::public_address;
 use crate::trust::membership::Joined;
@@ -39,7 +44,8 @@ use std::sync::Arc;
 
 /// Files that follow from the blocks, hold them, or say what others had. The state goes last: another try needs the
 /// organisations in it.
-const SET_ASIDE: [&str; 8] = [
+const SET_ASIDE: [&str; 9] = [
+    CONTRADICTED_FILE,
     BLOCKS_DIRECTORY,
     RESULTS_DIRECTORY,
     SNAPSHOTS_DIRECTORY,
@@ -49,6 +55,13 @@ const SET_ASIDE: [&str; 8] = [
     RESTORED_FILE,
     STATE_DIRECTORY,
 ];
+
+/// Beginning of the name of the directory that keeps damaged files.
+const DAMAGED_PREFIX: &str = "damaged";
+/// The line of the mark that names the directory into which things are moved.
+const MARK_ASIDE: &str = "set aside: ";
+/// Longest mark, in bytes.
+const MARK_BYTES_MAX: usize = 4096;
 
 /// The arguments of `ledgerd rejoin`.
 #[derive(Clone, Debug, clap::Args)]
@@ -76,6 +89,12 @@ pub(crate) async fn rejoin(
     config: &Config,
 ) -> Result<String, Rejection> {
     let data = &config.data;
+    let begun = begun(data)?;
+    let lost = match &begun {
+        // The other branch was verified before the mark was made.
+        Some(_) => None,
+        None => other_branch(builder, options, config).await?,
+    };
     let blocks = data.join(BLOCKS_DIRECTORY);
     // Held until the end, so that no node starts meanwhile.
     let _stopped = RealDisk::open(&blocks).map_err(|error| {
@@ -133,22 +152,85 @@ pub(crate) async fn rejoin(
         bootstrap: reached.0,
         ca: reached.1,
     };
-    ledger_base::durable::replace(&data.join(REJOINING_FILE), b"ledgerd rejoin has begun here\n", PUBLIC_MODE)?;
+    let name = match begun {
+        Some(name) => name,
+        None => begin(data, lost.as_ref())?,
+    };
     ledger_base::durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
-    let aside = set_aside(data)?;
-    copied.map(|copied| copied.put(data)).transpose()?;
+    let (aside, is_dead) = (data.join(&name), name.starts_with(DEAD_PREFIX));
+    set_aside(data, &aside, is_dead)?;
+    if is_dead {
+        branches::put(data)?;
+    }
+    // The branch that was verified has its own blocks.
+    copied.filter(|_| !is_dead).map(|copied| copied.put(data)).transpose()?;
     unmark(data)?;
+    let kept = match is_dead {
+        true => branches::told(lost.as_ref(), &aside),
+        false => format!("set aside  {}, for whoever looks into the damage; of no use to the node\n", aside.display()),
+    };
     Ok(format!(
         "node {0} is node {id} of network {1:?} now, a learner\n\
-         set aside  {2}, for whoever looks into the damage; of no use to the node\n\n\
+         {2}\n\
          next:\n  ledgerd run --config {3}\n  ledgerctl network promote {0}\n\
          The last one lets the node vote, once it has caught up. With several organisations it prints what an admin of \
          another\none types to approve.",
         me.id(),
         genesis.label,
-        aside.display(),
+        kept,
         config.file.display()
     ))
+}
+
+/// Verifies the branch that contradicts this node, if one does.
+async fn other_branch(
+    builder: &NodeBuilder,
+    options: &RejoinOptions,
+    config: &Config,
+) -> Result<Option<Lost>, Rejection> {
+    let data = &config.data;
+    let Some(branch) = contradicted_by(data)? else { return Ok(None) };
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
+        Rejection::new(Code::BadFile, error.to_string()).next(way_back(config, &config.member.node))
+    })?;
+    branches::verify(builder, config, &branch, &tls, &options.node).await.map(Some)
+}
+
+/// The directory into which a rejoin that was interrupted has moved things; none if none was.
+fn begun(data: &Path) -> Result<Option<String>, Rejection> {
+    let mark = data.join(REJOINING_FILE);
+    if fs::symlink_metadata(&mark).is_err() {
+        return Ok(None);
+    }
+    let text = ledger_base::durable::read(&mark, MARK_BYTES_MAX)?;
+    let text = String::from_utf8_lossy(&text);
+    let name = text.lines().find_map(|line| line.strip_prefix(MARK_ASIDE));
+    let is_ours = |name: &&str| [DAMAGED_PREFIX, DEAD_PREFIX].iter().any(|prefix| name.starts_with(prefix));
+    match name.filter(is_ours).filter(|name| !name.contains('/')) {
+        Some(name) => Ok(Some(name.to_owned())),
+        None => Err(Rejection::new(Code::BadFile, format!("{} cannot be read", mark.display()))
+            .found(text.trim().to_owned())
+            .wanted(format!("a line {MARK_ASIDE}NAME, as ledgerd rejoin writes it"))
+            .next("copy the directory, and look at what was moved into damaged-N or dead-branch-N")),
+    }
+}
+
+/// Chooses a directory for what is set aside, and makes the mark that names it: from now on the node does not start until all is done.
+fn begin(data: &Path, lost: Option<&Lost>) -> Result<String, Rejection> {
+    let prefix = if lost.is_some() { DEAD_PREFIX } else { DAMAGED_PREFIX };
+    // One without blocks is left from a try that had not begun to move.
+    let free = |name: &String| lost.is_some() && !data.join(name).join(BLOCKS_DIRECTORY).exists();
+    let names = (1..u32::MAX).map(|number| format!("{prefix}-{number}"));
+    let name = names.into_iter().find(|name| !data.join(name).exists() || free(name));
+    let name = name.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
+    ledger_base::durable::create_directory(&data.join(&name))?;
+    branches::keep_genesis(data, &data.join(&name))?;
+    if let Some(lost) = lost {
+        branches::write_list(&data.join(&name), lost)?;
+    }
+    let mark = format!("ledgerd rejoin has begun here\n{MARK_ASIDE}{name}\n");
+    ledger_base::durable::replace(&data.join(REJOINING_FILE), mark.as_bytes(), PUBLIC_MODE)?;
+    Ok(name)
 }
 
 /// The organisations of the genesis, those that the node's own state knows since, and the own one.
@@ -215,19 +297,17 @@ async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(V
     Ok((addresses, ca))
 }
 
-/// Moves what is damaged, and what follows from it, into a directory of its own.
-fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
-    let free = (1..u32::MAX).map(|number| data.join(format!("damaged-{number}"))).find(|path| !path.exists());
-    let aside = free.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
-    ledger_base::durable::create_directory(&aside)?;
-    set_proofs_aside(data, &aside)?;
-    for name in SET_ASIDE {
-        let from = data.join(name);
-        if fs::symlink_metadata(&from).is_ok() {
-            ledger_base::durable::rename(&from, &aside.join(name))?;
+/// Moves what is damaged or dead, and what follows from it, into a directory of its own. Interrupted, it goes on where it was: what is
+/// there already was moved whole.
+fn set_aside(data: &Path, aside: &Path, is_dead: bool) -> Result<(), Rejection> {
+    set_proofs_aside(data, aside)?;
+    for name in SET_ASIDE.into_iter().filter(|name| !is_dead || !branches::is_put(data, name)) {
+        let (from, to) = (data.join(name), aside.join(name));
+        if fs::symlink_metadata(&from).is_ok() && fs::symlink_metadata(&to).is_err() {
+            ledger_base::durable::rename(&from, &to)?;
         }
     }
-    Ok(aside)
+    Ok(())
 }
 
 /// The rejoin has ended: the node may start.

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,6 +34,9 @@ TTL: Final = 30.0
 """How long after now a call may still be executed, in seconds. Longer than the deadline, or a late retry expires instead of
 being answered.
 """
+
+CERTIFIED_WITHIN: Final = 2.0
+"""How long a call waits until its outcome is certified, in seconds."""
 
 _AGAIN: Final = 0.5
 """Pause before a stop that is not in force is signed and sent again, in seconds."""
@@ -76,10 +80,38 @@ class Client:
         """The node's clock now, microseconds since the UNIX epoch: what transactions are dated by."""
         return self._session.now()
 
-    async def call(self, chaincode: str, function: str, *args: bytes, ttl: float = TTL) -> Committed:
+    async def call(
+        self, chaincode: str, function: str, *args: bytes, ttl: float = TTL, certified: float = CERTIFIED_WITHIN
+    ) -> Committed:
         """Signs a call, submits it and waits for its verdict; raises that if it is a refusal, and `Unreachable` (TIMEOUT) if
-        the outcome is unknown. It is executed once, through however many nodes it goes.
+        the outcome is unknown. It is executed once, through however many nodes it goes. Then it waits at most `certified` seconds
+        until the outcome is certified, where the network certifies. It raises CONTRADICTED if a node has executed it and the
+        network does not have it.
         """
+        done = await self._executed(chaincode, function, args, ttl)
+        try:
+            return dataclasses.replace(done, certified=await self.certified(done.id, certified))
+        except Refusal as refused:
+            if refused.name != "NOT_FOUND":
+                # Nobody answers that question now.
+                return done
+        id = done.id.hex()
+        raise refusal(
+            "CONTRADICTED",
+            f"transaction {id} was executed by a node, and the network does not have it",
+            found=f"an answer for block {done.height} that is not certified",
+            wanted="a certified outcome",
+            next="look at ledgerctl network status, and call again what is still wanted",
+        )
+
+    async def certified(self, id: bytes, within: float = CERTIFIED_WITHIN) -> bool:
+        """Waits at most so many seconds until a transaction is certified, as the node says. Is it?"""
+        self._process.check()
+        request = api.GetTransactionRequest(id=id, certified_within_ms=int(within * 1000))
+        record = await self._session.ask(lambda link: link.ask(link.get_transaction, request, CONNECT_MAX))
+        return bool(record.certified)
+
+    async def _executed(self, chaincode: str, function: str, args: tuple[bytes, ...], ttl: float) -> Committed:
         call = Call(chaincode, function, args)
         try:
             return await self._submit(call, ttl)
@@ -201,7 +233,7 @@ class Client:
     async def set(self, service: str, epoch: int, seq: int, messages: tuple[object, ...], ttl: float) -> Published:
         """Publishes under a grant of that epoch, with that number for the first message."""
         args = [service.encode(), str(epoch).encode(), str(seq).encode(), *payloads(messages)]
-        done = await self.call(ABAC, "set", *args, ttl=ttl)
+        done = await self._executed(ABAC, "set", tuple(args), ttl)
         return Published(done.height, done.time, seq, done.id)
 
     async def subscribe(self, *services: str, from_height: int = 0) -> Messages:

@@ -91,6 +91,7 @@ CODES: Final[dict[int, tuple[str, Kind]]] = {
     5006: ("DIVERGED", Kind.FAILURE),
     5007: ("UNKNOWN_RULES", Kind.FAILURE),
     5008: ("FORKED", Kind.FAILURE),
+    5009: ("CONTRADICTED", Kind.FAILURE),
     6001: ("BAD_NAME", Kind.INVALID),
     6002: ("MIDDLEWARE_FAILED", Kind.FAILURE),
     6003: ("BAD_MESSAGE", Kind.INVALID),

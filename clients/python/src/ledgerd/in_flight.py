@@ -29,7 +29,8 @@ _ELSEWHERE: Final = {*_OWN, "NO_LEADER", "SHUTTING_DOWN", "UNREACHABLE", "CLOCK_
 @dataclass(frozen=True)
 class Committed:
     """A transaction that was executed: its id, the height of its block, its position there, block time in microseconds, and
-    the answer of the function.
+    the answer of the function. `certified`: enough voters have signed its block or a later one, as the node says; under a leader
+    that lies, only certified outcomes are final.
     """
 
     id: bytes
@@ -37,6 +38,7 @@ class Committed:
     index: int
     time: int
     response: bytes
+    certified: bool = False
 
 
 class Effect(Enum):

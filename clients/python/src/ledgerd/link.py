@@ -87,6 +87,11 @@ class Link:
             request_serializer=api.GetBlockRequest.SerializeToString,
             response_deserializer=api.Block.FromString,
         )
+        self.get_transaction: grpc.aio.UnaryUnaryMultiCallable[api.GetTransactionRequest, api.TransactionRecord] = unary(
+            gateway + "GetTransaction",
+            request_serializer=api.GetTransactionRequest.SerializeToString,
+            response_deserializer=api.TransactionRecord.FromString,
+        )
         self.network: grpc.aio.UnaryUnaryMultiCallable[enrolment.NetworkRequest, enrolment.NetworkResponse] = unary(
             enroller + "Network",
             request_serializer=enrolment.NetworkRequest.SerializeToString,

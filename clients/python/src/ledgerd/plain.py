@@ -75,11 +75,23 @@ class Client:
         """Address of the node that it is connected to."""
         return self._client.node
 
-    def call(self, chaincode: str, function: str, *args: bytes, ttl: float = aio.TTL) -> Committed:
+    def call(
+        self,
+        chaincode: str,
+        function: str,
+        *args: bytes,
+        ttl: float = aio.TTL,
+        certified: float = aio.CERTIFIED_WITHIN,
+    ) -> Committed:
         """Signs a call, submits it and waits for its verdict; raises that if it is a refusal, and `Unreachable` (TIMEOUT) if
-        the outcome is unknown. It is executed once, through however many nodes it goes.
+        the outcome is unknown. It is executed once, through however many nodes it goes. Then it waits at most `certified` seconds
+        until the outcome is certified, where the network certifies.
         """
-        return self._run(self._client.call(chaincode, function, *args, ttl=ttl))
+        return self._run(self._client.call(chaincode, function, *args, ttl=ttl, certified=certified))
+
+    def certified(self, id: bytes, within: float = aio.CERTIFIED_WITHIN) -> bool:
+        """Waits at most so many seconds until a transaction is certified, as the node says. Is it?"""
+        return self._run(self._client.certified(id, within))
 
     def query(self, chaincode: str, function: str, *args: bytes) -> bytes:
         """Calls a function on the committed state. The answer has everything that any node acknowledged before the call."""

@@ -1,8 +1,8 @@
 //! The registry of the own organisation, which stands on the ledger: any node will do. And how another node comes to carry
 //! the organisation's CA.
 
-use super::Client;
 use super::uplink::Uplink;
+use super::{Client, Committed};
 use crate::report::accepted;
 use crate::v1;
 use bytes::Bytes;
@@ -117,10 +117,10 @@ impl Client {
     ///
     /// # Errors
     /// [`Code::NotAdmin`]; [`Code::NotFound`] if there is nothing to revoke.
-    pub async fn revoke_identity(&self, name: &str, reason: &str) -> Result<(RevokedIdentity, u64, Hash), Rejection> {
+    pub async fn revoke_identity(&self, name: &str, reason: &str) -> Result<(RevokedIdentity, Committed), Rejection> {
         let revoke = RevokeIdentity { name: name.to_owned(), reason: reason.to_owned() };
         let done = self.invoke(MSP, "revoke_identity", argument(&revoke)?).await?;
-        Ok((read("revoke_identity", &done.response)?, done.height, done.id))
+        Ok((read("revoke_identity", &done.response)?, done))
     }
 
     /// Asks the node that this client is connected to for a key with which it can receive the CA's.

@@ -289,6 +289,7 @@ impl InFlight {
                 index: answer.index,
                 time: answer.time,
                 response: answer.response,
+                certified: false,
             }),
             Err(refused) if open => Err(unknown(id, entry.attempts, &refused.message)),
             Err(refused) => Err(refused),

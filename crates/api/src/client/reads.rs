@@ -9,7 +9,7 @@ use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::time::{sleep, timeout, timeout_at};
 use tonic::{Response, Status};
 
@@ -105,9 +105,22 @@ impl Client {
     /// # Errors
     /// [`Code::NotFound`] if the node knows none of this id; else as [`Client::status`].
     pub async fn transaction(&self, id: Hash) -> Result<v1::TransactionRecord, Rejection> {
+        self.record(id, Duration::ZERO).await
+    }
+
+    /// Waits so long until a transaction is certified: enough voters have signed its block or a later one, as the node says. Is it?
+    ///
+    /// # Errors
+    /// As [`Client::transaction`].
+    pub async fn certified(&self, id: Hash, within: Duration) -> Result<bool, Rejection> {
+        Ok(self.record(id, within).await?.certified)
+    }
+
+    async fn record(&self, id: Hash, within: Duration) -> Result<v1::TransactionRecord, Rejection> {
+        let certified_within_ms = u32::try_from(within.as_millis()).unwrap_or(u32::MAX);
         let ask = |up: Uplink| async move {
             let id = Bytes::copy_from_slice(id.as_ref());
-            up.gateway().get_transaction(v1::GetTransactionRequest { id }).await
+            up.gateway().get_transaction(v1::GetTransactionRequest { id, certified_within_ms }).await
         };
         self.ask(ask, |_| Ok(())).await
     }

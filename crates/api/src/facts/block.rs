@@ -73,6 +73,8 @@ pub struct TransactionFacts {
     pub message: String,
     /// Events that it caused, as far as the caller may read them.
     pub events: Vec<EventFacts>,
+    /// Enough voters have signed its block or a later one.
+    pub certified: bool,
     /// The return value of the function.
     #[serde(flatten)]
     pub response: DecodedBytes,
@@ -94,6 +96,7 @@ impl From<v1::TransactionRecord> for TransactionFacts {
             code: code_text(verdict.code),
             message: verdict.message,
             events: record.events.into_iter().map(EventFacts::from).collect(),
+            certified: record.certified,
             response: DecodedBytes::read(&record.response),
         }
     }

@@ -261,6 +261,9 @@ codes! {
         "install the release of ledgerd that the other nodes of the network run";
     /// The network has another history than this node.
     Forked = 5008 "FORKED" Failure;
+    /// A strict certificate contradicts the chain of this node.
+    Contradicted = 5009 "CONTRADICTED" Failure,
+        "ledgerd rejoin --config FILE; it verifies the certified branch, keeps this one for auditors, and brings the node back";
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid,

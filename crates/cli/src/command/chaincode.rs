@@ -68,6 +68,7 @@ struct Invoked {
     height: u64,
     index: u32,
     time: u64,
+    certified: bool,
     #[serde(flatten)]
     answer: DecodedBytes,
 }
@@ -116,6 +117,7 @@ impl Invoke {
             height: done.height,
             index: done.index,
             time: done.time,
+            certified: done.certified,
             answer: DecodedBytes::read(&done.response),
         })?;
         output.note(&format!("executed in block {}, transaction {}", done.height, done.id));
@@ -152,9 +154,11 @@ mod tests {
     #[test]
     fn an_invocation_in_json_is_flat_and_keeps_the_response_as_it_is() {
         let answer = DecodedBytes::read(br#"{"b":1,"a":2}"#);
-        let text = serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, answer }).unwrap();
+        let text =
+            serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, certified: true, answer })
+                .unwrap();
         assert!(
-            text.ends_with(r#""height":3,"index":1,"time":9,"encoding":"json","response":{"b":1,"a":2}}"#),
+            text.ends_with(r#""height":3,"index":1,"time":9,"certified":true,"encoding":"json","response":{"b":1,"a":2}}"#),
             "{text}"
         );
     }

@@ -69,6 +69,7 @@ struct Done {
     time: u64,
     height: u64,
     transaction: Hash,
+    certified: bool,
     #[serde(skip)]
     state: &'static str,
 }
@@ -101,9 +102,9 @@ impl Which {
 }
 
 fn show(done: Committed, state: &'static str, output: &mut Output) -> Result<(), Failure> {
-    let Committed { id, height, time, response, .. } = done;
+    let Committed { id, height, time, response, certified, .. } = done;
     let answer = answer::parse(&response, "an answer about robots")?;
-    output.show(&Done { answer, time, height, transaction: id, state })
+    output.show(&Done { answer, time, height, transaction: id, certified, state })
 }
 
 /// The words of the command line where the chaincode has other names.

@@ -125,6 +125,7 @@ struct Granted {
     time: u64,
     height: u64,
     transaction: ledger_base::hash::Hash,
+    certified: bool,
     #[serde(skip)]
     renewed: bool,
     /// Is it somebody else's?
@@ -185,8 +186,8 @@ const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledg
 
 impl Granted {
     fn of(done: &Committed, grant: Grant, renewed: bool) -> Self {
-        let Committed { id: transaction, height, time, .. } = *done;
-        Self { grant, time, height, transaction, renewed, passed_on: false }
+        let Committed { id: transaction, height, time, certified, .. } = *done;
+        Self { grant, time, height, transaction, certified, renewed, passed_on: false }
     }
 
     /// The grant is somebody else's now.
@@ -284,6 +285,7 @@ struct Ended {
     time: u64,
     height: u64,
     transaction: ledger_base::hash::Hash,
+    certified: bool,
 }
 
 impl Facts for Ended {
@@ -302,10 +304,10 @@ impl Release {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
         let args = std::iter::once(self.service).chain(self.holder).map(Bytes::from).collect();
-        let Committed { id, height, time, response, .. } =
+        let Committed { id, height, time, response, certified, .. } =
             session.call(ABAC, "release", args).await.map_err(|refused| RELEASE.told(refused))?;
         let released = answer::parse(&response, "ended grants")?;
-        output.show(&Ended { released, time, height, transaction: id })
+        output.show(&Ended { released, time, height, transaction: id, certified })
     }
 }
 
@@ -335,7 +337,8 @@ mod tests {
             policies: Vec::new(),
         };
         let transaction = ledger_base::hash::Hash::ZERO;
-        Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction, renewed, passed_on: false }
+        let (time, height, certified) = (1_700_000_000_000_000, 9, true);
+        Granted { grant, time, height, transaction, certified, renewed, passed_on: false }
     }
 
     fn text(facts: &impl Facts) -> String {

@@ -18,6 +18,7 @@ use crate::time;
 use crate::words::shell_word;
 use bytes::Bytes;
 use ledger::msp::{AFFILIATION, IdentityRecord, IssuedCertificate};
+use ledger_api::Committed;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
@@ -329,6 +330,7 @@ struct RevokedCertificate {
     serial: String,
     height: u64,
     transaction: Hash,
+    certified: bool,
 }
 
 impl Facts for Revoked {
@@ -374,10 +376,11 @@ impl Revoke {
             find(&session, &self.name).await?;
             let attempt = || session.client.revoke_identity(&self.name, &reason);
             let revoked = until_in_force(&session, &described, timeout, output, attempt).await?;
-            let (revoked, height, transaction) = revoked;
-            let certificates = revoked.certificates.into_iter();
+            let (revoked, Committed { height, id: transaction, certified, .. }) = revoked;
+            session.warn_uncertified(&transaction, certified);
+            let certificates = revoked.certificates.into_iter().map(|issued| issued.serial);
             let certificates =
-                certificates.map(|issued| RevokedCertificate { serial: issued.serial, height, transaction }).collect();
+                certificates.map(|serial| RevokedCertificate { serial, height, transaction, certified }).collect();
             return output.show(&Revoked { name: self.name, certificates, cancelled: revoked.cancelled });
         };
         let person = find(&session, &self.name).await?;
@@ -398,7 +401,8 @@ impl Revoke {
         let args: Vec<_> = args.into_iter().flatten().map(Bytes::from).collect();
         let attempt = || session.call(MSP, "revoke", args.clone());
         let done = until_in_force(&session, &described, timeout, output, attempt).await?;
-        let revoked = RevokedCertificate { serial, height: done.height, transaction: done.id };
+        let (height, transaction, certified) = (done.height, done.id, done.certified);
+        let revoked = RevokedCertificate { serial, height, transaction, certified };
         output.show(&Revoked { name: self.name, certificates: vec![revoked], cancelled: false })
     }
 }

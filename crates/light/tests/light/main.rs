@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
 mod believing;
+mod branches;
 mod flips;
 mod governing;
 mod hostile;

@@ -377,13 +377,15 @@ class Block(_message.Message):
     def __init__(self, height: _Optional[int] = ..., term: _Optional[int] = ..., time: _Optional[int] = ..., previous_hash: _Optional[bytes] = ..., root: _Optional[bytes] = ..., hash: _Optional[bytes] = ..., state_digest: _Optional[bytes] = ..., kind: _Optional[str] = ..., transactions: _Optional[_Iterable[_Union[TransactionRecord, _Mapping]]] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ...) -> None: ...
 
 class GetTransactionRequest(_message.Message):
-    __slots__ = ("id",)
+    __slots__ = ("id", "certified_within_ms")
     ID_FIELD_NUMBER: _ClassVar[int]
+    CERTIFIED_WITHIN_MS_FIELD_NUMBER: _ClassVar[int]
     id: bytes
-    def __init__(self, id: _Optional[bytes] = ...) -> None: ...
+    certified_within_ms: int
+    def __init__(self, id: _Optional[bytes] = ..., certified_within_ms: _Optional[int] = ...) -> None: ...
 
 class TransactionRecord(_message.Message):
-    __slots__ = ("id", "height", "index", "time", "verdict", "response", "transaction", "creator", "events")
+    __slots__ = ("id", "height", "index", "time", "verdict", "response", "transaction", "creator", "events", "certified")
     ID_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     INDEX_FIELD_NUMBER: _ClassVar[int]
@@ -393,6 +395,7 @@ class TransactionRecord(_message.Message):
     TRANSACTION_FIELD_NUMBER: _ClassVar[int]
     CREATOR_FIELD_NUMBER: _ClassVar[int]
     EVENTS_FIELD_NUMBER: _ClassVar[int]
+    CERTIFIED_FIELD_NUMBER: _ClassVar[int]
     id: bytes
     height: int
     index: int
@@ -402,7 +405,8 @@ class TransactionRecord(_message.Message):
     transaction: bytes
     creator: str
     events: _containers.RepeatedCompositeFieldContainer[EventRecord]
-    def __init__(self, id: _Optional[bytes] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., transaction: _Optional[bytes] = ..., creator: _Optional[str] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ...) -> None: ...
+    certified: bool
+    def __init__(self, id: _Optional[bytes] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., transaction: _Optional[bytes] = ..., creator: _Optional[str] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., certified: _Optional[bool] = ...) -> None: ...
 
 class GovernanceRequest(_message.Message):
     __slots__ = ("after",)

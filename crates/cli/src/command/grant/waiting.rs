@@ -94,8 +94,8 @@ impl<'s> Waiting<'s> {
                 let is_ours = grant.holder == self.contender;
                 let (time, height) = (delivery.time, delivery.height);
                 // The block itself gave it: no transaction of ours did.
-                let granted =
-                    Granted { grant, time, height, transaction: Hash::ZERO, renewed: false, passed_on: false };
+                let (transaction, certified) = (Hash::ZERO, !delivery.proof.is_empty());
+                let granted = Granted { grant, time, height, transaction, certified, renewed: false, passed_on: false };
                 Ok(is_ours.then(|| End::Granted(Box::new(granted))))
             }
             "left" => {
