@@ -10,6 +10,7 @@
 //! | `pretenders` | is a node that lies about the ordering protocol |
 //! | `equivocation` | is a voter that signs different things for one place |
 //! | `twice` | is an organisation that runs its voter twice |
+//! | `withholding` | is an elected leader that withholds control calls |
 //! | `target` | the node that is attacked, and its people |
 //!
 //! A node that lies to its own robot is in `tests/interop`, as that needs a bridge.
@@ -24,5 +25,6 @@ mod nonsense;
 mod pretenders;
 mod target;
 mod twice;
+mod withholding;
 
 use ledgerd_support as support;
