@@ -260,19 +260,19 @@ mod tests {
     #[test]
     fn a_leader_that_orders_nothing_behind_the_call_is_not_complained_about() {
         let none: [u64; 0] = [];
-        let idle = |after| View { time: NOW + after.min(SECOND), ..view(after) };
+        let idle = |after: u64| View { time: NOW + after.min(SECOND), ..view(after) };
         assert_eq!(complaints(&mut kept(&[call(1, 1)], false), idle), none, "idle, cut off, or with a slow disk");
         let lagging = |after: u64| View { time: (NOW + after).saturating_sub(9 * SECOND), ..view(after) };
         assert_eq!(complaints(&mut kept(&[call(1, 1)], false), lagging), none, "this node executes old blocks");
-        let before = |after| View { term: 4, ..view(after) };
+        let before = |after: u64| View { term: 4, ..view(after) };
         assert_eq!(complaints(&mut kept(&[call(1, 1)], false), before), none, "blocks of another leader");
-        let fast = |after| View { time: NOW + after + 3 * SECOND, ..view(after) };
+        let fast = |after: u64| View { time: NOW + after + 3 * SECOND, ..view(after) };
         assert_eq!(
             complaints(&mut kept(&[call(1, 1)], false), fast).first(),
             Some(&2000),
             "its clock alone is no reason"
         );
-        let leads = |after| View { leader: None, ..view(after) };
+        let leads = |after: u64| View { leader: None, ..view(after) };
         assert_eq!(complaints(&mut kept(&[call(1, 1)], false), leads), none, "nobody else leads");
     }
 
@@ -284,7 +284,7 @@ mod tests {
         };
         assert!(given(&mut withheld, view(0)) && !given(&mut withheld, view(500_000)));
         assert!(given(&mut withheld, view(SECOND)), "messages are lost");
-        let next = |after| View { leader: Some((6, 2)), term: 6, ..view(after) };
+        let next = |after: u64| View { leader: Some((6, 2)), term: 6, ..view(after) };
         assert!(given(&mut withheld, next(1_500_000)));
         let found = complaints(&mut withheld, |after| next(after + 1_600_000));
         assert_eq!(found.first(), Some(&1900), "two seconds after it was given");
