@@ -5,9 +5,11 @@ use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_raft::{
-    Ballot, Ballots, Engine, EngineConfig, ExecutedBlocks, Handover, Input, Lane, Link, LogHead, Membership, Output,
+    Ballot, Ballots, Engine, EngineConfig, ExecutedBlocks, Grievance, Handover, Input, Lane, Link, LogHead, Membership,
+    Output,
 };
 use ledger_storage::block_store::BlockStore;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -41,6 +43,18 @@ impl Ballots for Names {
 
     fn check_head(&self, _head: LogHead, _vote: &[u8], _signature: &[u8], _now: u64) -> Result<(), Rejection> {
         Ok(())
+    }
+
+    fn sign_complaint(&self, _: Grievance) -> Result<Bytes, Rejection> {
+        Ok(Bytes::new())
+    }
+
+    fn check_complaint(&self, _: Grievance, _: &[u8], _: u64) -> Result<(), Rejection> {
+        Ok(())
+    }
+
+    fn complaints_suffice(&self, _: &BTreeSet<u64>) -> bool {
+        false
     }
 }
 

@@ -11,6 +11,7 @@
 //! | `equivocation` | is a voter that signs different things for one place |
 //! | `contradicted` | is an organisation whose voters make another node execute what nobody certifies |
 //! | `twice` | is an organisation that runs its voter twice |
+//! | `withholding` | is an elected leader that withholds control calls |
 //! | `target` | the node that is attacked, and its people |
 //!
 //! A node that lies to its own robot is in `tests/interop`, as that needs a bridge.
@@ -26,5 +27,6 @@ mod nonsense;
 mod pretenders;
 mod target;
 mod twice;
+mod withholding;
 
 use ledgerd_support as support;

@@ -149,3 +149,10 @@ pub fn clock_error() -> i64 {
     let wished = || std::env::var("LEDGERD_TEST_CLOCK_AHEAD_MS").ok()?.parse::<i64>().ok()?.checked_mul(1000);
     *ERROR.get_or_init(|| wished().unwrap_or_default())
 }
+
+/// Withholds this node control calls while it leads, as a test wishes? Never in a release. It does if the environment variable
+/// `LEDGERD_TEST_WITHHOLDS_CONTROL` is set.
+pub fn withholds_control() -> bool {
+    static WITHHOLDS: std::sync::OnceLock<bool> = std::sync::OnceLock::new();
+    COMPILED_IN && *WITHHOLDS.get_or_init(|| std::env::var_os("LEDGERD_TEST_WITHHOLDS_CONTROL").is_some())
+}

@@ -43,6 +43,7 @@
 pub mod certificate;
 pub mod checkpoint;
 pub mod codec;
+pub mod complaint;
 pub mod control;
 pub mod fact;
 pub mod governance;
@@ -58,6 +59,7 @@ pub mod way;
 
 pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
+pub use complaint::Complaint;
 pub use governance::{Change, Governance};
 pub use head::{Branch, BranchLink, DoubleHead, Head, block_hash};
 pub use lie::{DoubleVote, Fault, Lie, Misbehaviour};

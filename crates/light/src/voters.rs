@@ -9,6 +9,7 @@
 //! N, m and the rule are records of the ledger as of the block before, and nothing else. So every reader counts the same,
 //! whatever lies it knows of.
 
+use crate::complaint::Complaint;
 use crate::statement::{Signature, Statement};
 use crate::transfer::Transfer;
 use crate::vote::Vote;
@@ -150,6 +151,31 @@ impl Voters {
         }
         self.check_place("a transfer of leadership", transfer.recoveries)?;
         self.check_signer("a transfer of leadership", &transfer.to_bytes(), signature, identity)
+    }
+
+    /// Checks the signature of a complaint, as [`Voters::check_vote`] does.
+    ///
+    /// # Errors
+    /// As [`Voters::check_vote`].
+    pub fn check_complaint(
+        &self,
+        complaint: &Complaint,
+        signature: &Signature,
+        identity: &Identity,
+    ) -> Result<(), Rejection> {
+        if signature.node != complaint.node {
+            return Err(Rejection::new(Code::BadSignature, "a complaint is signed by another node")
+                .found(format!("node {}", signature.node))
+                .wanted(format!("node {}", complaint.node)));
+        }
+        self.check_place("a complaint", complaint.recoveries)?;
+        self.check_signer("a complaint", &complaint.to_bytes(), signature, identity)
+    }
+
+    /// Are these more voters than the largest hand has? Then one of them at least is honest, if one hand lies. While voters
+    /// change, of both sets.
+    pub fn outnumber_a_hand(&self, nodes: &BTreeSet<u64>) -> bool {
+        self.sets().all(|voters| voters.intersection(nodes).count() > self.largest_hand(voters))
     }
 
     fn check_place(&self, what: &str, recoveries: u64) -> Result<(), Rejection> {

@@ -4,6 +4,7 @@ mod acknowledged;
 mod ahead;
 mod behind;
 mod chain;
+mod complaints;
 mod config;
 mod doubt;
 mod guard;
@@ -23,7 +24,7 @@ mod time;
 pub use chain::{ExecutedBlocks, Link};
 pub use config::{EngineConfig, EngineError};
 pub use doubt::ClockDoubt;
-pub use mandate::{Ballot, Ballots, Handover, LogHead};
+pub use mandate::{Ballot, Ballots, Grievance, Handover, LogHead};
 pub use receipt::{Receipt, ReceiptKey, Secret};
 pub use status::{PeerStatus, Replication, Status};
 pub use time::TIME_AHEAD_MAX;
@@ -36,6 +37,7 @@ use acknowledged::Acknowledged;
 use ahead::Ahead;
 use bytes::Bytes;
 use chain::Chain;
+use complaints::Complaints;
 use heads::Heads;
 use ledger::block::Payload;
 use ledger::members::Membership;
@@ -147,6 +149,8 @@ pub struct Engine {
     mandates: Mandates,
     /// Signed heads of this leader, and of those that it follows.
     heads: Heads,
+    /// Complaints about the leader, and leaders that were deposed.
+    complaints: Complaints,
     /// The term in which a leader has handed over to this node last, and its signed word.
     handed_over: Option<(u64, Bytes)>,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
@@ -245,6 +249,7 @@ impl Engine {
             chain,
             mandates: Mandates::new(ballots),
             heads: Heads::default(),
+            complaints: Complaints::default(),
             handed_over: None,
             reads: 0,
             promised: Promised::NONE,
@@ -274,6 +279,7 @@ impl Engine {
             Input::TransferLeadership { .. } | Input::ChangeMembership(_) => self.administer(input, out),
             Input::Campaign => self.campaign(),
             Input::Exclude(nodes) => self.mandates.exclude(nodes),
+            Input::Complain { term, leader } => self.complain(term, leader, out),
             Input::Unreachable { peer } => self.raw.report_unreachable(peer),
         }
         if self.failed {
@@ -334,6 +340,10 @@ impl Engine {
                 reason: "it has lied, by proof, and neither leads nor stands for election",
             });
         }
+        if self.is_from_deposed(from, &message) {
+            return out
+                .push(Output::Ignored { from, reason: "it was deposed, and neither leads nor stands for election" });
+        }
         match message {
             PeerMessage::Raft(mut message) => {
                 match self.check_standing(from, &mut message, out) {
@@ -374,8 +384,12 @@ impl Engine {
             PeerMessage::Mandate(mandate) => self.mandate_shown(from, &mandate, out),
             PeerMessage::MandateWanted(wanted) => self.mandate_wanted(from, wanted.term, out),
             PeerMessage::Head(shown) => self.head_shown(from, &shown, out),
-            // The node gives these to its certifier and its readers.
-            PeerMessage::Statement(_) | PeerMessage::Evidence(_) | PeerMessage::Early(_) => {}
+            PeerMessage::Complaint(shown) => self.complaint_shown(from, &shown, out),
+            // The node gives these to its certifier, its readers, and the calls that it waits for.
+            PeerMessage::Statement(_)
+            | PeerMessage::Evidence(_)
+            | PeerMessage::Early(_)
+            | PeerMessage::Unanswered(_) => {}
         }
     }
 
@@ -388,12 +402,13 @@ impl Engine {
         }
     }
 
-    /// Standing for election needs three things. They are an own vote (the crate forgets to ask when told to), a
-    /// log that is on the own disk, and a state machine that is not far behind.
+    /// Standing for election needs four things. They are an own vote (the crate forgets to ask when told to), a
+    /// log that is on the own disk, a state machine that is not far behind, and that the voters have not deposed this node.
     fn may_campaign(&self) -> bool {
         let raft = &self.raw.raft;
         let log = &raft.raft_log;
         raft.promotable()
+            && !self.is_banned()
             && log.persisted == log.last_index()
             // The crate reads what is not applied, and fails if it was dropped (`Raft::hup`).
             && log.applied + 1 >= self.store.first_index()

@@ -74,6 +74,13 @@ pub enum Input {
     /// These nodes have lied, by proof: nothing that they send as leaders or as candidates is taken any more. Replaces the set
     /// before.
     Exclude(BTreeSet<u64>),
+    /// This voter has found that the leader of the term withholds a control call.
+    Complain {
+        /// The term.
+        term: u64,
+        /// The leader.
+        leader: u64,
+    },
     /// A message to this peer could not be delivered; replication to it becomes careful.
     Unreachable {
         /// The peer.

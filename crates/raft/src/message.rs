@@ -4,7 +4,7 @@
 //! message PeerMessage {
 //!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6;
 //!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; Early early = 9; Head head = 10;
-//!                Evidence evidence = 14; }
+//!                Complaint complaint = 11; Unanswered unanswered = 12; Evidence evidence = 14; }
 //! }
 //! message Raft {
 //!   uint32 kind        = 1;   // RaftKind; there is no 0
@@ -33,6 +33,8 @@
 //! message Head { uint64 term = 1; uint64 leader = 2; uint64 height = 3; bytes hash = 4;   // the newest that the sender has checked
 //!                bytes signature = 5; bytes vote = 6; }      // the vote of the leader for itself, which has its certificate
 //! message Evidence { bytes proof = 1; }                       // see ledger-light; not for the engine
+//! message Complaint { uint64 term = 1; uint64 leader = 2; bytes signed = 3; }   // of the sender; see ledger-light
+//! message Unanswered { bytes transaction = 1; }               // a control call that the leader has not ordered; not for the engine
 //! message Early { bytes transaction = 1; }                    // a signed call that robots hear of before it is ordered; not for the engine
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
 //! ```
@@ -65,6 +67,8 @@ pub const STATEMENT_BYTES_MAX: usize = 17 * 1024;
 pub const EVIDENCE_BYTES_MAX: usize = ledger_light::lie::MISBEHAVIOUR_BYTES_MAX;
 /// Longest call of which robots hear before it is ordered: a stop with its reason, and the certificate of its creator (16 KiB).
 pub const EARLY_BYTES_MAX: usize = 32 * 1024;
+/// Longest control call that is passed on because it was not ordered in time.
+pub const UNANSWERED_BYTES_MAX: usize = 32 * 1024;
 /// Longest signature of a vote in a message: the certificate of a node (16 KiB), and what is around it.
 pub const VOTE_BYTES_MAX: usize = 17 * 1024;
 /// Longest signature of a head in a message.
@@ -107,6 +111,12 @@ pub enum PeerMessage {
     /// From a voter that follows to the others: the newest head that it has checked.
     #[prost(message, tag = "10")]
     Head(LeaderHead),
+    /// From a voter to the others: the leader withholds a control call.
+    #[prost(message, tag = "11")]
+    Complaint(SignedComplaint),
+    /// To all voters: a control call that was not ordered in time. Not for the engine.
+    #[prost(message, tag = "12")]
+    Unanswered(UnansweredCall),
     /// To all members: the proof that a node has signed two different things for one place. Not about ordering, so not for
     /// the engine.
     #[prost(message, tag = "14")]
@@ -120,9 +130,31 @@ impl PeerMessage {
     }
 }
 
+/// A complaint of the sender about the leader of a term.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct SignedComplaint {
+    /// The term.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
+    /// The leader.
+    #[prost(uint64, tag = "2")]
+    pub leader: u64,
+    /// The signature of the sender below it, as `ledger-light` encodes it.
+    #[prost(bytes = "bytes", tag = "3")]
+    pub signed: Bytes,
+}
+
+/// A control call that was not ordered in time.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct UnansweredCall {
+    /// The signed bytes.
+    #[prost(bytes = "bytes", tag = "1")]
+    pub transaction: Bytes,
+}
+
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 10, 14")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12, 14")]
     kind: Option<PeerMessage>,
 }
 
@@ -377,6 +409,8 @@ impl PeerMessage {
             Self::Mandate(mandate) => mandate.check(),
             Self::Statement(statement) => limit(statement.signed.len(), STATEMENT_BYTES_MAX, "bytes of a statement"),
             Self::Head(head) => head.check(),
+            Self::Complaint(complaint) => limit(complaint.signed.len(), VOTE_BYTES_MAX, "bytes of a complaint"),
+            Self::Unanswered(call) => limit(call.transaction.len(), UNANSWERED_BYTES_MAX, "bytes of a call"),
             Self::Evidence(evidence) => limit(evidence.proof.len(), EVIDENCE_BYTES_MAX, "bytes of a proof"),
             Self::Early(call) => limit(call.transaction.len(), EARLY_BYTES_MAX, "bytes of a call"),
         }

@@ -171,6 +171,12 @@ impl Budgets {
         Transactions { control, data, code: u32::from(Code::Overloaded.number()) }
     }
 
+    /// Does the creator of this transaction owe something to its budget, at this time of the node? Then its calls wait.
+    pub fn owes(&self, ledger: &Ledger, transaction: &Transaction, clock: u64) -> bool {
+        let Some(identity) = ledger.counted_for(&transaction.creator()) else { return false };
+        self.lock().identities.get(&identity.id()).is_some_and(|account| account.all.wait(clock) > 0)
+    }
+
     fn lock(&self) -> MutexGuard<'_, Accounts> {
         self.accounts.lock().unwrap_or_else(PoisonError::into_inner)
     }

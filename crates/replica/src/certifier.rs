@@ -23,7 +23,7 @@ use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Certificate, Head, Misbehaviour, Signature, Signed, Statement, Transfer, Vote, Voters};
+use ledger_light::{Certificate, Complaint, Head, Misbehaviour, Signature, Signed, Statement, Transfer, Vote, Voters};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
@@ -75,6 +75,12 @@ pub trait Signing {
     /// # Errors
     /// As [`Signing::sign`].
     fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection>;
+
+    /// Signs a complaint of this node.
+    ///
+    /// # Errors
+    /// As [`Signing::sign`].
+    fn sign_complaint(&self, complaint: &Complaint) -> Result<Signature, Rejection>;
 
     /// Signs the head of this leader's log.
     ///

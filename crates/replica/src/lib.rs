@@ -26,6 +26,7 @@
 //! | `ticks` | when the thread that orders wakes up by itself |
 //! | `retries` | how many refused repetitions of one identity are ordered |
 //! | `reads` | [`Reads`]: is the state as new as what was committed when somebody asked? |
+//! | `withheld` | control calls that wait, and when a voter complains about its leader |
 //! | `waiters` | [`Waiters`]: who waits for which verdict, and which verdict is the transaction's own |
 //!
 //! A turn of the thread that orders, for a replica that has everything it needs:
@@ -76,6 +77,7 @@ mod timing;
 pub mod trust;
 mod voting;
 mod waiters;
+mod withheld;
 pub mod witness;
 
 pub use budgets::{BURST, Budgets};

@@ -1,5 +1,6 @@
 //! The driver of the engine: inputs and time in, effects out.
 
+mod calls;
 mod duties;
 mod ending;
 mod outputs;
@@ -12,6 +13,7 @@ use crate::reads::Known;
 use crate::ticks::Ticks;
 use crate::timing::Timing;
 use crate::waiters::{Waiter, Waiters};
+use crate::withheld::Withheld;
 use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_base::hash::Hash;
@@ -19,8 +21,8 @@ use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::Misbehaviour;
 use ledger_raft::{
-    Ballots, ClockDoubt, Contradiction, Creators, Desired, Engine, EngineConfig, ExecutedBlocks, Input, PeerMessage,
-    RoleChange, Secret, Status,
+    Ballots, ClockDoubt, Contradiction, Creators, Desired, Engine, EngineConfig, ExecutedBlocks, Input, Lane,
+    PeerMessage, RoleChange, Secret, Status,
 };
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -189,6 +191,8 @@ pub struct Replica<W> {
     wrote_last: bool,
     /// When the leadership was given away last because of a full disk.
     left_full_disk: Option<u64>,
+    /// Control calls that wait for their verdict.
+    withheld: Withheld,
 }
 
 impl<W: Waiter> Replica<W> {
@@ -238,6 +242,7 @@ impl<W: Waiter> Replica<W> {
             submit_again: false,
             wrote_last: false,
             left_full_disk: None,
+            withheld: Withheld::default(),
         })
     }
 
@@ -247,6 +252,13 @@ impl<W: Waiter> Replica<W> {
             Event::Input(Input::Message { from, message: PeerMessage::Forward(forwarded) }) => {
                 let within = self.within_budgets(now, from, forwarded, out);
                 self.order(now, Input::Message { from, message: PeerMessage::Forward(within) }, out);
+            }
+            Event::Input(Input::Message { from, message: PeerMessage::Unanswered(call) }) => {
+                self.passed_on(now, from, call, out);
+            }
+            Event::Input(Input::Submit { lane: Lane::Control, transaction }) => {
+                self.keep_call(now, &transaction);
+                self.order(now, Input::Submit { lane: Lane::Control, transaction }, out);
             }
             Event::Input(input) => self.order(now, input, out),
             Event::Time { full } => self.time(now, full, out),

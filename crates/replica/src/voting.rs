@@ -1,4 +1,4 @@
-//! Signatures for the engine: votes in elections, transfers of leadership, heads of logs.
+//! Signatures for the engine: votes in elections, transfers of leadership, heads of logs, complaints.
 //!
 //! The signer's certificate is in the signature of a vote and of a transfer, so that renewed keys work. It is checked by the
 //! organisations, the nodes and the revocations of the newest state that this node has executed, at the time of the node's clock.
@@ -9,8 +9,9 @@ use bytes::Bytes;
 use ledger::Ledger;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
-use ledger_light::{Head, Signature, Transfer, Vote};
-use ledger_raft::{Ballot, Ballots, Handover, LogHead};
+use ledger_light::{Complaint, Head, Signature, Transfer, Vote};
+use ledger_raft::{Ballot, Ballots, Grievance, Handover, LogHead};
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A leader's certificate is looked at again after this time, microseconds: it may have been revoked.
@@ -48,6 +49,11 @@ impl<S: Signing> Voting<S> {
     fn transfer(&self, handover: Handover, recoveries: u64) -> Transfer {
         let Handover { term, leader, to } = handover;
         Transfer { network: self.ledger.network(), recoveries, term, leader, to }
+    }
+
+    fn complaint(&self, grievance: Grievance, recoveries: u64) -> Complaint {
+        let Grievance { term, leader, voter: node } = grievance;
+        Complaint { network: self.ledger.network(), recoveries, term, leader, node }
     }
 
     fn head(&self, head: LogHead, recoveries: u64) -> Head {
@@ -103,6 +109,22 @@ impl<S: Signing + Send + Sync> Ballots for Voting<S> {
         let identity = self.signing.identify(&self.ledger.msps(), &signature.certificate, now)?;
         let voters = self.ledger.voters()?;
         voters.check_transfer(&self.transfer(handover, voters.recoveries), &signature, &identity)
+    }
+
+    fn sign_complaint(&self, grievance: Grievance) -> Result<Bytes, Rejection> {
+        let complaint = self.complaint(grievance, self.ledger.recoveries()?);
+        self.signing.sign_complaint(&complaint).map(|signature| signature.to_bytes())
+    }
+
+    fn check_complaint(&self, grievance: Grievance, signed: &[u8], now: u64) -> Result<(), Rejection> {
+        let signature = Signature::from_bytes(signed)?;
+        let identity = self.signing.identify(&self.ledger.msps(), &signature.certificate, now)?;
+        let voters = self.ledger.voters()?;
+        voters.check_complaint(&self.complaint(grievance, voters.recoveries), &signature, &identity)
+    }
+
+    fn complaints_suffice(&self, by: &BTreeSet<u64>) -> bool {
+        self.ledger.voters().is_ok_and(|voters| voters.outnumber_a_hand(by))
     }
 
     fn sign_head(&self, head: LogHead) -> Result<(Bytes, Bytes), Rejection> {

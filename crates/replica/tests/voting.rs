@@ -8,8 +8,8 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::Msps;
-use ledger_light::{Head, Signature, Signed, Statement, Transfer, Vote};
-use ledger_raft::{Ballot, Ballots, Handover, LogHead};
+use ledger_light::{Complaint, Head, Signature, Signed, Statement, Transfer, Vote};
+use ledger_raft::{Ballot, Ballots, Grievance, Handover, LogHead};
 use ledger_replica::Voting;
 use ledger_replica::certifier::Signing;
 use ledger_storage::disk::SimDisk;
@@ -34,6 +34,10 @@ impl Signing for Keys {
 
     fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
         transfer.sign(self.0.certificate.clone(), &self.0.key)
+    }
+
+    fn sign_complaint(&self, complaint: &Complaint) -> Result<Signature, Rejection> {
+        complaint.sign(self.0.certificate.clone(), &self.0.key)
     }
 
     fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {
@@ -120,6 +124,25 @@ fn a_transfer_counts_only_with_the_leaders_own_signature_on_network_term_leader_
     assert_eq!(here.check_handover(transfer, &elsewhere, NOW).unwrap_err().code, Code::BadSignature);
     let another = voting(&ca, "here", "node1", "node").sign_handover(transfer).unwrap();
     assert_eq!(here.check_handover(transfer, &another, NOW).unwrap_err().code, Code::Untrusted);
+}
+
+#[test]
+fn a_complaint_counts_only_with_the_voters_own_signature_and_one_hand_is_not_enough() {
+    let ca = Ca::new("org1-ca");
+    let here = voting(&ca, "here", "node1", "node");
+    let complaint = Grievance { term: 5, leader: 1, voter: 2 };
+    let signed = voting(&ca, "here", "node2", "node").sign_complaint(complaint).unwrap();
+    here.check_complaint(complaint, &signed, NOW).unwrap();
+    for other in
+        [Grievance { term: 6, ..complaint }, Grievance { leader: 2, ..complaint }, Grievance { voter: 1, ..complaint }]
+    {
+        assert_eq!(here.check_complaint(other, &signed, NOW).unwrap_err().code, Code::BadSignature, "{other:?}");
+    }
+    let elsewhere = voting(&ca, "there", "node2", "node").sign_complaint(complaint).unwrap();
+    assert_eq!(here.check_complaint(complaint, &elsewhere, NOW).unwrap_err().code, Code::BadSignature);
+    let another = voting(&ca, "here", "node1", "node").sign_complaint(complaint).unwrap();
+    assert_eq!(here.check_complaint(complaint, &another, NOW).unwrap_err().code, Code::Untrusted);
+    assert!(!here.complaints_suffice(&[1, 2].into()), "both are of one organisation");
 }
 
 #[test]

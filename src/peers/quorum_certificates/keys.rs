@@ -7,7 +7,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Head, Signature, Signed, Statement, Transfer, Vote};
+use ledger_light::{Complaint, Head, Signature, Signed, Statement, Transfer, Vote};
 use ledger_replica::certifier::Signing;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -66,6 +66,11 @@ impl Signing for Keys {
     fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
         let own = self.identity.own();
         transfer.sign(Bytes::copy_from_slice(own.certificate()), &own.key)
+    }
+
+    fn sign_complaint(&self, complaint: &Complaint) -> Result<Signature, Rejection> {
+        let own = self.identity.own();
+        complaint.sign(Bytes::copy_from_slice(own.certificate()), &own.key)
     }
 
     fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {

@@ -62,7 +62,18 @@ pub struct LogHead {
     pub hash: Hash,
 }
 
-/// The key of this node for votes, transfers and heads, and how those of others are checked.
+/// A voter complains about its leader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grievance {
+    /// The term of the leader.
+    pub term: u64,
+    /// The leader.
+    pub leader: u64,
+    /// The voter, which says so.
+    pub voter: u64,
+}
+
+/// The key of this node for votes, transfers, heads and complaints, and how those of others are checked.
 pub trait Ballots: Send + Sync {
     /// Signs a vote of this node.
     ///
@@ -101,6 +112,21 @@ pub trait Ballots: Send + Sync {
     /// # Errors
     /// The reason why it has not.
     fn check_head(&self, head: LogHead, vote: &[u8], signature: &[u8], now: u64) -> Result<(), Rejection>;
+
+    /// Signs a complaint of this voter.
+    ///
+    /// # Errors
+    /// As [`Ballots::sign`].
+    fn sign_complaint(&self, grievance: Grievance) -> Result<Bytes, Rejection>;
+
+    /// Has the voter signed this complaint? `now` as for [`Ballots::check`].
+    ///
+    /// # Errors
+    /// The reason why it has not.
+    fn check_complaint(&self, grievance: Grievance, signed: &[u8], now: u64) -> Result<(), Rejection>;
+
+    /// Are these more voters than one hand has? Then their complaints depose a leader.
+    fn complaints_suffice(&self, by: &BTreeSet<u64>) -> bool;
 }
 
 /// A leader that has shown its mandate.

@@ -6,17 +6,26 @@ use crate::message::{PeerMessage, Transactions};
 use crate::queue::Waiting;
 use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
+use ledger_base::mutation::withholds_control;
 use ledger_base::rejection::{Code, Rejection};
 
 impl Engine {
     /// A client of this node wants a transaction ordered.
     pub(super) fn submit(&mut self, lane: Lane, transaction: Bytes, out: &mut Vec<Output>) {
+        if self.is_withheld(lane) {
+            return;
+        }
         let waiting = Waiting { transaction, origin: None, since: self.now };
         let refused = match self.leader() {
             None => vec![(waiting, no_leader())],
             Some(_) => self.queues.push(lane, waiting),
         };
         give_back(refused.into_iter().map(|(waiting, reason)| (lane, waiting, reason)), out);
+    }
+
+    /// A test has this leader lie.
+    fn is_withheld(&self, lane: Lane) -> bool {
+        lane == Lane::Control && withholds_control() && self.is_leader()
     }
 
     /// Gives back data that has waited too long to be worth ordering.
@@ -31,6 +40,9 @@ impl Engine {
         let mut refused = Vec::new();
         let lanes = [(Lane::Control, transactions.control), (Lane::Data, transactions.data)];
         for (lane, transactions) in lanes {
+            if self.is_withheld(lane) {
+                continue;
+            }
             for transaction in transactions {
                 let waiting = Waiting { transaction, origin: Some(from), since: self.now };
                 // Never forwarded again: two nodes that take each other for the leader would play ping-pong.

@@ -3,6 +3,7 @@
 mod acknowledged;
 mod bounds;
 mod chain;
+mod complaints;
 mod doubt;
 mod handover;
 mod heads;

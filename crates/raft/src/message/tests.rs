@@ -58,7 +58,12 @@ fn message() -> impl Strategy<Value = PeerMessage> {
     let statement = bytes().prop_map(|signed| PeerMessage::Statement(SignedStatement { signed }));
     let early = bytes().prop_map(|transaction| PeerMessage::Early(EarlyCall { transaction }));
     let evidence = bytes().prop_map(|proof| PeerMessage::Evidence(Evidence { proof }));
+    let unanswered = bytes().prop_map(|transaction| PeerMessage::Unanswered(UnansweredCall { transaction }));
+    let complaint = (any::<u64>(), any::<u64>(), bytes())
+        .prop_map(|(term, leader, signed)| PeerMessage::Complaint(SignedComplaint { term, leader, signed }));
     prop_oneof![
+        unanswered,
+        complaint,
         statement,
         early,
         evidence,
@@ -131,6 +136,13 @@ fn limits_are_exact() {
     let evidence = |bytes| PeerMessage::Evidence(Evidence { proof: vec![7; bytes].into() });
     assert!(PeerMessage::decode(evidence(EVIDENCE_BYTES_MAX).to_bytes()).is_ok());
     assert!(PeerMessage::decode(evidence(EVIDENCE_BYTES_MAX + 1).to_bytes()).is_err());
+    let unanswered = |bytes| PeerMessage::Unanswered(UnansweredCall { transaction: vec![7; bytes].into() });
+    assert!(PeerMessage::decode(unanswered(UNANSWERED_BYTES_MAX).to_bytes()).is_ok());
+    assert!(PeerMessage::decode(unanswered(UNANSWERED_BYTES_MAX + 1).to_bytes()).is_err());
+    let complaint =
+        |bytes| PeerMessage::Complaint(SignedComplaint { term: 1, leader: 1, signed: vec![7; bytes].into() });
+    assert!(PeerMessage::decode(complaint(VOTE_BYTES_MAX).to_bytes()).is_ok());
+    assert!(PeerMessage::decode(complaint(VOTE_BYTES_MAX + 1).to_bytes()).is_err());
     assert!(PeerMessage::decode(vec![0; PEER_MESSAGE_BYTES_MAX + 1].into()).is_err());
 }
 

@@ -4,7 +4,7 @@ use super::*;
 use bytes::Bytes;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::Msp;
-use ledger_light::{CertificateRule, Voter};
+use ledger_light::{CertificateRule, Complaint, Voter};
 use testkit::{Ca, User};
 
 const NETWORK: Hash = Hash([7; 32]);
@@ -30,6 +30,10 @@ impl Signing for Keys {
 
     fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
         transfer.sign(self.1.certificate.clone(), &self.1.key)
+    }
+
+    fn sign_complaint(&self, complaint: &Complaint) -> Result<Signature, Rejection> {
+        complaint.sign(self.1.certificate.clone(), &self.1.key)
     }
 
     fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 /// Longest transaction that overtakes data, in bytes. A policy of the largest size is longer; a call that takes a right away
 /// and a certificate have room.
-const URGENT_BYTES_MAX: usize = 8 * 1024;
+pub(crate) const URGENT_BYTES_MAX: usize = 8 * 1024;
 
 /// The node's circumstances when a call comes.
 pub struct Entrance<'a> {

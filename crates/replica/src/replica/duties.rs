@@ -19,6 +19,7 @@ impl<W: Waiter> Replica<W> {
         }
         self.meet_deadline(now, out);
         self.submit_again(now, out);
+        self.tend_calls(now, out);
         self.reconcile(now, out);
     }
 

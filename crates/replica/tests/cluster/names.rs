@@ -2,7 +2,8 @@
 
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::{Ballot, Ballots, Handover, LogHead};
+use ledger_raft::{Ballot, Ballots, Grievance, Handover, LogHead};
+use std::collections::BTreeSet;
 use std::fmt::Debug;
 
 pub(crate) struct Names;
@@ -22,6 +23,18 @@ impl Ballots for Names {
 
     fn check_handover(&self, handover: Handover, signed: &[u8], _now: u64) -> Result<(), Rejection> {
         is_same(&handover, signed)
+    }
+
+    fn sign_complaint(&self, grievance: Grievance) -> Result<Bytes, Rejection> {
+        Ok(format!("{grievance:?}").into())
+    }
+
+    fn check_complaint(&self, grievance: Grievance, signed: &[u8], _now: u64) -> Result<(), Rejection> {
+        is_same(&grievance, signed)
+    }
+
+    fn complaints_suffice(&self, by: &BTreeSet<u64>) -> bool {
+        by.len() > 1
     }
 
     fn sign_head(&self, head: LogHead) -> Result<(Bytes, Bytes), Rejection> {

@@ -9,7 +9,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Certificate, Head, Proof, Signature, Signed, Statement, Transfer, Vote};
+use ledger_light::{Certificate, Complaint, Head, Proof, Signature, Signed, Statement, Transfer, Vote};
 use ledger_replica::certifier::{Certifiable, Certifier, Earlier, Effect, Era, Event, Signing};
 use std::sync::Arc;
 
@@ -39,6 +39,11 @@ impl Signing for Keys {
     fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
         let node = self.people.node(self.id, self.organisations);
         transfer.sign(node.certificate.clone(), &node.key)
+    }
+
+    fn sign_complaint(&self, complaint: &Complaint) -> Result<Signature, Rejection> {
+        let node = self.people.node(self.id, self.organisations);
+        complaint.sign(node.certificate.clone(), &node.key)
     }
 
     fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {

@@ -41,6 +41,19 @@ impl Ballots for Names {
         Ok((Bytes::new(), signed_head(head)))
     }
 
+    fn sign_complaint(&self, grievance: Grievance) -> Result<Bytes, Rejection> {
+        assert_eq!(grievance.voter, self.0, "only its own complaint");
+        Ok(signed_complaint(grievance))
+    }
+
+    fn check_complaint(&self, grievance: Grievance, found: &[u8], _now: u64) -> Result<(), Rejection> {
+        is_same(&signed_complaint(grievance), found)
+    }
+
+    fn complaints_suffice(&self, by: &std::collections::BTreeSet<u64>) -> bool {
+        by.len() > 1
+    }
+
     fn check_head(&self, head: LogHead, vote: &[u8], found: &[u8], _now: u64) -> Result<(), Rejection> {
         is_same(&signed(head.term, head.leader, head.leader), vote)?;
         is_same(&signed_head(head), found)
@@ -54,6 +67,11 @@ fn is_same(wanted: &[u8], found: &[u8]) -> Result<(), Rejection> {
 /// The word of a leader that it hands over.
 pub(super) fn signed_handover(handover: Handover) -> Bytes {
     [handover.term, handover.leader, handover.to].map(u64::to_be_bytes).concat().into()
+}
+
+/// The complaint of a voter.
+pub(super) fn signed_complaint(grievance: Grievance) -> Bytes {
+    [grievance.term, grievance.leader, grievance.voter].map(|number| (!number).to_be_bytes()).concat().into()
 }
 
 /// The head of a leader's log.
