@@ -328,7 +328,7 @@ fn a_robot_that_compares_no_epochs_is_noticed() {
 
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
-    caught(Mutation::IgnoreStaleness, 31, &["gate"]);
+    caught(Mutation::IgnoreStaleness, 2, &["gate"]);
 }
 
 #[test]
