@@ -1,13 +1,17 @@
 //! An organisation that runs its two voters twice makes a node of another one execute blocks that nobody certifies, and has other
 //! blocks certified with the rest. That node stops when it meets the certificate, and comes back by the command that it names.
 
+use crate::pretenders::{as_node, part, say};
 use crate::support::directory::copy;
 use crate::support::network::{NodePlace, NodeWish, free_address, now, register_robots};
 use crate::support::process::Process;
 use crate::support::{Ctl, Fleet, connect, programs, until};
 use crate::twice::{Side, Twice, runtime};
+use bytes::Bytes;
 use ledger_api::Context;
+use ledger_base::hash::Hash;
 use ledger_identity::Role;
+use ledger_light::Statement;
 use serde_json::Value;
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -249,4 +253,49 @@ fn where_no_history_is_certified_any_more_recover_takes_the_people_through_it() 
         })
         .await;
     });
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_strict_certificates_are_shown_and_no_node_leaves_what_its_own_one_covers() {
+    let wish = |number: usize| NodeWish {
+        name: format!("node{number}"),
+        organisation: format!("Org{number}"),
+        voter: true,
+        address: free_address(),
+    };
+    let fleet = Fleet::found_with(&[1, 2, 3, 4].map(wish), now());
+    let owner = fleet.owner();
+    let mut nodes: Vec<Process> = fleet.nodes.iter().map(NodePlace::start).collect();
+    register_robots(&connect(&owner).await, "exclusive").await;
+    let first = connect(&Context { nodes: vec![fleet.nodes[0].address.clone()], ..owner.clone() }).await;
+    let height = until("a block is certified", || async {
+        let certified = first.status().await.ok()?.certified;
+        (certified > 0).then_some(certified)
+    })
+    .await;
+
+    // Three of four organisations lie, each with its own key.
+    let (time, block, results) = (now(), Hash([9; 32]), Hash([7; 32]));
+    for (place, number) in fleet.nodes.iter().zip(1..).skip(1) {
+        let voter = as_node(place, &owner);
+        let statement = Statement { network: owner.network, recoveries: 0, height, time, block, results };
+        let signed = statement.sign(number, Bytes::copy_from_slice(&voter.chain[0]), &voter.key).unwrap();
+        say(&voter, &fleet.nodes[0].address, vec![part(6, &part(1, &signed.to_bytes())).into()]).await;
+    }
+    until("the first node shows it", || async {
+        let status = first.status().await.ok()?;
+        status.divergence.contains(&format!("voters have certified two blocks of height {height}")).then_some(())
+    })
+    .await;
+    let kept = fleet.nodes[0].data.join("certificates/other.branch");
+    until("the other certificate is kept", || async { kept.exists().then_some(()) }).await;
+    assert!(!fleet.nodes[0].data.join("contradicted").exists());
+    nodes[0].check();
+    nodes[0].interrupt();
+    // It is shown after a restart, too, and the node starts.
+    nodes[0] = fleet.nodes[0].start();
+    until("the first node shows it again", || async {
+        first.status().await.ok()?.divergence.contains("people must decide").then_some(())
+    })
+    .await;
 }

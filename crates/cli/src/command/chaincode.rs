@@ -158,7 +158,9 @@ mod tests {
             serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, certified: true, answer })
                 .unwrap();
         assert!(
-            text.ends_with(r#""height":3,"index":1,"time":9,"certified":true,"encoding":"json","response":{"b":1,"a":2}}"#),
+            text.ends_with(
+                r#""height":3,"index":1,"time":9,"certified":true,"encoding":"json","response":{"b":1,"a":2}}"#
+            ),
             "{text}"
         );
     }
