@@ -96,7 +96,7 @@ async fn a_leader_that_withholds_a_stop_and_a_revocation_is_deposed_and_both_are
     let admin = connect(&scene.at(&scene.fleet.issue("Org2", "Boss", Role::Admin, &[]), 1)).await;
     let stop = owner.invoke("abac", "stop", vec!["Turtlebot4".into(), "smoke".into()]);
     scene.fleet.issue("Org2", "Farhad", Role::Member, &[]);
-    let revoke = admin.invoke("msp", "revoke_identity", vec!["Farhad".into(), "lost".into()]);
+    let revoke = admin.invoke("msp", "revoke_identity", vec![r#"{"name":"Farhad"}"#.into()]);
     let (stopped, revoked) = tokio::join!(stop, revoke);
     stopped.unwrap();
     revoked.unwrap();

@@ -5,7 +5,7 @@
 
 use super::Committed;
 use super::fresh::Fresh;
-use super::retry::{ATTEMPT_MAX, RETRY_AFTER, is_final};
+use super::retry::{ATTEMPT_MAX, ELSEWHERE_AFTER, RETRY_AFTER, is_final};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
 use crate::v1::SubmitResponse;
@@ -30,6 +30,11 @@ const UNITS: usize = IN_FLIGHT_BYTES_MAX / UNIT_BYTES;
 const UNITS_MIN: usize = UNITS / IN_FLIGHT_MAX;
 const _: () = assert!(UNITS_MIN > 0 && TRANSACTION_BYTES_MAX + UNIT_BYTES <= IN_FLIGHT_BYTES_MAX);
 const _: () = assert!(UNITS <= Semaphore::MAX_PERMITS);
+
+/// Longest call that is given to a node of another organisation, too: nodes let longer ones wait like data.
+const ELSEWHERE_BYTES_MAX: usize = 8 * 1024;
+/// Most calls that are given to it at once.
+const ELSEWHERE_MAX: usize = 16;
 
 pub(super) type Verdict = Result<Committed, Rejection>;
 type Outgoing = mpsc::UnboundedSender<Sent>;
@@ -111,6 +116,8 @@ struct Entry {
     uncertain: bool,
     /// The reason of a node that could not take it.
     refused: Option<Rejection>,
+    /// Was it also given to a node of another organisation?
+    given_elsewhere: bool,
     _room: OwnedSemaphorePermit,
 }
 
@@ -197,6 +204,7 @@ impl InFlight {
                     signed_here: fresh,
                     uncertain: false,
                     refused: None,
+                    given_elsewhere: false,
                     _room: room,
                 });
                 table.next += 1;
@@ -318,6 +326,25 @@ impl InFlight {
             table.send(|entry| matches!(entry.state, State::Resting));
         }
         stuck
+    }
+
+    /// The calls that the node has left without an answer for [`ELSEWHERE_AFTER`]: they are given to a node of another organisation, too,
+    /// once. What is longer than a control call is left out.
+    pub(super) fn unanswered(&self, now: Instant) -> Vec<Bytes> {
+        let mut table = self.lock();
+        let due = table.entries.values_mut().filter(|entry| {
+            let waits = matches!(entry.state, State::Sent(since) if since + ELSEWHERE_AFTER <= now);
+            let is_small = entry.encoded.len() <= ELSEWHERE_BYTES_MAX;
+            waits && !entry.given_elsewhere && entry.patience == Patience::Call && is_small
+        });
+        let mut due: Vec<_> = due.take(ELSEWHERE_MAX).collect();
+        due.sort_by_key(|entry| entry.number);
+        due.into_iter()
+            .map(|entry| {
+                entry.given_elsewhere = true;
+                entry.encoded.clone()
+            })
+            .collect()
     }
 
     /// Adds our certificate to a transaction of ours that came without. False if that is not what was missing.
@@ -460,5 +487,23 @@ mod tests {
         for one in [&first, &second, &third] {
             assert_eq!(sent.try_recv().unwrap().transaction, *one.encoded());
         }
+    }
+
+    #[tokio::test]
+    async fn a_call_without_an_answer_is_given_elsewhere_once_and_a_command_is_not() {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let table = InFlight::new(identity(), Duration::from_secs(60), true);
+        let [call, command, waits] = [1, 2, 3].map(|nonce| transaction(&key, nonce));
+        let (outgoing, _sent) = mpsc::unbounded_channel();
+        table.attach(outgoing);
+        let _verdict = table.add(&call, table.room(&call).await.unwrap(), Patience::Call);
+        let _verdict = table.add(&command, table.room(&command).await.unwrap(), Patience::Command);
+        let now = Instant::now();
+        assert!(table.unanswered(now).is_empty(), "it may still be answered");
+        assert_eq!(table.unanswered(now + ELSEWHERE_AFTER), [call.encoded().clone()]);
+        assert!(table.unanswered(now + 2 * ELSEWHERE_AFTER).is_empty());
+        table.detach();
+        let _verdict = table.add(&waits, table.room(&waits).await.unwrap(), Patience::Call);
+        assert!(table.unanswered(now + 3 * ELSEWHERE_AFTER).is_empty(), "it was given to no node yet");
     }
 }

@@ -44,7 +44,7 @@ impl<W: Waiter> Replica<W> {
 
     /// With each step of time: what is to be done about the calls that wait.
     pub(super) fn tend_calls(&mut self, now: Now, out: &mut Vec<Effect>) {
-        if self.withheld.is_empty() {
+        if !self.withheld.is_due(now.elapsed) {
             return;
         }
         let (status, tip) = (self.engine.status(), self.executor.ledger().tip());
