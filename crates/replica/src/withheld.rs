@@ -7,7 +7,7 @@
 //! complaint     the leader ordered blocks at least two seconds of its own time later, and this call is in none of them
 //! forgotten     with its verdict, after its `not_after`, or if it would be rejected now
 //! ```
-//! **Who is not complained about.** A leader that orders nothing (idle, cut off, with a slow disk) puts no block behind the call. A
+//! **Exceptions.** A leader that orders nothing (idle, cut off, with a slow disk) puts no block behind the call. A
 //! voter that lags executes old blocks, which were ordered before. A call that did not reach the leader from here reaches it from
 //! another voter. A creator that is over its budget has to wait.
 
@@ -17,6 +17,9 @@ use ledger_base::hash::Hash;
 use ledger_raft::UNANSWERED_BYTES_MAX;
 use std::collections::BTreeMap;
 
+/// Longest transaction that overtakes data, in bytes. A policy of the largest size is longer; a call that takes a right away
+/// and a certificate have room.
+pub(crate) const URGENT_BYTES_MAX: usize = 8 * 1024;
 /// Most calls that are kept, one of each identity.
 const CALLS_MAX: usize = 1024;
 /// A call of an own client is passed on after this time, microseconds.
