@@ -4,6 +4,7 @@ use crate::support::network::{NodeWish, free_address, message, now, register_rob
 use crate::support::{Fleet, Process, connect, until};
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -77,6 +78,8 @@ async fn a_leader_that_withholds_a_stop_and_a_revocation_is_deposed_and_both_are
     let scene = Scene::begin(true).await;
     let (owner, salma) = (scene.client(&scene.owner, 1).await, scene.client(&scene.salma, 2).await);
     salma.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
+    let admin = connect(&scene.at(&scene.fleet.issue("Org2", "Boss", Role::Admin, &[]), 1)).await;
+    admin.register("Farhad", Role::Member, &BTreeMap::new()).await.unwrap();
     let term = scene.elect_the_first().await;
 
     // Data goes on, so the leader orders other things.
@@ -93,10 +96,8 @@ async fn a_leader_that_withholds_a_stop_and_a_revocation_is_deposed_and_both_are
             }
         }
     });
-    let admin = connect(&scene.at(&scene.fleet.issue("Org2", "Boss", Role::Admin, &[]), 1)).await;
     let stop = owner.invoke("abac", "stop", vec!["Turtlebot4".into(), "smoke".into()]);
-    scene.fleet.issue("Org2", "Farhad", Role::Member, &[]);
-    let revoke = admin.invoke("msp", "revoke_identity", vec!["Farhad".into(), "lost".into()]);
+    let revoke = admin.revoke_identity("Farhad", "lost");
     let (stopped, revoked) = tokio::join!(stop, revoke);
     stopped.unwrap();
     revoked.unwrap();

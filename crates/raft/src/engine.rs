@@ -402,8 +402,8 @@ impl Engine {
         }
     }
 
-    /// Standing for election needs four things. They are an own vote (the crate forgets to ask when told to), a
-    /// log that is on the own disk, a state machine that is not far behind, and that the voters have not deposed this node.
+    /// Standing for election needs three things. They are an own vote (the crate forgets to ask when told to), a
+    /// log that is on the own disk, and a state machine that is not far behind. A node that was deposed waits.
     fn may_campaign(&self) -> bool {
         let raft = &self.raw.raft;
         let log = &raft.raft_log;

@@ -43,6 +43,9 @@
 //! events.
 
 pub(crate) mod convert;
+mod enclosed;
+
+pub use enclosed::{EarlyCall, Evidence, SignedComplaint, SignedStatement, UnansweredCall};
 
 use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
@@ -130,28 +133,6 @@ impl PeerMessage {
     }
 }
 
-/// A complaint of the sender about the leader of a term.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct SignedComplaint {
-    /// The term.
-    #[prost(uint64, tag = "1")]
-    pub term: u64,
-    /// The leader.
-    #[prost(uint64, tag = "2")]
-    pub leader: u64,
-    /// The signature of the sender below it, as `ledger-light` encodes it.
-    #[prost(bytes = "bytes", tag = "3")]
-    pub signed: Bytes,
-}
-
-/// A control call that was not ordered in time.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct UnansweredCall {
-    /// The signed bytes.
-    #[prost(bytes = "bytes", tag = "1")]
-    pub transaction: Bytes,
-}
-
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
     #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12, 14")]
@@ -164,30 +145,6 @@ pub struct LogBegin {
     /// Height of its oldest block.
     #[prost(uint64, tag = "1")]
     pub first_index: u64,
-}
-
-/// A statement about a block with the signature of a voter, as `ledger-light` encodes it.
-#[derive(Clone, PartialEq, Eq, prost::Message)]
-pub struct SignedStatement {
-    /// Its bytes.
-    #[prost(bytes = "bytes", tag = "1")]
-    pub signed: Bytes,
-}
-
-/// The proof that a node has signed two different things for one place, as `ledger-light` encodes it.
-#[derive(Clone, PartialEq, Eq, prost::Message)]
-pub struct Evidence {
-    /// Its bytes.
-    #[prost(bytes = "bytes", tag = "1")]
-    pub proof: Bytes,
-}
-
-/// A signed call that was submitted at the sender.
-#[derive(Clone, PartialEq, Eq, prost::Message)]
-pub struct EarlyCall {
-    /// Its bytes.
-    #[prost(bytes = "bytes", tag = "1")]
-    pub transaction: Bytes,
 }
 
 /// The signed votes that have made the sender the leader of a term.

@@ -20,7 +20,6 @@ mod turns;
 
 pub use admission::{Admitting, Decision, id_of};
 pub use desk::{Desk, Job, Looked};
-pub(crate) use entrance::URGENT_BYTES_MAX;
 pub use entrance::{Call, Entrance, Turned};
 pub use held::Item;
 pub use line::{Arrived, Ticket};

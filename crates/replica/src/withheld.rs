@@ -7,7 +7,7 @@
 //! complaint     the leader ordered blocks at least two seconds of its own time later, and this call is in none of them
 //! forgotten     with its verdict, after its `not_after`, or if it would be rejected now
 //! ```
-//! **Who is not complained about.** A leader that orders nothing (idle, cut off, with a slow disk) puts no block behind the call. A
+//! **Exceptions.** A leader that orders nothing (idle, cut off, with a slow disk) puts no block behind the call. A
 //! voter that lags executes old blocks, which were ordered before. A call that did not reach the leader from here reaches it from
 //! another voter. A creator that is over its budget has to wait.
 
@@ -17,6 +17,9 @@ use ledger_base::hash::Hash;
 use ledger_raft::UNANSWERED_BYTES_MAX;
 use std::collections::BTreeMap;
 
+/// Longest transaction that overtakes data, in bytes. A policy of the largest size is longer; a call that takes a right away
+/// and a certificate have room.
+pub(crate) const URGENT_BYTES_MAX: usize = 8 * 1024;
 /// Most calls that are kept, one of each identity.
 const CALLS_MAX: usize = 1024;
 /// A call of an own client is passed on after this time, microseconds.
@@ -93,9 +96,9 @@ struct Given {
 }
 
 impl Withheld {
-    /// Is nothing kept?
-    pub(crate) fn is_empty(&self) -> bool {
-        self.calls.is_empty()
+    /// Is it time to look at the calls?
+    pub(crate) fn is_due(&self, elapsed: u64) -> bool {
+        !self.calls.is_empty() && elapsed.saturating_sub(self.looked) >= LOOK_EVERY
     }
 
     /// May this node pass on one more call in this second?
@@ -154,7 +157,7 @@ impl Withheld {
 
     /// The next steps. To be called often. `is_settled`: has it a verdict, or can it have none any more?
     pub(crate) fn tend(&mut self, view: View, is_settled: impl Fn(&Transaction) -> bool) -> Vec<Step> {
-        if self.calls.is_empty() || view.elapsed.saturating_sub(self.looked) < LOOK_EVERY {
+        if !self.is_due(view.elapsed) {
             return Vec::new();
         }
         self.looked = view.elapsed;
@@ -305,9 +308,9 @@ mod tests {
         assert_eq!(complained(&mut withheld, 2 * SECOND, &[]), [call(1, 1), call(2, 3)]);
         assert_eq!(complained(&mut withheld, 3 * SECOND, &[call(1, 1)]), [call(2, 3)]);
         withheld.forget(&call(2, 4));
-        assert!(!withheld.is_empty(), "it is another one");
+        assert!(!withheld.calls.is_empty(), "it is another one");
         withheld.forget(&call(2, 3));
-        assert!(withheld.is_empty());
+        assert!(withheld.calls.is_empty());
     }
 
     #[test]

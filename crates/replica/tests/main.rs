@@ -14,3 +14,4 @@ mod ordering;
 mod reads;
 mod trust;
 mod voting;
+mod withholding;

@@ -172,6 +172,8 @@ pub struct Coverage {
     pub lies: u64,
     /// Proofs of lies.
     pub lies_proved: u64,
+    /// Leaders that were deposed because they withheld control calls.
+    pub deposed: u64,
     /// Proofs of faults.
     pub faults_proved: u64,
     /// Engines that could not write what they had when they ended, for lack of space.
@@ -297,6 +299,7 @@ impl Coverage {
         self.certificates += other.certificates;
         self.lies += other.lies;
         self.lies_proved += other.lies_proved;
+        self.deposed += other.deposed;
         self.faults_proved += other.faults_proved;
         self.full_at_end += other.full_at_end;
         self.checks += other.checks;
@@ -313,9 +316,10 @@ impl Coverage {
         let refusals = [Code::LineFull, Code::Stopped].into_iter().filter(|code| !refused(code));
         let refusals = refusals.map(|code| format!("refused with {}", code.name()));
         let never = never.map(|fault| fault.name().to_owned()).chain(untold.map(Untruth::to_string));
+        let deposed = (self.deposed == 0).then(|| "a leader was deposed".to_owned());
         let ungoverned = GOVERNANCE.into_iter().filter(|what| !self.governance.contains_key(what)).map(str::to_owned);
         let open = CONFIDENTIAL.into_iter().filter(|what| !self.confidential.contains_key(what)).map(str::to_owned);
-        never.chain(idle).chain(contests).chain(ungoverned).chain(open).chain(refusals).collect()
+        never.chain(idle).chain(deposed).chain(contests).chain(ungoverned).chain(open).chain(refusals).collect()
     }
 
     /// Was so much done that every kind of fault should have happened?
@@ -390,6 +394,7 @@ impl fmt::Display for Coverage {
         writeln!(f, "certificates      {}", self.certificates)?;
         let (proved, faults) = (self.lies_proved, self.faults_proved);
         writeln!(f, "lies              {} told, {proved} proved, and {faults} faults", self.lies)?;
+        writeln!(f, "deposed           {} leaders", self.deposed)?;
         writeln!(
             f,
             "robots            {} questions, {} answers believed, {} starts anew",

@@ -15,6 +15,7 @@ mod exactly_once;
 mod fair_share;
 mod gate;
 mod grant_exclusivity;
+mod honest_leaders;
 mod in_order;
 mod informed_votes;
 mod keeps_time;
@@ -41,6 +42,7 @@ pub use exactly_once::ExactlyOnce;
 pub use fair_share::FairShare;
 pub use gate::{GateKeepsTheRules, Passed};
 pub use grant_exclusivity::GrantExclusivity;
+pub use honest_leaders::HonestLeadersStay;
 pub use in_order::{Call, InOrder};
 pub use informed_votes::VotesAreInformed;
 pub use keeps_time::BlockTimeKeepsToTheClocks;
@@ -152,6 +154,8 @@ pub struct Invariants {
     pub snapshot_trust: SnapshotsAreAttested,
     /// Nobody votes without knowing whether it has lost blocks.
     pub informed_votes: VotesAreInformed,
+    /// Complaints depose liars only.
+    pub honest_leaders: HonestLeadersStay,
     /// Members come and go by transactions.
     pub members: MembersFollowTheLedger,
     /// Certificates say what was executed.
@@ -187,6 +191,7 @@ impl Invariants {
             in_order: InOrder::default(),
             snapshot_trust: SnapshotsAreAttested::default(),
             informed_votes: VotesAreInformed::default(),
+            honest_leaders: HonestLeadersStay::default(),
             members: MembersFollowTheLedger::default(),
             certified: CertificatesAreTrue::default(),
             keeps_time: BlockTimeKeepsToTheClocks::default(),

@@ -37,6 +37,8 @@ pub struct Plan {
     pub prepares: bool,
     /// Time between two flushes of the world state.
     pub state_flush: u64,
+    /// A voter that orders no control calls while it leads, as long as there are faults.
+    pub withholds: Option<u64>,
     /// The network and the disks.
     pub network: NetworkPlan,
     /// Longest time of an ordinary flush of the log.
@@ -117,6 +119,7 @@ impl Plan {
             tasks: seed.is_multiple_of(6),
             governs: seed.is_multiple_of(2),
             confidential: seed % 5 == 4,
+            withholds: (seed % 7 == 5).then(|| 1 + seed % voters),
             network,
             faults,
         }

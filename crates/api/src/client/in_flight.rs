@@ -5,7 +5,7 @@
 
 use super::Committed;
 use super::fresh::Fresh;
-use super::retry::{ATTEMPT_MAX, RETRY_AFTER, is_final};
+use super::retry::{ATTEMPT_MAX, ELSEWHERE_AFTER, RETRY_AFTER, is_final};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
 use crate::v1::SubmitResponse;
@@ -30,6 +30,11 @@ const UNITS: usize = IN_FLIGHT_BYTES_MAX / UNIT_BYTES;
 const UNITS_MIN: usize = UNITS / IN_FLIGHT_MAX;
 const _: () = assert!(UNITS_MIN > 0 && TRANSACTION_BYTES_MAX + UNIT_BYTES <= IN_FLIGHT_BYTES_MAX);
 const _: () = assert!(UNITS <= Semaphore::MAX_PERMITS);
+
+/// Longest call that is given to a node of another organisation, too: nodes let longer ones wait like data.
+const ELSEWHERE_BYTES_MAX: usize = 8 * 1024;
+/// Most calls that are given to it at once.
+const ELSEWHERE_MAX: usize = 16;
 
 pub(super) type Verdict = Result<Committed, Rejection>;
 type Outgoing = mpsc::UnboundedSender<Sent>;
@@ -111,6 +116,8 @@ struct Entry {
     uncertain: bool,
     /// The reason of a node that could not take it.
     refused: Option<Rejection>,
+    /// Was it also given to a node of another organisation?
+    given_elsewhere: bool,
     _room: OwnedSemaphorePermit,
 }
 
@@ -197,6 +204,7 @@ impl InFlight {
                     signed_here: fresh,
                     uncertain: false,
                     refused: None,
+                    given_elsewhere: false,
                     _room: room,
                 });
                 table.next += 1;
@@ -321,6 +329,25 @@ impl InFlight {
         stuck
     }
 
+    /// The calls that the node has left without an answer for [`ELSEWHERE_AFTER`]: they are given to a node of another organisation, too,
+    /// once. Longer calls than control calls are left out.
+    pub(super) fn unanswered(&self, now: Instant) -> Vec<Bytes> {
+        let mut table = self.lock();
+        let due = table.entries.values_mut().filter(|entry| {
+            let waits = matches!(entry.state, State::Sent(since) if since + ELSEWHERE_AFTER <= now);
+            let is_small = entry.encoded.len() <= ELSEWHERE_BYTES_MAX;
+            waits && !entry.given_elsewhere && entry.patience == Patience::Call && is_small
+        });
+        let mut due: Vec<_> = due.take(ELSEWHERE_MAX).collect();
+        due.sort_by_key(|entry| entry.number);
+        due.into_iter()
+            .map(|entry| {
+                entry.given_elsewhere = true;
+                entry.encoded.clone()
+            })
+            .collect()
+    }
+
     /// Adds our certificate to a transaction of ours that came without. False if that is not what was missing.
     fn introduce(&self, entry: &mut Entry) -> bool {
         *self.known() = None;
@@ -406,60 +433,4 @@ fn units(transaction: &Transaction) -> u32 {
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::v1::Verdict as Answered;
-    use ledger::transaction::{Body, NONCE_BYTES};
-    use ledger_identity::key::{KeyKind, SigningKey};
-    use ring::rand::SystemRandom;
-
-    fn transaction(key: &SigningKey, nonce: u8) -> Transaction {
-        let (id, nonce) = (Bytes::from(vec![1; 32]), Bytes::from(vec![nonce; NONCE_BYTES]));
-        let (chaincode, function) = ("abac".to_owned(), "set".to_owned());
-        let body = Body {
-            network: id.clone(),
-            creator: id,
-            nonce,
-            not_after: 1,
-            chaincode,
-            function,
-            args: Vec::new(),
-            known_block: None,
-        };
-        Transaction::sign(&body, key).unwrap()
-    }
-
-    fn identity() -> TlsIdentity {
-        let key = rcgen::KeyPair::generate().unwrap();
-        let certificate = rcgen::CertificateParams::new(Vec::new()).unwrap().self_signed(&key).unwrap();
-        let key = SigningKey::from_pkcs8_der(&key.serialize_der()).unwrap();
-        TlsIdentity::new(vec![certificate.der().clone()], Arc::new(key)).unwrap()
-    }
-
-    #[tokio::test]
-    async fn what_is_new_does_not_overtake_what_a_node_could_not_take() {
-        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-        let table = InFlight::new(identity(), Duration::from_secs(60), false);
-        let (outgoing, mut sent) = mpsc::unbounded_channel();
-        table.attach(outgoing);
-        let [first, second, third] = [1, 2, 3].map(|nonce| transaction(&key, nonce));
-        let mut verdicts = Vec::new();
-        for one in [&first, &second] {
-            verdicts.push(table.add(one, table.room(one).await.unwrap(), Patience::Call));
-            assert_eq!(sent.try_recv().unwrap().transaction, *one.encoded());
-        }
-        // The second is refused before the first, then comes a third.
-        for one in [&second, &first] {
-            let verdict = Answered::from(&Rejection::new(Code::NoLeader, "no leader is known"));
-            let id = Bytes::copy_from_slice(one.id().as_ref());
-            let answer = SubmitResponse { id, verdict: Some(verdict), ..SubmitResponse::default() };
-            assert_eq!(table.answer(answer), Effect::Leave);
-        }
-        verdicts.push(table.add(&third, table.room(&third).await.unwrap(), Patience::Call));
-        assert!(sent.try_recv().is_err(), "it rests with the others");
-        table.sweep(Instant::now() + RETRY_AFTER, None);
-        for one in [&first, &second, &third] {
-            assert_eq!(sent.try_recv().unwrap().transaction, *one.encoded());
-        }
-    }
-}
+mod tests;

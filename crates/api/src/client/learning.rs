@@ -66,6 +66,22 @@ impl Nodes {
         }
     }
 
+    /// The nodes of other organisations than that of the node at this address; all others if that is unknown.
+    pub(super) fn elsewhere(&self, than: &str) -> Vec<String> {
+        let mut others = self.others(than);
+        if let Some(learner) = &self.learner {
+            let learner = learner.lock().unwrap_or_else(PoisonError::into_inner);
+            let known = learner.context.known_nodes();
+            let organisation = |address: &str| {
+                known.iter().find(|node| node.address == address).map(|node| node.organisation.as_str())
+            };
+            if let Some(of) = organisation(than) {
+                others.retain(|address| organisation(address) != Some(of));
+            }
+        }
+        others
+    }
+
     /// Is there more than one?
     pub(super) fn are_several(&self) -> bool {
         self.lock().len() > 1

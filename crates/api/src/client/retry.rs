@@ -5,6 +5,9 @@ use std::time::Duration;
 
 /// After this long without any answer, while one is due, the node counts as stuck, and another one is asked.
 pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
+/// After this long without its answer, a call is given to a node of another organisation, too: the leader, or the node that the client
+/// has, may withhold it.
+pub(super) const ELSEWHERE_AFTER: Duration = Duration::from_secs(1);
 /// How long a node that said "not now" is left in peace.
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
 

@@ -7,7 +7,7 @@
 use super::Options;
 use super::clock::{Clock, middle};
 use super::dialer::{Dialer, Opened};
-use super::in_flight::{Effect, InFlight};
+use super::in_flight::{Effect, InFlight, Sent};
 use super::learning::{LOOK_EVERY, Look, Nodes, look_around};
 use super::retry::is_final;
 use super::uplink::Uplink;
@@ -386,9 +386,37 @@ async fn sweep(session: Weak<Session>) {
         if session.in_flight.sweep(Instant::now(), broken.as_ref()) {
             session.leave(number);
         }
+        let unanswered = session.in_flight.unanswered(Instant::now());
+        if !unanswered.is_empty() && session.several() {
+            // It takes as long as the other node takes.
+            tokio::spawn(elsewhere(Arc::clone(&session), unanswered));
+        }
         if session.clock.take_doubt() {
             // In its own task: deadlines must not wait for a node.
             tokio::spawn(async move { session.learn_clock().await });
         }
     }
+}
+
+/// Gives calls to a node of another organisation, too, and takes what was executed from it.
+async fn elsewhere(session: Arc<Session>, calls: Vec<Bytes>) {
+    let nodes = session.nodes.elsewhere(&session.address());
+    let Ok(mut opened) = session.dialer.race(&nodes, |opened| !opened.told.cut_off, None).await else { return };
+    let mut waiting = calls.len();
+    for transaction in calls {
+        let _closed = opened.requests.send(Sent { transaction, first_attempt: false });
+    }
+    let answers = async {
+        while waiting > 0
+            && let Ok(Some(answer)) = opened.answers.message().await
+        {
+            waiting -= 1;
+            // What this node cannot do, the other one may.
+            if answer.height > 0 {
+                session.see(answer.height);
+                session.in_flight.answer(answer);
+            }
+        }
+    };
+    let _late = timeout(session.options.deadline, answers).await;
 }

@@ -144,7 +144,8 @@ impl Engine {
         if !self.mandates.ballots().complaints_suffice(&self.complaints.by) {
             return;
         }
-        tracing::warn!(term, leader, by = ?self.complaints.by, "voters have deposed the leader: it withholds control calls");
+        let by = self.complaints.by.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+        tracing::warn!(term, leader, by, "voters have deposed the leader: it withholds control calls");
         let (ticks, timeout) = (self.ticks, self.timeout());
         self.complaints.depose(leader, ticks, timeout);
         self.raw.raft.become_follower(term, INVALID_ID);

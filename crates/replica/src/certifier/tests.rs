@@ -1,10 +1,12 @@
 mod evidence;
+mod keys;
 
 use super::*;
 use bytes::Bytes;
+use keys::Keys;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::Msp;
-use ledger_light::{CertificateRule, Complaint, Voter};
+use ledger_light::{CertificateRule, Voter};
 use testkit::{Ca, User};
 
 const NETWORK: Hash = Hash([7; 32]);
@@ -15,34 +17,6 @@ const TIME: u64 = 1_893_456_000_000_000;
 struct World {
     nodes: Vec<User>,
     era: Era,
-}
-
-struct Keys(u64, User);
-
-impl Signing for Keys {
-    fn sign(&self, statement: &Statement) -> Result<Signed, Rejection> {
-        statement.sign(self.0, self.1.certificate.clone(), &self.1.key)
-    }
-
-    fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection> {
-        vote.sign(self.1.certificate.clone(), &self.1.key)
-    }
-
-    fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
-        transfer.sign(self.1.certificate.clone(), &self.1.key)
-    }
-
-    fn sign_complaint(&self, complaint: &Complaint) -> Result<Signature, Rejection> {
-        complaint.sign(self.1.certificate.clone(), &self.1.key)
-    }
-
-    fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {
-        head.sign(self.1.certificate.clone(), &self.1.key)
-    }
-
-    fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], time: u64) -> Result<Identity, Rejection> {
-        msps.verify(certificate, &[], time).map_err(Rejection::from)
-    }
 }
 
 fn organisation(node: u64) -> usize {

@@ -3,16 +3,13 @@
 use super::admission::answer_to;
 use super::line::{Arrived, Ticket};
 use super::share::{InFlight, Share};
+use crate::withheld::URGENT_BYTES_MAX;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Ground, Ledger, Refusal};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::Lane;
 use std::sync::Arc;
-
-/// Longest transaction that overtakes data, in bytes. A policy of the largest size is longer; a call that takes a right away
-/// and a certificate have room.
-pub(crate) const URGENT_BYTES_MAX: usize = 8 * 1024;
 
 /// The node's circumstances when a call comes.
 pub struct Entrance<'a> {

@@ -2,14 +2,11 @@
 
 use super::{Effect, Now, Replica};
 use crate::waiters::Waiter;
-use crate::withheld::{Step, View};
+use crate::withheld::{Step, URGENT_BYTES_MAX, View};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
 use ledger_raft::{Input, Lane, PeerMessage, UnansweredCall};
-
-/// Longest call that is passed on.
-const CALL_BYTES_MAX: usize = crate::gateway::URGENT_BYTES_MAX;
 
 impl<W: Waiter> Replica<W> {
     /// A client of this node has submitted a control call.
@@ -44,7 +41,7 @@ impl<W: Waiter> Replica<W> {
 
     /// With each step of time: what is to be done about the calls that wait.
     pub(super) fn tend_calls(&mut self, now: Now, out: &mut Vec<Effect>) {
-        if self.withheld.is_empty() {
+        if !self.withheld.is_due(now.elapsed) {
             return;
         }
         let (status, tip) = (self.engine.status(), self.executor.ledger().tip());
@@ -79,7 +76,7 @@ impl<W: Waiter> Replica<W> {
 fn is_control(ledger: &Ledger, call: &Transaction) -> bool {
     let body = call.body();
     let chaincode = ledger.registry().find(&body.chaincode).ok();
-    chaincode.is_some_and(|called| called.urgent(&body.function)) && call.encoded().len() <= CALL_BYTES_MAX
+    chaincode.is_some_and(|called| called.urgent(&body.function)) && call.encoded().len() <= URGENT_BYTES_MAX
 }
 
 /// The organisation of the creator; empty if the ledger does not know its certificate.

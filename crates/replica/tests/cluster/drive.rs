@@ -46,7 +46,15 @@ impl Cluster {
     }
 
     /// Hands an input to a node. One that is stopped finds it when it goes on.
-    pub fn input(&mut self, id: u64, input: Input) {
+    pub fn input(&mut self, id: u64, mut input: Input) {
+        if self.withholds == Some(id) && self.leader() == Some(id) {
+            match &mut input {
+                Input::Submit { lane: Lane::Control, .. } => return,
+                Input::Message { message: PeerMessage::Unanswered(_), .. } => return,
+                Input::Message { message: PeerMessage::Forward(forwarded), .. } => forwarded.control.clear(),
+                _ => {}
+            }
+        }
         let chosen = self.chosen.len() as u64;
         let Some(node) = self.nodes.get_mut(&id).filter(|node| node.up.is_some()) else { return };
         if let Input::ReadIndex { context } = input {
@@ -125,6 +133,7 @@ impl Cluster {
     }
 
     fn send(&mut self, id: u64, to: u64, message: &PeerMessage) {
+        self.complaints += u64::from(matches!(message, PeerMessage::Complaint(_)));
         let lost = self.random.percent(self.faults.lose) || self.cut.contains(&(id, to));
         let copies = 1 + u64::from(self.random.percent(self.faults.duplicate));
         for _ in 0..if lost { 0 } else { copies } {

@@ -76,6 +76,10 @@ pub struct Cluster {
     pub now: u64,
     /// How far wall clocks are ahead, by node, microseconds.
     pub ahead: BTreeMap<u64, i64>,
+    /// A node that orders no control calls while it leads.
+    pub withholds: Option<u64>,
+    /// Complaints that were sent.
+    pub complaints: u64,
     /// A node that takes the others to acknowledge any block time.
     pub deceived: Option<u64>,
     pub random: Random,
@@ -128,6 +132,8 @@ impl Cluster {
             nodes: BTreeMap::new(),
             now: 0,
             ahead: BTreeMap::new(),
+            withholds: None,
+            complaints: 0,
             deceived: None,
             random: Random::seeded(seed),
             faults: CALM,

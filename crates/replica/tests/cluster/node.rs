@@ -48,6 +48,10 @@ impl Chaincode for Notes {
         Ok(argument)
     }
 
+    fn urgent(&self, function: &str) -> bool {
+        function == "note"
+    }
+
     fn publishes<'a>(&self, function: &str, _: &'a [Bytes]) -> Option<(&'a str, u64)> {
         (function == "publish").then_some(("board", 1))
     }

@@ -6,12 +6,13 @@ use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Running, Verdict};
 use bytes::Bytes;
-use ledger_raft::{Input, PeerMessage, RaftKind, Role, RoleChange};
+use ledger_raft::{Input, Lane, PeerMessage, RaftKind, Role, RoleChange};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::Happened;
 use ledger_replica::{Circumstances, Effect, Event, Now, WAIT_MAX, Work};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::Entry;
+use std::collections::BTreeMap;
 
 impl World {
     /// The process of a node, if it runs.
@@ -56,7 +57,45 @@ impl World {
         Ok(())
     }
 
-    pub(super) fn step(&mut self, id: u64, event: Event) -> Check {
+    /// A leader that withholds control calls takes them, and orders other things.
+    fn withhold(&self, id: u64, event: &mut Event) -> bool {
+        if self.plan.withholds != Some(id) || !self.chaos {
+            return false;
+        }
+        let replica = self.nodes.get(&id).and_then(|node| node.up.as_ref()?.replica.as_ref());
+        if !replica.is_some_and(|replica| replica.leads()) {
+            return false;
+        }
+        match event {
+            Event::Input(Input::Submit { lane: Lane::Control, .. })
+            | Event::Input(Input::Message { message: PeerMessage::Unanswered(_), .. }) => true,
+            Event::Input(Input::Message { message: PeerMessage::Forward(forwarded), .. }) => {
+                forwarded.control.clear();
+                false
+            }
+            _ => false,
+        }
+    }
+
+    /// A voter complains about its leader.
+    fn complained(&mut self, id: u64, term: u64, leader: u64) -> Check {
+        self.note(format_args!("n{id} complains about n{leader} in term {term}"));
+        let mut voters = BTreeMap::<_, usize>::new();
+        for node in &self.newest_members().voters {
+            let of = self.people.node(*node, self.plan.organisations).identity.organisation.clone();
+            *voters.entry(of).or_default() += 1;
+        }
+        let largest = voters.into_values().max().unwrap_or_default();
+        let is_honest = self.plan.withholds != Some(leader);
+        let deposed = self.invariants.honest_leaders.complains(id, (term, leader), largest, is_honest)?;
+        self.coverage.deposed += u64::from(deposed);
+        Ok(())
+    }
+
+    pub(super) fn step(&mut self, id: u64, mut event: Event) -> Check {
+        if self.withhold(id, &mut event) {
+            return Ok(());
+        }
         let now = self.clocks(id);
         let Some(replica) = self.running(id).and_then(|running| running.replica.as_mut()) else { return Ok(()) };
         let mut effects = Vec::new();
@@ -141,6 +180,9 @@ impl World {
     }
 
     fn send(&mut self, id: u64, to: u64, message: PeerMessage) -> Check {
+        if let PeerMessage::Complaint(complaint) = &message {
+            self.complained(id, complaint.term, complaint.leader)?;
+        }
         if let PeerMessage::Raft(raft) = &message {
             let (kind, term, index, entries) = (raft.kind(), raft.term, raft.index, raft.entries.len());
             let (commit, reject) = (raft.commit, if raft.reject { " refused" } else { "" });
