@@ -249,7 +249,7 @@ impl<S: Signing> Certifier<S> {
     }
 
     /// Signs what the log holds on the disk: a restart then finds the same block at this height, or the end of its log is below
-    /// it. What the log held at the start is signed only as it was signed before.
+    /// it. Blocks that the log held at the start are signed only as they were signed before.
     fn sign_what_is_durable(&mut self, now: u64, out: &mut Vec<Effect>) {
         let durable = self.durable;
         let unsigned = |height: &Height| height.own.is_some() && !height.heard.contains_key(&self.me);
