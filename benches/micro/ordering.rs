@@ -2,8 +2,11 @@
 
 use crate::log;
 use bytes::Bytes;
+use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
-use ledger_raft::{Ballot, Ballots, Engine, EngineConfig, Input, Lane, Membership, Output};
+use ledger_raft::{
+    Ballot, Ballots, Engine, EngineConfig, ExecutedBlocks, Handover, Input, Lane, Link, LogHead, Membership, Output,
+};
 use ledger_storage::block_store::BlockStore;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,6 +25,31 @@ impl Ballots for Names {
 
     fn check(&self, _ballot: Ballot, _signed: &[u8], _now: u64) -> Result<(), Rejection> {
         Ok(())
+    }
+
+    fn sign_handover(&self, handover: Handover) -> Result<Bytes, Rejection> {
+        Ok(format!("{handover:?}").into())
+    }
+
+    fn check_handover(&self, _handover: Handover, _signed: &[u8], _now: u64) -> Result<(), Rejection> {
+        Ok(())
+    }
+
+    fn sign_head(&self, _head: LogHead) -> Result<(Bytes, Bytes), Rejection> {
+        Ok((Bytes::new(), Bytes::from_static(b"head")))
+    }
+
+    fn check_head(&self, _head: LogHead, _vote: &[u8], _signature: &[u8], _now: u64) -> Result<(), Rejection> {
+        Ok(())
+    }
+}
+
+/// Only the genesis block is known: the engine keeps the newest links itself.
+struct Genesis;
+
+impl ExecutedBlocks for Genesis {
+    fn link(&self, height: u64) -> Option<Link> {
+        (height == 0).then_some(Link { hash: Hash::ZERO, time: 0 })
     }
 }
 
@@ -116,7 +144,11 @@ impl Member {
         let (log, store) = log();
         let store = Arc::new(store);
         let config = EngineConfig::new(id, Membership::new([LEADER], [LEARNER]), id);
-        Self { engine: Engine::new(config, Arc::clone(&store), Arc::new(Names)).unwrap(), store, _log: log }
+        Self {
+            engine: Engine::new(config, Arc::clone(&store), Arc::new(Genesis), Arc::new(Names)).unwrap(),
+            store,
+            _log: log,
+        }
     }
 
     fn step(&mut self, now: u64, input: Input) -> Vec<Output> {

@@ -103,6 +103,7 @@ impl Instance {
         let outlet = ToSubsystems {
             reads: ordering.reads.clone(),
             peers: Arc::clone(&peers),
+            directory: Arc::clone(&ordering.directory),
             rejections: Arc::clone(&clients.rejections),
         };
         let engines = ordering.engines(&executor, ballots, Arc::new(outlet));

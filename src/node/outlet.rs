@@ -1,12 +1,13 @@
 //! Connects ordering with the subsystems that are built after it.
 
 use crate::clients::rejections::Rejections;
+use crate::ordering::directory::Directory;
 use crate::ordering::orderer::Outlet;
 use crate::ordering::reads::ReadIndex;
 use crate::peers::Peers;
 use ledger::Refusal;
-use ledger_light::{DoubleVote, Misbehaviour};
-use ledger_raft::PeerMessage;
+use ledger_light::Misbehaviour;
+use ledger_raft::{Contradiction, PeerMessage};
 use ledger_replica::Known;
 use std::sync::Arc;
 
@@ -16,6 +17,8 @@ pub(super) struct ToSubsystems {
     pub reads: ReadIndex,
     /// Messages to other nodes, and proofs of lies.
     pub peers: Arc<Peers>,
+    /// The names of the nodes.
+    pub directory: Arc<Directory>,
     /// Rejected calls.
     pub rejections: Arc<Rejections>,
 }
@@ -33,7 +36,11 @@ impl Outlet for ToSubsystems {
         self.rejections.record(now, refusal);
     }
 
-    fn voted_twice(&self, proof: Box<DoubleVote>) {
-        self.peers.certificates.misbehaved(Misbehaviour::DoubleVote(*proof));
+    fn misbehaved(&self, proof: Box<Misbehaviour>) {
+        self.peers.certificates.misbehaved(proof);
+    }
+
+    fn contradicted(&self, found: Contradiction) {
+        self.peers.monitor.contradicted(&self.directory.name(found.node), &found);
     }
 }

@@ -23,7 +23,7 @@ use crate::peers::reachability::Reachability;
 use confirmed::Confirmed;
 use ledger::Ledger;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::{PeerMessage, Receipt};
+use ledger_raft::{Contradiction, PeerMessage, Receipt};
 use ledger_replica::company::{self, Follows, Place, Point, Said};
 use ledger_replica::offsets::{self, Offset};
 use std::collections::BTreeMap;
@@ -80,6 +80,11 @@ impl ChainMonitor {
         if let Err(fault) = self.machine().told(member.id, &member.full_name(), point) {
             tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the chain of another node");
         }
+    }
+
+    /// The log of another node contradicts the one of this node.
+    pub(crate) fn contradicted(&self, name: &str, found: &Contradiction) {
+        self.machine().contradicted(name, found);
     }
 
     /// The own chain at a height, or at its tip.

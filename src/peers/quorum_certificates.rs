@@ -210,8 +210,8 @@ impl Certificates {
     }
 
     /// A part of the node has a proof of misbehaviour. The task keeps it: the caller does not wait for the disk.
-    pub(crate) fn misbehaved(&self, proof: Misbehaviour) {
-        let _stopping = self.told.send(Told::Misbehaved(Box::new(proof)));
+    pub(crate) fn misbehaved(&self, proof: Box<Misbehaviour>) {
+        let _stopping = self.told.send(Told::Misbehaved(proof));
     }
 }
 
@@ -436,6 +436,13 @@ impl Certifying {
                     first,
                     second,
                     "a voter has voted for two nodes in one term; the proof is kept"
+                );
+            }
+            Misbehaviour::DoubleHead(heads) => {
+                let [first, second] = heads.branches.each_ref().map(|branch| branch.base);
+                tracing::error!(
+                    node, term = heads.term, height = heads.height, %first, %second,
+                    "a leader has signed two different logs in one term; the proof is kept"
                 );
             }
             Misbehaviour::Fault(fault) => {

@@ -39,7 +39,7 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
         let (status, body) = get(&page, "/readyz?verbose");
         (status == "HTTP/1.1 200 OK").then_some(body)
     });
-    assert_eq!(ready.matches("[+]").count(), 8, "{ready}");
+    assert_eq!(ready.matches("[+]").count(), 9, "{ready}");
     assert!(ready.ends_with("ready\n") && !ready.contains("[-]"), "{ready}");
     assert_eq!(get(&page, "/readyz").1, "ready\n");
     assert!(get(&page, "/metric").0.contains("404"));

@@ -26,7 +26,7 @@ const LAYERS: [(&str, &[&str]); 24] = [
     // Files: no signature, no chaincode.
     ("ledger-storage", &["ledger-base", "ledger-storage"]),
     ("ledger", &["ledger", "ledger-base", "ledger-identity", "ledger-light", "ledger-storage", "testkit"]),
-    ("ledger-raft", &["ledger", "ledger-base", "ledger-storage", "testkit"]),
+    ("ledger-raft", &["ledger", "ledger-base", "ledger-light", "ledger-storage", "testkit"]),
     // Decides, and does nothing: what drives the engine in a node and in the simulation.
     (
         "ledger-replica",

@@ -282,8 +282,12 @@ impl Gate {
     /// Adds blocks that the node reports, up to this height: the first [`ledger::transaction::KNOWN_HASH_BYTES`] bytes of
     /// their hashes, one after the other. To be called before the events of these blocks are judged.
     pub fn heads(&mut self, height: u64, hashes: &[u8], now: Now) {
-        let is_command = self.rules.as_ref().is_some_and(|rules| rules.publisher.is_none());
-        self.heads.reported(height, hashes, is_command, now.steady);
+        self.heads.reported(height, hashes, self.is_command(), now.steady);
+    }
+
+    /// Is the service known, and one of commands to the robot?
+    fn is_command(&self) -> bool {
+        self.rules.as_ref().is_some_and(|rules| rules.publisher.is_none())
     }
 
     /// Is a question to be asked, because the node was silent for a while? Until it is answered, messages count as older than they are.

@@ -6,11 +6,10 @@
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::merkle;
+use ledger_light::{BranchLink, block_hash, merkle};
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::INDEXED_TRANSACTIONS_MAX;
 use prost::Message;
-use ring::digest::{Context as Sha256, SHA256};
 
 /// Most transactions in one block. Bounds the work of one step of the executor.
 pub const TRANSACTIONS_MAX: usize = 4096;
@@ -82,14 +81,8 @@ impl Header {
 
     /// SHA-256 over the domain tag and the fields in order, integers big-endian.
     pub fn hash(&self) -> Hash {
-        let mut sha = Sha256::new(&SHA256);
-        sha.update(b"ledgerd block v1\0");
-        for number in [self.height, self.term, self.time] {
-            sha.update(&number.to_be_bytes());
-        }
-        sha.update(&self.previous.0);
-        sha.update(&self.root.0);
-        Hash::finish(sha)
+        let Self { height, term, time, previous, root } = *self;
+        block_hash(height, &BranchLink { term, time, root }, previous)
     }
 }
 
@@ -101,7 +94,7 @@ pub fn content(entry: &Entry) -> (Hash, Option<Payload>) {
         EntryKind::ConfChange | EntryKind::ConfChangeV2 => None,
     };
     let root = payload.as_ref().map_or_else(
-        || opaque_root(&entry.data),
+        || opaque_root(entry),
         |payload| merkle::root(payload.transactions.iter().map(|transaction| leaf(transaction)).collect()),
     );
     (root, payload)
@@ -113,9 +106,10 @@ pub fn leaf(transaction: &[u8]) -> Hash {
     Hash::of(&[&[0x00], transaction])
 }
 
-/// The root of an entry that is no list of transactions (a membership change).
-pub fn opaque_root(data: &[u8]) -> Hash {
-    Hash::of(&[&[0x02], data])
+/// The root of an entry that is no list of transactions. It covers the kind: a change of members and rubbish with the
+/// same bytes are two blocks.
+pub fn opaque_root(entry: &Entry) -> Hash {
+    Hash::of(&[&[0x02, entry.kind.code()], &entry.data])
 }
 
 #[cfg(test)]
@@ -132,6 +126,13 @@ mod tests {
     fn a_payload_of_too_many_transactions_is_refused() {
         let payload = Payload { time: 1, transactions: vec![Bytes::new(); TRANSACTIONS_MAX + 1] };
         assert_eq!(Payload::from_bytes(payload.to_bytes()).unwrap_err().code, Code::TooLarge);
+    }
+
+    #[test]
+    fn a_change_of_members_and_rubbish_with_the_same_bytes_have_different_hashes() {
+        let entry = |kind| Entry { index: 1, term: 1, kind, data: Bytes::from_static(b"\xff") };
+        let hash = |kind| Header::following(Hash::ZERO, 0, &entry(kind)).hash();
+        assert_ne!(hash(EntryKind::Normal), hash(EntryKind::ConfChangeV2));
     }
 
     #[test]

@@ -77,7 +77,7 @@ impl Executor<'_> {
         };
         let decoded = payload.as_ref().map(|payload| self.decoded(&payload.transactions));
         let (decoded, leaves) = decoded.map_or_else(|| (Vec::new(), None), |(decoded, leaves)| (decoded, Some(leaves)));
-        let root = leaves.clone().map_or_else(|| opaque_root(&entry.data), merkle::root);
+        let root = leaves.clone().map_or_else(|| opaque_root(entry), merkle::root);
         let Payload { time, transactions } = payload.unwrap_or_default();
         let time = time.max(previous.time);
         let header = Header { height: entry.index, term: entry.term, time, previous: previous.hash, root };

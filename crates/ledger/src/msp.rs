@@ -340,7 +340,7 @@ impl Chaincode for MspChaincode {
     }
 
     fn control_keys(&self) -> &'static [&'static str] {
-        &["certificates", "members", "node/", "organisation/", "revoked/", "rules"]
+        &["certificates", "members", "node/", "organisation/", "recovery/", "revoked/", "rules"]
     }
 
     fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {

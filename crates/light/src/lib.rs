@@ -11,6 +11,8 @@
 //! | [`control`] | the chains over writes of control state, which show that none was left out |
 //! | [`statement`] | what a voter says about a block, and its signature |
 //! | [`vote`] | who is to lead, as a voter says, and its signature |
+//! | [`transfer`] | to whom a leader hands over, and its signature |
+//! | [`head`] | the head of a leader's log, and the proof of two in one term |
 //! | [`voters`] | whose signatures count, and how many are enough |
 //! | [`certificate`] | the statement with enough signatures |
 //! | [`proof`] | a certificate with facts of its block |
@@ -44,10 +46,12 @@ pub mod codec;
 pub mod control;
 pub mod fact;
 pub mod governance;
+pub mod head;
 pub mod lie;
 pub mod merkle;
 pub mod proof;
 pub mod statement;
+pub mod transfer;
 pub mod vote;
 pub mod voters;
 pub mod way;
@@ -55,9 +59,11 @@ pub mod way;
 pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
 pub use governance::{Change, Governance};
+pub use head::{Branch, BranchLink, DoubleHead, Head, block_hash};
 pub use lie::{DoubleVote, Fault, Lie, Misbehaviour};
 pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
+pub use transfer::Transfer;
 pub use vote::Vote;
 pub use voters::{CertificateRule, Survives, Voter, Voters, strict_quorum};
 pub use way::Way;

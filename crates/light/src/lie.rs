@@ -4,12 +4,14 @@
 //! |---|---|---|
 //! | [`Lie`] | two blocks of one height | the node lies |
 //! | [`DoubleVote`] | two candidates in one term | the node lies |
+//! | [`DoubleHead`] | two logs in one term, as the leader | the node lies |
 //! | [`Fault`] | two results of one block | the node computes something else than before; it does not lie |
 //!
 //! A place is network, number of forced recoveries, number of the node, and height or term. All of it is signed, so a proof
 //! against a former number of a node says nothing about its present one.
 
 use crate::codec::{Reader, put};
+use crate::head::{DOUBLE_DOMAIN, DOUBLE_HEAD_BYTES_MAX, DoubleHead};
 use crate::statement::{ENCLOSED_BYTES_MAX, SIGNED_BYTES_MAX, Signature, Signed, Statement};
 use crate::vote::Vote;
 use crate::voters::Voter;
@@ -29,9 +31,13 @@ pub const FAULT_BYTES_MAX: usize = FAULT_DOMAIN.len() + 2 * (4 + SIGNED_BYTES_MA
 /// Longest encoding of a [`DoubleVote`].
 pub const DOUBLE_VOTE_BYTES_MAX: usize = VOTES_DOMAIN.len() + 32 + 3 * 8 + 2 * (8 + 4 + ENCLOSED_BYTES_MAX);
 /// Longest encoding of a [`Misbehaviour`].
-pub const MISBEHAVIOUR_BYTES_MAX: usize = FAULT_BYTES_MAX;
+pub const MISBEHAVIOUR_BYTES_MAX: usize = DOUBLE_HEAD_BYTES_MAX;
 
-const _: () = assert!(LIE_BYTES_MAX <= MISBEHAVIOUR_BYTES_MAX && DOUBLE_VOTE_BYTES_MAX <= MISBEHAVIOUR_BYTES_MAX);
+const _: () = {
+    let others = [LIE_BYTES_MAX, FAULT_BYTES_MAX, DOUBLE_VOTE_BYTES_MAX];
+    assert!(others[0] <= MISBEHAVIOUR_BYTES_MAX && others[1] <= MISBEHAVIOUR_BYTES_MAX);
+    assert!(others[2] <= MISBEHAVIOUR_BYTES_MAX);
+};
 
 /// Two statements of one node about different blocks of one place.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,6 +80,8 @@ pub enum Misbehaviour {
     Lie(Lie),
     /// Two candidates in one term.
     DoubleVote(DoubleVote),
+    /// Two logs of a leader in one term.
+    DoubleHead(DoubleHead),
     /// Two results of one block.
     Fault(Fault),
 }
@@ -219,6 +227,7 @@ impl Misbehaviour {
         match self {
             Self::Lie(Lie { first, .. }) | Self::Fault(Fault { first, .. }) => first.signature.node,
             Self::DoubleVote(votes) => votes.voter(),
+            Self::DoubleHead(heads) => heads.leader,
         }
     }
 
@@ -232,6 +241,7 @@ impl Misbehaviour {
         match self {
             Self::Lie(lie) => lie.to_bytes(),
             Self::DoubleVote(votes) => votes.to_bytes(),
+            Self::DoubleHead(heads) => heads.to_bytes(),
             Self::Fault(fault) => fault.to_bytes(),
         }
     }
@@ -246,6 +256,9 @@ impl Misbehaviour {
         }
         if bytes.starts_with(VOTES_DOMAIN) {
             return DoubleVote::from_bytes(bytes).map(Self::DoubleVote);
+        }
+        if bytes.starts_with(DOUBLE_DOMAIN) {
+            return DoubleHead::from_bytes(bytes).map(Self::DoubleHead);
         }
         Lie::from_bytes(bytes).map(Self::Lie)
     }
@@ -264,6 +277,7 @@ impl Misbehaviour {
         let (of, identity) = match self {
             Self::Lie(lie) => (lie.first.statement.network, lie.verify(identify)?),
             Self::DoubleVote(votes) => (votes.network, votes.verify(identify)?),
+            Self::DoubleHead(heads) => (heads.network, heads.verify(identify)?),
             Self::Fault(fault) => (fault.first.statement.network, fault.verify(identify)?),
         };
         if of != *network {

@@ -10,6 +10,7 @@
 //! whatever lies it knows of.
 
 use crate::statement::{Signature, Statement};
+use crate::transfer::Transfer;
 use crate::vote::Vote;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
@@ -130,6 +131,25 @@ impl Voters {
         }
         self.check_place("a vote", vote.recoveries)?;
         self.check_signer("a vote", &vote.to_bytes(), signature, identity)
+    }
+
+    /// Checks the signature of a leader's word that it hands over, as [`Voters::check_vote`] does.
+    ///
+    /// # Errors
+    /// As [`Voters::check_vote`].
+    pub fn check_transfer(
+        &self,
+        transfer: &Transfer,
+        signature: &Signature,
+        identity: &Identity,
+    ) -> Result<(), Rejection> {
+        if signature.node != transfer.leader {
+            return Err(Rejection::new(Code::BadSignature, "a transfer of leadership is signed by another node")
+                .found(format!("node {}", signature.node))
+                .wanted(format!("node {}", transfer.leader)));
+        }
+        self.check_place("a transfer of leadership", transfer.recoveries)?;
+        self.check_signer("a transfer of leadership", &transfer.to_bytes(), signature, identity)
     }
 
     fn check_place(&self, what: &str, recoveries: u64) -> Result<(), Rejection> {

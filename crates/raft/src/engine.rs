@@ -3,9 +3,12 @@
 mod acknowledged;
 mod ahead;
 mod behind;
+mod chain;
 mod config;
 mod doubt;
 mod guard;
+mod handover;
+mod heads;
 mod logger;
 mod mandate;
 mod promises;
@@ -17,9 +20,10 @@ mod status;
 mod submit;
 mod time;
 
+pub use chain::{ExecutedBlocks, Link};
 pub use config::{EngineConfig, EngineError};
 pub use doubt::ClockDoubt;
-pub use mandate::{Ballot, Ballots};
+pub use mandate::{Ballot, Ballots, Handover, LogHead};
 pub use receipt::{Receipt, ReceiptKey, Secret};
 pub use status::{PeerStatus, Replication, Status};
 pub use time::TIME_AHEAD_MAX;
@@ -30,6 +34,9 @@ use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind};
 use crate::queue::Queues;
 use acknowledged::Acknowledged;
 use ahead::Ahead;
+use bytes::Bytes;
+use chain::Chain;
+use heads::Heads;
 use ledger::block::Payload;
 use ledger::members::Membership;
 use ledger_base::rejection::{Code, Rejection};
@@ -134,8 +141,14 @@ pub struct Engine {
     acknowledged: Acknowledged,
     /// Receipts of the followers, and the means to make own ones.
     receipts: Receipts,
+    /// The hashes of the log.
+    chain: Chain,
     /// Signed votes, and who has shown them.
     mandates: Mandates,
+    /// Signed heads of this leader, and of those that it follows.
+    heads: Heads,
+    /// The term in which a leader has handed over to this node last, and its signed word.
+    handed_over: Option<(u64, Bytes)>,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
     reads: u64,
     /// Wall-clock time of this step, microseconds.
@@ -147,12 +160,17 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Starts from what the store holds. Nothing is sent before the first [`Engine::step`]. `ballots` has the key of this
-    /// node.
+    /// Starts from what the store holds. Nothing is sent before the first [`Engine::step`]. `executed` has the blocks up to the
+    /// state machine's height, `ballots` the key of this node.
     ///
     /// # Errors
     /// [`EngineError`] when the store, the state machine's height and the configuration do not fit together.
-    pub fn new(config: EngineConfig, store: Arc<BlockStore>, ballots: Arc<dyn Ballots>) -> Result<Self, EngineError> {
+    pub fn new(
+        config: EngineConfig,
+        store: Arc<BlockStore>,
+        executed: Arc<dyn ExecutedBlocks>,
+        ballots: Arc<dyn Ballots>,
+    ) -> Result<Self, EngineError> {
         let (applied, last, stored) = (config.applied, store.last_index(), store.hard_state());
         if applied > last {
             return Err(EngineError::StateAhead { applied, last });
@@ -191,6 +209,7 @@ impl Engine {
         }
         let raw = RawNode::new(&settings, log, &logger::to_tracing())
             .map_err(|error| EngineError::Config(error.to_string()))?;
+        let chain = Chain::start(executed, &store, applied)?;
         let told = RoleChange { leader: None, term: raw.raft.term, role: Role::Follower };
         let mut engine = Self {
             raw,
@@ -223,7 +242,10 @@ impl Engine {
             stranger_leads: false,
             acknowledged: Acknowledged::NONE,
             receipts: Receipts::new(config.id, &config.secret),
+            chain,
             mandates: Mandates::new(ballots),
+            heads: Heads::default(),
+            handed_over: None,
             reads: 0,
             promised: Promised::NONE,
             failed: false,
@@ -266,6 +288,7 @@ impl Engine {
             self.fail(reason, out);
         }
         self.draw_timeout();
+        self.chain.end_step();
         if !self.failed {
             self.keep_promises();
         }
@@ -298,6 +321,7 @@ impl Engine {
             self.drop_waiting(&no_leader(), out);
         }
         self.look_for_leader(out);
+        self.show_head(out);
     }
 
     fn receive(&mut self, from: u64, message: PeerMessage, out: &mut Vec<Output>) {
@@ -317,7 +341,8 @@ impl Engine {
                     Err(Doubt::Unproven { term }) => return self.want_mandate(from, term, out),
                     Err(Doubt::Because(reason)) => return out.push(Output::Ignored { from, reason }),
                 }
-                if let Err(reason) = self.check_time(from, &mut message) {
+                let checked = self.check_chain(from, &message, out);
+                if let Err(reason) = checked.and_then(|()| self.check_time(from, &mut message)) {
                     return out.push(Output::Ignored { from, reason });
                 }
                 if let Some(acknowledged) = self.has_lost_blocks(&message) {
@@ -348,6 +373,7 @@ impl Engine {
             }
             PeerMessage::Mandate(mandate) => self.mandate_shown(from, &mandate, out),
             PeerMessage::MandateWanted(wanted) => self.mandate_wanted(from, wanted.term, out),
+            PeerMessage::Head(shown) => self.head_shown(from, &shown, out),
             // The node gives these to its certifier and its readers.
             PeerMessage::Statement(_) | PeerMessage::Evidence(_) | PeerMessage::Early(_) => {}
         }

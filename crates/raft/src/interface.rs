@@ -3,7 +3,9 @@
 use crate::message::PeerMessage;
 use bytes::Bytes;
 use ledger::members::{Membership, MembershipChange};
+use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
+use ledger_light::BranchLink;
 use ledger_storage::entry::Entry;
 use std::collections::BTreeSet;
 
@@ -18,6 +20,7 @@ pub enum Lane {
 
 /// An event, told to the engine.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "most inputs are messages; a box would cost an allocation for each")]
 pub enum Input {
     /// One step of the logical clock. Timeouts are counted in these.
     Tick,
@@ -144,6 +147,11 @@ pub enum Output {
     },
     /// A voter has signed votes for two candidates in one term. No honest one does: this proves it.
     VotedTwice(Box<VotedTwice>),
+    /// A leader has signed two logs in one term. No honest one does: this proves it.
+    TwoHeads(Box<DoubleHead>),
+    /// Another node has another chain than this node. One of the two, or a leader before them, has lied, or has lost what it
+    /// had promised. Nothing is appended, and nothing is counted.
+    Contradicted(Contradiction),
     /// The block store failed, or has lost what this voter promised to keep. The engine does nothing any more; the
     /// process should end.
     Failed(Rejection),
@@ -158,6 +166,49 @@ pub struct VotedTwice {
     pub voter: u64,
     /// The candidates, each with the signed vote for it ([`crate::Ballots`]).
     pub votes: [(u64, Bytes); 2],
+}
+
+/// Two signed heads of one leader in one term, above different blocks of one height.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DoubleHead {
+    /// The leader.
+    pub leader: u64,
+    /// The term.
+    pub term: u64,
+    /// The height at which the two logs differ.
+    pub height: u64,
+    /// The log that this node has, and the other one.
+    pub branches: [HeadBranch; 2],
+}
+
+/// One of two logs of a leader.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HeadBranch {
+    /// Hash of its block at the height at which the two differ.
+    pub base: Hash,
+    /// The blocks after it, up to the head.
+    pub links: Vec<BranchLink>,
+    /// The vote of the leader for itself, which has the certificate of the signature.
+    pub vote: Bytes,
+    /// The signature of the head.
+    pub signature: Bytes,
+}
+
+/// Two nodes have different entries where Raft takes them for equal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Contradiction {
+    /// The other node.
+    pub node: u64,
+    /// It leads, and wanted to append. Otherwise it follows this leader, and has acknowledged its own chain.
+    pub leads: bool,
+    /// The term.
+    pub term: u64,
+    /// Height of a block that differs. Earlier ones may differ, too.
+    pub height: u64,
+    /// Hash of this node's chain up to there.
+    pub own: Hash,
+    /// Hash of the other node's chain up to there.
+    pub other: Hash,
 }
 
 /// The role of a node.

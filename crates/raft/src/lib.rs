@@ -38,15 +38,15 @@ mod queue;
 mod reconcile;
 
 pub use engine::{
-    Ballot, Ballots, ClockDoubt, Engine, EngineConfig, EngineError, PeerStatus, Receipt, ReceiptKey, Replication,
-    Secret, Status, TIME_AHEAD_MAX,
+    Ballot, Ballots, ClockDoubt, Engine, EngineConfig, EngineError, ExecutedBlocks, Handover, Link, LogHead,
+    PeerStatus, Receipt, ReceiptKey, Replication, Secret, Status, TIME_AHEAD_MAX,
 };
-pub use interface::{Input, Lane, Output, Role, RoleChange, VotedTwice};
+pub use interface::{Contradiction, DoubleHead, HeadBranch, Input, Lane, Output, Role, RoleChange, VotedTwice};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
-    CONTEXT_BYTES_MAX, EARLY_BYTES_MAX, ENTRIES_MAX, EVIDENCE_BYTES_MAX, EarlyCall, Evidence, LogBegin, Mandate,
-    MandateWanted, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage, STATEMENT_BYTES_MAX,
-    SignedStatement, SignedVote, Transactions, VOTE_BYTES_MAX, WireEntry,
+    CONTEXT_BYTES_MAX, EARLY_BYTES_MAX, ENTRIES_MAX, EVIDENCE_BYTES_MAX, EarlyCall, Evidence, HEAD_BYTES_MAX,
+    LeaderHead, LogBegin, Mandate, MandateWanted, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind,
+    RaftMessage, STATEMENT_BYTES_MAX, SignedStatement, SignedVote, Transactions, VOTE_BYTES_MAX, WireEntry,
 };
 pub use queue::{
     CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, Creators, DATA_QUEUE_BYTES_MAX,

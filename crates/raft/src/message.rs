@@ -3,7 +3,7 @@
 //! ```text
 //! message PeerMessage {
 //!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6;
-//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; Early early = 9;
+//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; Early early = 9; Head head = 10;
 //!                Evidence evidence = 14; }
 //! }
 //! message Raft {
@@ -21,12 +21,17 @@
 //!   bytes  receipt     = 12;  // append_response: a code over its index; heartbeat: the receiver's own code
 //!   uint64 accepts_until = 13; // responses to append and heartbeat: the latest block time that the sender acknowledges
 //!   bytes  vote        = 14;  // vote_response that grants: the signature of the vote
+//!   bytes  hash        = 15;  // append: of the chain up to `index`; append_response that acknowledges: the same of the sender
+//!   bytes  transfer    = 16;  // timeout_now, and the vote that follows from it: the leader's signature that it hands over
+//!   bytes  head        = 17;  // append: the leader's signature over its log up to the last entry
 //! }
 //! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
 //! message Statement { bytes signed = 1; }                     // see ledger-light; not for the engine
 //! message Mandate { uint64 term = 1; repeated SignedVote votes = 2; }   // in ascending order of nodes
 //! message SignedVote { uint64 node = 1; bytes signed = 2; }   // the vote of that node for the sender; see ledger-light
 //! message MandateWanted { uint64 term = 1; }                  // to a node that speaks as a leader: show your mandate
+//! message Head { uint64 term = 1; uint64 leader = 2; uint64 height = 3; bytes hash = 4;   // the newest that the sender has checked
+//!                bytes signature = 5; bytes vote = 6; }      // the vote of the leader for itself, which has its certificate
 //! message Evidence { bytes proof = 1; }                       // see ledger-light; not for the engine
 //! message Early { bytes transaction = 1; }                    // a signed call that robots hear of before it is ordered; not for the engine
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
@@ -50,16 +55,20 @@ pub const PEER_MESSAGE_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + TRANSACTIONS_MAX *
 pub const ENTRIES_MAX: usize = 1024;
 /// Longest context: names of reads and transfers are shorter.
 pub const CONTEXT_BYTES_MAX: usize = 64;
+/// Length of the hash of a chain.
+pub(crate) const HASH_BYTES: usize = 32;
 /// Length of a receipt.
 pub(crate) const RECEIPT_BYTES: usize = 32;
 /// Longest signed statement in a message: the certificate of a node (16 KiB), and what is around it.
 pub const STATEMENT_BYTES_MAX: usize = 17 * 1024;
-/// Longest proof of misbehaviour in a message: two signed statements.
-pub const EVIDENCE_BYTES_MAX: usize = 2 * STATEMENT_BYTES_MAX;
+/// Longest proof of misbehaviour in a message.
+pub const EVIDENCE_BYTES_MAX: usize = ledger_light::lie::MISBEHAVIOUR_BYTES_MAX;
 /// Longest call of which robots hear before it is ordered: a stop with its reason, and the certificate of its creator (16 KiB).
 pub const EARLY_BYTES_MAX: usize = 32 * 1024;
 /// Longest signature of a vote in a message: the certificate of a node (16 KiB), and what is around it.
 pub const VOTE_BYTES_MAX: usize = 17 * 1024;
+/// Longest signature of a head in a message.
+pub const HEAD_BYTES_MAX: usize = 128;
 /// Largest term. Leaves room to count on without overflow after a hostile peer named one.
 const TERM_MAX: u64 = 1 << 62;
 /// Most fields in a message: every repeated one at its limit, and the others.
@@ -95,6 +104,9 @@ pub enum PeerMessage {
     /// To all members: robots are to hear of this call before it is ordered. Not about ordering, so not for the engine.
     #[prost(message, tag = "9")]
     Early(EarlyCall),
+    /// From a voter that follows to the others: the newest head that it has checked.
+    #[prost(message, tag = "10")]
+    Head(LeaderHead),
     /// To all members: the proof that a node has signed two different things for one place. Not about ordering, so not for
     /// the engine.
     #[prost(message, tag = "14")]
@@ -110,7 +122,7 @@ impl PeerMessage {
 
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 14")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9, 10, 14")]
     kind: Option<PeerMessage>,
 }
 
@@ -176,6 +188,29 @@ pub struct MandateWanted {
     pub term: u64,
 }
 
+/// A signed head of a leader, shown by a voter that follows it.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct LeaderHead {
+    /// The leader's term.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
+    /// The leader.
+    #[prost(uint64, tag = "2")]
+    pub leader: u64,
+    /// Height of the last entry.
+    #[prost(uint64, tag = "3")]
+    pub height: u64,
+    /// Hash of the chain up to it.
+    #[prost(bytes = "bytes", tag = "4")]
+    pub hash: Bytes,
+    /// The leader's signature.
+    #[prost(bytes = "bytes", tag = "5")]
+    pub signature: Bytes,
+    /// The vote of the leader for itself, with the certificate of the signature.
+    #[prost(bytes = "bytes", tag = "6")]
+    pub vote: Bytes,
+}
+
 /// Transactions on their way to the leader, or back.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct Transactions {
@@ -235,6 +270,15 @@ pub struct RaftMessage {
     /// A vote that is granted: its signature, as `ledger-light` encodes it.
     #[prost(bytes = "bytes", tag = "14")]
     pub vote: Bytes,
+    /// Append, and responses that acknowledge: hash of the sender's chain up to `index`.
+    #[prost(bytes = "bytes", tag = "15")]
+    pub hash: Bytes,
+    /// Hand-over, and the request for a vote that follows from it: the signature of the leader that hands over.
+    #[prost(bytes = "bytes", tag = "16")]
+    pub transfer: Bytes,
+    /// Append: the leader's signature of the head, which is its log up to the last entry.
+    #[prost(bytes = "bytes", tag = "17")]
+    pub head: Bytes,
 }
 
 /// An entry on the wire.
@@ -332,6 +376,7 @@ impl PeerMessage {
             Self::Behind(_) | Self::MandateWanted(_) => Ok(()),
             Self::Mandate(mandate) => mandate.check(),
             Self::Statement(statement) => limit(statement.signed.len(), STATEMENT_BYTES_MAX, "bytes of a statement"),
+            Self::Head(head) => head.check(),
             Self::Evidence(evidence) => limit(evidence.proof.len(), EVIDENCE_BYTES_MAX, "bytes of a proof"),
             Self::Early(call) => limit(call.transaction.len(), EARLY_BYTES_MAX, "bytes of a call"),
         }
@@ -350,12 +395,24 @@ impl Mandate {
     }
 }
 
+impl LeaderHead {
+    fn check(&self) -> Result<(), MessageError> {
+        limit(self.hash.len(), HASH_BYTES, "bytes of a hash")?;
+        limit(self.signature.len(), HEAD_BYTES_MAX, "bytes of a head")?;
+        limit(self.vote.len(), VOTE_BYTES_MAX, "bytes of a vote")?;
+        if self.term > TERM_MAX { Err(MessageError::Malformed("term out of range".to_owned())) } else { Ok(()) }
+    }
+}
+
 impl RaftMessage {
     fn check(&self) -> Result<(), MessageError> {
         limit(self.entries.len(), ENTRIES_MAX, "entries")?;
         limit(self.context.len(), CONTEXT_BYTES_MAX, "bytes of context")?;
         limit(self.receipt.len(), RECEIPT_BYTES, "bytes of a receipt")?;
         limit(self.vote.len(), VOTE_BYTES_MAX, "bytes of a vote")?;
+        limit(self.hash.len(), HASH_BYTES, "bytes of a hash")?;
+        limit(self.transfer.len(), VOTE_BYTES_MAX, "bytes of a transfer")?;
+        limit(self.head.len(), HEAD_BYTES_MAX, "bytes of a head")?;
         let malformed = |what: &str| Err(MessageError::Malformed(what.to_owned()));
         let kind = match RaftKind::try_from(self.kind) {
             Ok(RaftKind::Unspecified) | Err(_) => return malformed("unknown kind of Raft message"),

@@ -23,7 +23,7 @@ use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Certificate, Misbehaviour, Signature, Signed, Statement, Vote, Voters};
+use ledger_light::{Certificate, Head, Misbehaviour, Signature, Signed, Statement, Transfer, Vote, Voters};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
@@ -69,6 +69,18 @@ pub trait Signing {
     /// # Errors
     /// As [`Signing::sign`].
     fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection>;
+
+    /// Signs that this node hands its leadership over.
+    ///
+    /// # Errors
+    /// As [`Signing::sign`].
+    fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection>;
+
+    /// Signs the head of this leader's log.
+    ///
+    /// # Errors
+    /// As [`Signing::sign`].
+    fn sign_head(&self, head: &Head) -> Result<Signature, Rejection>;
 
     /// The owner of this certificate at that time (microseconds since the UNIX epoch), by these organisations. A revoked one is
     /// nobody's.
@@ -249,7 +261,7 @@ impl<S: Signing> Certifier<S> {
     }
 
     /// Signs what the log holds on the disk: a restart then finds the same block at this height, or the end of its log is below
-    /// it. Blocks that the log held at the start are signed only as they were signed before.
+    /// it. A block that the log held at the start is signed only as it was signed before.
     fn sign_what_is_durable(&mut self, now: u64, out: &mut Vec<Effect>) {
         let durable = self.durable;
         let unsigned = |height: &Height| height.own.is_some() && !height.heard.contains_key(&self.me);

@@ -18,7 +18,7 @@ use crate::catch_up::{Behind, Holding, Who};
 use ledger::Ledger;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_raft::{PeerMessage, RaftKind, Receipt};
+use ledger_raft::{Contradiction, PeerMessage, RaftKind, Receipt};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -112,13 +112,15 @@ pub struct Company<C> {
     differing: BTreeMap<u64, Differs>,
     /// Voters that hold less than they had confirmed.
     lost: BTreeMap<u64, String>,
+    /// Nodes whose log contradicts the one of this node, executed or not.
+    contradicting: BTreeMap<u64, String>,
 }
 
 impl<C: Chain> Company<C> {
     /// Of a node with this chain and of this organisation, which remembers what voters have confirmed.
     pub fn new(chain: C, organisation: &str, confirmed: BTreeMap<u64, Receipt>) -> Self {
-        let (differing, lost) = Default::default();
-        Self { chain, organisation: organisation.to_owned(), confirmed, differing, lost }
+        let (differing, lost, contradicting) = Default::default();
+        Self { chain, organisation: organisation.to_owned(), confirmed, differing, lost, contradicting }
     }
 
     /// The own chain at a height, or at its tip.
@@ -169,6 +171,21 @@ impl<C: Chain> Company<C> {
         Ok(())
     }
 
+    /// Ordering has found that the log of another node contradicts the one of this node, so that neither appends to the other.
+    /// It is logged, and shown until this node starts again: people must decide.
+    pub fn contradicted(&mut self, name: &str, found: &Contradiction) {
+        let Contradiction { node, leads, term, height, own, other } = *found;
+        let part = if leads { "leads" } else { "follows" };
+        let text = format!("{name}, which {part} in term {term}, has another log from height {height} or before");
+        if self.contradicting.get(&node) != Some(&text) {
+            tracing::error!(
+                node = name, leads, term, height, %own, %other,
+                "the log of another node contradicts the log of this node; nothing is appended to it"
+            );
+            self.contradicting.insert(node, text);
+        }
+    }
+
     /// Takes the answers of one round, and says what follows. `asked`: the height of the question, if it was asked again.
     ///
     /// # Errors
@@ -176,6 +193,7 @@ impl<C: Chain> Company<C> {
     pub fn heard(&mut self, said: &[Said], place: &Place, asked: Option<u64>) -> Result<Follows, Rejection> {
         self.differing.retain(|id, _| place.members.contains(id));
         self.lost.retain(|id, _| place.voters.contains_key(id));
+        self.contradicting.retain(|id, _| place.members.contains(id));
         self.confirmed.retain(|id, _| place.voters.contains_key(id));
         for Said { who, has, at, .. } in said {
             if place.voters.contains_key(&who.id) {
@@ -241,7 +259,8 @@ impl<C: Chain> Company<C> {
             .differing
             .values()
             .map(|Differs { name, height, what }| format!("{name} has {what} at height {height}"));
-        differing.chain(self.lost.values().cloned()).collect::<Vec<_>>().join(", ")
+        let others = self.lost.values().chain(self.contradicting.values()).cloned();
+        differing.chain(others).collect::<Vec<_>>().join(", ")
     }
 
     /// A node that differs, and the height at which that was noticed.
@@ -448,5 +467,20 @@ mod tests {
             !company.withholds(2, &message(RaftKind::Vote, 200)) && !company.withholds(3, &message(RaftKind::Vote, 1))
         );
         assert!(!company.withholds(2, &message(RaftKind::Append, 1)));
+    }
+
+    #[test]
+    fn a_node_whose_log_contradicts_this_one_is_shown_as_long_as_it_is_a_member() {
+        let mut company = Company::new(own(9), "Org1", BTreeMap::new());
+        let (ours, other) = (Hash([1; 32]), Hash([2; 32]));
+        let found = Contradiction { node: 3, leads: true, term: 4, height: 12, own: ours, other };
+        company.contradicted("Org2/node3", &found);
+        let shown = "Org2/node3, which leads in term 4, has another log from height 12 or before";
+        assert_eq!(company.describe(), shown);
+        let place = |members: &[u64]| Place { members: members.iter().copied().collect(), ..Place::default() };
+        assert_eq!(company.heard(&[], &place(&[1, 2, 3]), None).unwrap(), Follows::Nothing);
+        assert_eq!(company.describe(), shown, "a claim alone stops nobody");
+        company.heard(&[], &place(&[1, 2]), None).unwrap();
+        assert_eq!(company.describe(), "");
     }
 }

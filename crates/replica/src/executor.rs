@@ -4,6 +4,7 @@ use crate::budgets::Budgets;
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::Rejection;
 use ledger_base::{costly_invariant, invariant};
+use ledger_raft::{ExecutedBlocks, Link};
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -94,6 +95,20 @@ impl Executor {
     /// Reads the next deadline again. Needed after blocks that were executed by [`Executor::execute`].
     pub fn look_at_deadline(&self) {
         self.deadline.store(self.ledger.next_deadline().unwrap_or(u64::MAX), Ordering::Relaxed);
+    }
+}
+
+impl ExecutedBlocks for Executor {
+    fn link(&self, height: u64) -> Option<Link> {
+        let tip = self.ledger.tip();
+        if height == tip.height {
+            return Some(Link { hash: tip.hash, time: tip.time });
+        }
+        let block = self.ledger.block_hashes(height);
+        let block = block.inspect_err(|fault| {
+            tracing::error!(height, code = fault.code.name(), reason = %fault, "cannot read the hash of an executed block")
+        });
+        block.ok()?.map(|block| Link { hash: block.hash, time: block.time })
     }
 }
 

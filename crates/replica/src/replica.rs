@@ -17,9 +17,10 @@ use ledger::members::Membership;
 use ledger_base::hash::Hash;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::DoubleVote;
+use ledger_light::Misbehaviour;
 use ledger_raft::{
-    Ballots, ClockDoubt, Creators, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status,
+    Ballots, ClockDoubt, Contradiction, Creators, Desired, Engine, EngineConfig, ExecutedBlocks, Input, PeerMessage,
+    RoleChange, Secret, Status,
 };
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -141,8 +142,10 @@ pub enum Effect {
         /// Why.
         reason: &'static str,
     },
-    /// A voter has voted for two candidates in one term. The proof is to be kept.
-    VotedTwice(Box<DoubleVote>),
+    /// A node has signed two different things for one place. The proof is to be kept, and sent to all.
+    Misbehaved(Box<Misbehaviour>),
+    /// Another node has another chain. It is to be shown: people must decide.
+    Contradicted(Contradiction),
     /// The node cannot go on.
     Failed(Rejection),
 }
@@ -213,8 +216,9 @@ impl<W: Waiter> Replica<W> {
             ledger.counted_for(creator).map(|identity| Hash::of(&[identity.organisation.as_bytes()]))
         };
         config.creators = Creators::new(organisation);
-        let engine =
-            Engine::new(config, store, ballots).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
+        let executed = Arc::clone(&executor) as Arc<dyn ExecutedBlocks>;
+        let engine = Engine::new(config, store, executed, ballots)
+            .map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
         Ok(Self {
             engine,

@@ -11,28 +11,35 @@ pub(crate) struct Check {
     failed: Option<String>,
     /// It is well, and needs attention soon.
     warning: Option<String>,
+    /// Facts that are shown while nothing is wrong.
+    note: Option<String>,
 }
 
 impl Check {
     /// A part that is well.
     pub(super) fn ok(name: impl Into<Cow<'static, str>>) -> Self {
-        Self { name: name.into(), failed: None, warning: None }
+        Self { name: name.into(), failed: None, warning: None, note: None }
     }
 
     /// A part that is not well.
     pub(super) fn failed(name: impl Into<Cow<'static, str>>, reason: String) -> Self {
-        Self { name: name.into(), failed: Some(reason), warning: None }
+        Self { name: name.into(), failed: Some(reason), warning: None, note: None }
     }
 
     /// A part that is well, or else not for this reason.
     pub(super) fn of(name: impl Into<Cow<'static, str>>, is_ok: bool, reason: impl FnOnce() -> String) -> Self {
-        Self { name: name.into(), failed: (!is_ok).then(reason), warning: None }
+        Self { name: name.into(), failed: (!is_ok).then(reason), warning: None, note: None }
     }
 
     /// It needs attention soon, if it is near that.
     pub(super) fn warn(self, is_near: bool, warning: impl FnOnce() -> String) -> Self {
         let warning = (is_near && self.is_ok()).then(warning);
         Self { warning, ..self }
+    }
+
+    /// Says this, too, while nothing is wrong.
+    pub(super) fn note(self, note: Option<String>) -> Self {
+        Self { note, ..self }
     }
 
     /// Is it well?
@@ -43,10 +50,11 @@ impl Check {
 
 impl fmt::Display for Check {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (&self.failed, &self.warning) {
-            (Some(reason), _) => writeln!(f, "[-] {} failed: {reason}", self.name),
-            (None, Some(warning)) => writeln!(f, "[+] {} ok, but {warning}", self.name),
-            (None, None) => writeln!(f, "[+] {} ok", self.name),
+        match (&self.failed, &self.warning, &self.note) {
+            (Some(reason), ..) => writeln!(f, "[-] {} failed: {reason}", self.name),
+            (None, Some(warning), _) => writeln!(f, "[+] {} ok, but {warning}", self.name),
+            (None, None, Some(note)) => writeln!(f, "[+] {} ok: {note}", self.name),
+            (None, None, None) => writeln!(f, "[+] {} ok", self.name),
         }
     }
 }

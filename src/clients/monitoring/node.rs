@@ -7,7 +7,8 @@ use super::check::Check;
 use super::{Watched, is_well};
 use crate::clients::attention::{CHECKS, CRITICAL};
 use crate::clients::gateway::Description;
-use ledger_api::v1::Attention;
+use ledger_api::facts::CertificateRuleFacts;
+use ledger_api::v1::{Attention, StatusResponse};
 use ledger_base::rejection::Rejection;
 use prometheus_client::registry::Registry;
 use ros_bridge::BridgeMonitor;
@@ -42,9 +43,18 @@ impl Watched for WatchedNode {
 
 fn checks(node: &Description) -> Vec<Check> {
     match node.status() {
-        Ok(status) => CHECKS.into_iter().map(|name| check(name, &status.attention)).collect(),
+        Ok(status) => {
+            let note = |name| (name == "quorum").then(|| survived(&status)).flatten();
+            CHECKS.into_iter().map(|name| check(name, &status.attention).note(note(name))).collect()
+        }
         Err(fault) => vec![Check::failed("state", fault.to_string())],
     }
+}
+
+/// The faults that the voters survive, in words.
+fn survived(status: &StatusResponse) -> Option<String> {
+    let rule = CertificateRuleFacts::from(status.certificate_rule?);
+    Some(format!("{}; the voters survive {}", rule.rule(), rule.survives()))
 }
 
 /// A line of `/readyz`, of what needs attention.
@@ -66,6 +76,7 @@ pub(crate) fn is_ready(node: &Description) -> bool {
 mod tests {
     use super::*;
     use crate::clients::attention::WARNING;
+    use ledger_api::v1::CertificateRule;
 
     #[test]
     fn a_check_fails_by_what_is_critical_and_warns_of_the_rest() {
@@ -85,5 +96,23 @@ mod tests {
         assert_eq!(line("certificate"), "[+] certificate ok, but one ends soon; another one, too\n");
         assert_eq!(line("disk"), "[-] disk failed: it is full\n");
         assert_eq!(line("log"), "[+] log ok\n");
+        let noted = |name| check(name, &all).note(Some("3 of 4".into())).to_string();
+        assert_eq!(noted("log"), "[+] log ok: 3 of 4\n");
+        assert_eq!(noted("disk"), "[-] disk failed: it is full\n");
+    }
+
+    #[test]
+    fn the_line_of_the_quorum_says_which_faults_the_voters_survive() {
+        let rule = CertificateRule {
+            needed: 3,
+            strict_since: Some(0),
+            survives_crashes: 1,
+            survives_lie: true,
+            survives_silence: true,
+        };
+        let status = StatusResponse { certificate_rule: Some(rule), ..StatusResponse::default() };
+        let line = "3 signatures, strict since block 0; the voters survive 1 crash, lies of one organisation, silence of one organisation";
+        assert_eq!(survived(&status).as_deref(), Some(line));
+        assert_eq!(survived(&StatusResponse::default()), None);
     }
 }

@@ -178,7 +178,8 @@ impl Order {
                     tracing::warn!(node = peer, reason, "ordering ignores messages of a peer");
                 }
             }
-            Effect::VotedTwice(proof) => self.engines.outlet.voted_twice(proof),
+            Effect::Misbehaved(proof) => self.engines.outlet.misbehaved(proof),
+            Effect::Contradicted(found) => self.engines.outlet.contradicted(found),
             Effect::Failed(reason) => {
                 self.failed = true;
                 self.engines.failure.fail(reason);

@@ -1,8 +1,8 @@
 //! Interface from ordering to the later subsystems.
 
 use ledger::Refusal;
-use ledger_light::DoubleVote;
-use ledger_raft::PeerMessage;
+use ledger_light::Misbehaviour;
+use ledger_raft::{Contradiction, PeerMessage};
 use ledger_replica::Known;
 
 /// Receives what ordering hands to other parts of the node. Called by the order thread: nothing here may block.
@@ -13,6 +13,8 @@ pub(crate) trait Outlet: Send + Sync {
     fn answered(&self, question: u64, answer: Known);
     /// Ordering rejected a call, at this time of the node.
     fn rejected(&self, now: u64, refusal: &Refusal);
-    /// A voter has voted for two nodes in one term.
-    fn voted_twice(&self, proof: Box<DoubleVote>);
+    /// A node has signed two different things for one place.
+    fn misbehaved(&self, proof: Box<Misbehaviour>);
+    /// The log of another node contradicts the one of this node.
+    fn contradicted(&self, found: Contradiction);
 }

@@ -78,6 +78,7 @@ impl Evidence {
             match kind {
                 Kind::Lie => format!("{name} has signed two different blocks of height {place}"),
                 Kind::DoubleVote => format!("{name} has voted for two nodes in term {place}"),
+                Kind::DoubleHead => format!("{name} has led with two different logs in term {place}"),
                 Kind::Fault => format!("{name} has signed two different results of block {place}"),
             }
         };

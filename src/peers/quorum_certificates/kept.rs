@@ -30,17 +30,20 @@ pub(super) enum Kind {
     Lie,
     /// Two candidates in one term.
     DoubleVote,
+    /// Two logs in one term.
+    DoubleHead,
     /// Two results of one block.
     Fault,
 }
 
 impl Kind {
-    const ALL: [Self; 3] = [Self::Lie, Self::DoubleVote, Self::Fault];
+    const ALL: [Self; 4] = [Self::Lie, Self::DoubleVote, Self::DoubleHead, Self::Fault];
 
     fn suffix(self) -> &'static str {
         match self {
             Self::Lie => ".lie",
             Self::DoubleVote => ".votes",
+            Self::DoubleHead => ".heads",
             Self::Fault => ".fault",
         }
     }
@@ -49,7 +52,7 @@ impl Kind {
 /// The proof that a node has misbehaved. Its file is named after this.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct ProofName {
-    /// Height of the block, or the term of a double vote.
+    /// Height of the block, or the term of a double vote or head.
     pub(super) place: u64,
     /// Number of the node.
     pub(super) node: u64,
@@ -80,6 +83,7 @@ impl From<&Misbehaviour> for ProofName {
         let (place, kind) = match proof {
             Misbehaviour::Lie(lie) => (lie.first.statement.height, Kind::Lie),
             Misbehaviour::DoubleVote(votes) => (votes.term, Kind::DoubleVote),
+            Misbehaviour::DoubleHead(heads) => (heads.term, Kind::DoubleHead),
             Misbehaviour::Fault(fault) => (fault.first.statement.height, Kind::Fault),
         };
         Self { place, node: proof.node(), kind }
@@ -249,7 +253,7 @@ impl Kept {
             proofs.push(proof.map_err(|()| {
                 Rejection::new(Code::BadFile, "the name of a proof of misbehaviour cannot be read")
                     .found(self.0.join(&name).display().to_string())
-                    .wanted("HEIGHT-NODE.lie, HEIGHT-NODE.fault or TERM-NODE.votes")
+                    .wanted("HEIGHT-NODE.lie, HEIGHT-NODE.fault, TERM-NODE.votes or TERM-NODE.heads")
                     .next("move the file away")
             })?);
         }
@@ -274,7 +278,7 @@ fn of_height(height: u64) -> String {
 mod tests {
     use super::*;
     use ledger_base::hash::Hash;
-    use ledger_light::{Certificate, DoubleVote, Signature, Signed};
+    use ledger_light::{Branch, Certificate, DoubleHead, DoubleVote, Signature, Signed};
 
     fn statement(height: u64) -> Statement {
         Statement { network: Hash::ZERO, recoveries: 0, height, time: 1, block: Hash::ZERO, results: Hash::ZERO }
@@ -302,6 +306,20 @@ mod tests {
         Misbehaviour::DoubleVote(DoubleVote { network: Hash::ZERO, recoveries: 0, term, time: 1, votes })
     }
 
+    fn heads(node: u64, term: u64) -> Misbehaviour {
+        let branch = |base| Branch { base: Hash([base; 32]), links: Vec::new(), signature: signature(node) };
+        let branches = [branch(1), branch(2)];
+        Misbehaviour::DoubleHead(DoubleHead {
+            network: Hash::ZERO,
+            recoveries: 0,
+            leader: node,
+            term,
+            height: 1,
+            time: 1,
+            branches,
+        })
+    }
+
     #[test]
     fn proofs_are_found_again_and_of_a_node_one_of_each_kind_is_kept() {
         let place = tempfile::tempdir().unwrap();
@@ -313,11 +331,13 @@ mod tests {
         }
         let keep = |proof: &Misbehaviour| kept.misbehaviour(proof).unwrap();
         (1..=10).for_each(|height| keep(&lie(3, height)));
-        [lie(2, 7), fault(3, 9), fault(3, 10), votes(2, 9), votes(2, 11)].iter().for_each(keep);
+        [lie(2, 7), fault(3, 9), fault(3, 10), votes(2, 9), votes(2, 11), heads(2, 8), heads(2, 9)]
+            .iter()
+            .for_each(keep);
         let again = Kept::open(place.path()).unwrap();
         let height = |proof: Option<Proof>| proof.map(|proof| proof.certificate.statement.height);
         assert_eq!(height(again.newest().unwrap()), Some(6));
-        assert_eq!(again.misbehaviours().unwrap(), [lie(3, 1), lie(2, 7), votes(2, 9), fault(3, 9)]);
+        assert_eq!(again.misbehaviours().unwrap(), [lie(3, 1), lie(2, 7), heads(2, 8), votes(2, 9), fault(3, 9)]);
         for (at, wanted) in [(4, Some(4)), (5, Some(5)), (6, None)] {
             assert_eq!(height(again.governing(at).unwrap()), wanted);
         }
@@ -325,7 +345,7 @@ mod tests {
         std::fs::write(place.path().join(DIRECTORY).join(NEWEST), b"ledgerd proof v1\0").unwrap();
         assert_eq!(kept.newest().unwrap(), None);
         std::fs::write(place.path().join(DIRECTORY).join("00000000000000000007-2.lie"), b"ledgerd lie v1\0").unwrap();
-        assert_eq!(kept.misbehaviours().unwrap(), [lie(3, 1), votes(2, 9), fault(3, 9)]);
+        assert_eq!(kept.misbehaviours().unwrap(), [lie(3, 1), heads(2, 8), votes(2, 9), fault(3, 9)]);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Signature, Signed, Statement, Vote};
+use ledger_light::{Head, Signature, Signed, Statement, Transfer, Vote};
 use ledger_replica::certifier::Signing;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -61,6 +61,16 @@ impl Signing for Keys {
     fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection> {
         let own = self.identity.own();
         vote.sign(Bytes::copy_from_slice(own.certificate()), &own.key)
+    }
+
+    fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
+        let own = self.identity.own();
+        transfer.sign(Bytes::copy_from_slice(own.certificate()), &own.key)
+    }
+
+    fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {
+        let own = self.identity.own();
+        head.sign(Bytes::copy_from_slice(own.certificate()), &own.key)
     }
 
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], time: u64) -> Result<Identity, Rejection> {

@@ -198,6 +198,8 @@ pub struct Coverage {
     pub reopened: u64,
     /// Stops that came to the robot before they were ordered.
     pub early_stops: u64,
+    /// Stops that their gateway lost after it had notified the robot.
+    pub lost_stops: u64,
     /// Facts checked by the oracle.
     pub checks: u64,
 }
@@ -280,6 +282,7 @@ impl Coverage {
         self.believed += other.believed;
         self.reopened += other.reopened;
         self.early_stops += other.early_stops;
+        self.lost_stops += other.lost_stops;
         self.seeds += other.seeds;
         self.time += other.time;
         self.blocks += other.blocks;
@@ -392,6 +395,7 @@ impl fmt::Display for Coverage {
             "robots            {} questions, {} answers believed, {} starts anew",
             self.questions, self.believed, self.reopened
         )?;
+        writeln!(f, "early stops       {}, {} lost by their gateway", self.early_stops, self.lost_stops)?;
         writeln!(f, "full at the end   {} engines", self.full_at_end)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;

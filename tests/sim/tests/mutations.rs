@@ -163,7 +163,7 @@ fn a_task_that_waits_again_although_its_submitter_did_not_want_that_is_noticed()
 
 #[test]
 fn one_reader_more_than_the_owner_allows_is_noticed() {
-    caught(Mutation::OnePlaceTooMany, 6, &["grant exclusivity", "the oracle agrees"]);
+    caught(Mutation::OnePlaceTooMany, 18, &["grant exclusivity", "the oracle agrees"]);
 }
 
 #[test]
@@ -188,7 +188,7 @@ fn a_forbid_that_errs_and_is_skipped_is_noticed() {
 
 #[test]
 fn a_vote_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetTheVote, 13, &["election safety"]);
+    caught(Mutation::ForgetTheVote, 47, &["election safety"]);
 }
 
 #[test]
@@ -329,6 +329,11 @@ fn a_robot_that_compares_no_epochs_is_noticed() {
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
     caught(Mutation::IgnoreStaleness, 31, &["gate"]);
+}
+
+#[test]
+fn a_robot_that_forgets_an_open_stop_is_noticed() {
+    caught(Mutation::ForgetAnOpenStop, 204, &["gate"]);
 }
 
 #[test]

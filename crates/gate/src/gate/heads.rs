@@ -8,8 +8,9 @@ use std::collections::VecDeque;
 
 /// Most blocks that a gate remembers; the oldest make room.
 pub(super) const HEADS_MAX: usize = 8192;
-/// Most answers of the voters that bound when a block was known.
-const ANSWERS_MAX: usize = 8;
+/// Most answers of the voters that bound when a block was known. A guard asks at most twenty times a second, so they reach back for
+/// three seconds: longer than a command is on its way.
+const ANSWERS_MAX: usize = 64;
 /// A node that sends nothing for so long is silent, microseconds. Its heartbeats come four times a second.
 const SILENCE_US: u64 = 500_000;
 
@@ -65,6 +66,8 @@ pub(super) enum Found {
         /// How old the message is. It has both halves: the time since it was signed as above, and the time for which the gate has known
         /// the next block. A signer names the newest one, so the shorter of them is the age of a message that nothing has delayed.
         age: u64,
+        /// The age that the message has at most, whatever has delayed it: the time since the last question before the block.
+        age_max: u64,
     },
     /// It is older than all that the gate knows.
     Older,
@@ -148,7 +151,7 @@ impl Heads {
                 let first = first.max().map_or(0, |asked| asked.saturating_add(named.known_us).min(now));
                 let late = |moment: u64| moment.saturating_sub(self.round_trip);
                 let latest = late(signed).max(first).max(next.map_or(now, late));
-                Found::Known { signed, age: now.saturating_sub(latest) }
+                Found::Known { signed, age: now.saturating_sub(latest), age_max: now.saturating_sub(first) }
             }
             _ => Found::Unknown,
         }
@@ -205,7 +208,8 @@ mod tests {
         tell(&mut heads, (1, 7, 9), 200 * MS);
         assert_eq!(age(&heads, &named(1, 6, 90 * MS), 250 * MS), Some(50 * MS), "by the signer's 90 ms");
         assert_eq!(age(&heads, &named(1, 9, 30 * MS), 250 * MS), Some(0), "nobody has seen a later block");
-        assert_eq!(heads.find(&named(1, 9, 30 * MS), 250 * MS), Found::Known { signed: 230 * MS, age: 0 });
+        let found = Found::Known { signed: 230 * MS, age: 0, age_max: 250 * MS };
+        assert_eq!(heads.find(&named(1, 9, 30 * MS), 250 * MS), found);
         tell(&mut heads, (1, 10, 10), 260 * MS);
         assert_eq!(age(&heads, &named(1, 9, 30 * MS), 400 * MS), Some(140 * MS), "the next block is known for 140 ms");
         assert_eq!(age(&heads, &named(1, 9, u64::MAX), 400 * MS), Some(0), "never from the future");
@@ -226,7 +230,7 @@ mod tests {
         let mut heads = Heads::default();
         tell(&mut heads, (1, 5, 6), 0);
         tell(&mut heads, (1, 5, 7), 9 * MS);
-        assert_eq!(heads.find(&named(1, 6, 0), 10 * MS), Found::Known { signed: 0, age: MS });
+        assert_eq!(heads.find(&named(1, 6, 0), 10 * MS), Found::Known { signed: 0, age: MS, age_max: 10 * MS });
         tell(&mut heads, (1, 20, 20), 10 * MS);
         assert_eq!((heads.first, heads.known.len()), (20, 1));
         tell(&mut heads, (1, 4, 4), 11 * MS);
@@ -239,7 +243,8 @@ mod tests {
         tell(&mut heads, (2, 5, 9), 0);
         tell(&mut heads, (1, 7, 7), 5 * MS);
         assert_eq!(heads.find(&named(2, 8, 0), 6 * MS), Found::Unknown, "it was behind another block");
-        assert_eq!(heads.find(&named(1, 7, 0), 6 * MS), Found::Known { signed: 5 * MS, age: 0 });
+        let found = Found::Known { signed: 5 * MS, age: 0, age_max: 6 * MS };
+        assert_eq!(heads.find(&named(1, 7, 0), 6 * MS), found);
         // Asked at 6 ms, ordered in block 7: no block 7 or 8 was there before.
         tell(&mut heads, (1, 8, 8), 6 * MS);
         heads.answered(7, 6 * MS, true, 10 * MS);
@@ -271,6 +276,21 @@ mod tests {
         tell(&mut heads, (1, 11, 11), 460 * MS);
         heads.answered(11, 455 * MS, true, 470 * MS);
         assert_eq!(age(&heads, &named(1, 10, 10 * MS), 480 * MS), Some(25 * MS), "the link is fast again");
+    }
+
+    #[test]
+    fn no_message_is_older_than_the_last_question_before_the_block_that_it_names() {
+        let age_max = |heads: &Heads, height, known_us, now| match heads.find(&named(1, height, known_us), now) {
+            Found::Known { age_max, .. } => Some(age_max),
+            _ => None,
+        };
+        let mut heads = Heads::default();
+        tell(&mut heads, (1, 5, 9), 100 * MS);
+        heads.answered(8, 80 * MS, true, 120 * MS);
+        heads.answered(9, 90 * MS, true, 130 * MS);
+        assert_eq!(age_max(&heads, 7, 10 * MS, 150 * MS), Some(150 * MS), "no question is from before block 7");
+        assert_eq!(age_max(&heads, 8, 10 * MS, 150 * MS), Some(60 * MS));
+        assert_eq!(age_max(&heads, 9, 10 * MS, 150 * MS), Some(50 * MS));
     }
 
     #[test]

@@ -29,7 +29,10 @@ pub(super) fn check(
     let bytes = hex::decode(proof).map_err(|error| wanted("the proof in hexadecimal", error.to_string()))?;
     let proof = Misbehaviour::from_bytes(&bytes)?;
     if !proof.is_lie() {
-        return Err(wanted("two blocks of one height, or two votes in one term", "two results of one block".into()));
+        return Err(wanted(
+            "two blocks of one height, or two votes or two logs in one term",
+            "two results of one block".into(),
+        ));
     }
     if proof.node() != node.id {
         let found = format!("a proof about node {}", proof.node());

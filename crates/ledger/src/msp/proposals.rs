@@ -9,6 +9,7 @@
 
 use super::MspChaincode;
 use super::caller::{admin, bad, object, text};
+use super::misbehaviour;
 use super::quorums;
 use super::store::{self, NEXT_PROPOSAL, PROPOSALS, REVOKED, json, proposal_key};
 use super::{NAME, organisations};
@@ -18,6 +19,7 @@ use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
+use ledger_light::lie::MISBEHAVIOUR_BYTES_MAX;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -29,6 +31,8 @@ pub const PROPOSALS_MAX: usize = 256;
 pub(super) const PROPOSALS_PER_ORGANISATION_MAX: usize = 16;
 /// Most bytes of a proposed call: its names and arguments.
 pub const CALL_BYTES_MAX: usize = 16 * 1024;
+/// Most bytes of a proposed call that has the proof of a lie, in hexadecimal.
+const ACCUSATION_BYTES_MAX: usize = CALL_BYTES_MAX + 2 * MISBEHAVIOUR_BYTES_MAX;
 /// Most arguments of a proposed call.
 pub const CALL_ARGS_MAX: usize = 64;
 
@@ -343,7 +347,8 @@ fn execute(ctx: &mut Context<'_>, mut proposal: Proposal) -> Result<Decision, Re
 fn check_call(ctx: &mut Context<'_>, caller: &Identity, call: &Call) -> Result<(), Rejection> {
     let names = call.chaincode.len().saturating_add(call.function.len());
     let bytes = call.args.iter().map(Bytes::len).fold(names, usize::saturating_add);
-    for (found, max, what) in [(bytes, CALL_BYTES_MAX, "bytes"), (call.args.len(), CALL_ARGS_MAX, "arguments")] {
+    let bytes_max = if misbehaviour::accused(call).is_some() { ACCUSATION_BYTES_MAX } else { CALL_BYTES_MAX };
+    for (found, max, what) in [(bytes, bytes_max, "bytes"), (call.args.len(), CALL_ARGS_MAX, "arguments")] {
         if found > max {
             return Err(Rejection::new(Code::TooLarge, "the proposed call is too long")
                 .found(format!("{found} {what}"))

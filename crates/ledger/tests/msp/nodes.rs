@@ -4,7 +4,8 @@ use ledger::msp::{self, Decision, JOINS_MAX, JOINS_TIME, NODES_ALLOWED_DEFAULT, 
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_light::{Misbehaviour, Statement};
+use ledger_light::head::LINKS_MAX;
+use ledger_light::{Branch, BranchLink, DoubleHead, Head, Misbehaviour, Statement, block_hash};
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;
@@ -205,6 +206,35 @@ fn a_proof_justifies_the_end_of_the_vote_of_the_node_that_has_lied_and_nothing_e
     // Under a new number, the node has not lied.
     network.node(1, "join_node", &[r#"{"address":"node1:7450","replace":true}"#]).unwrap();
     assert_eq!(code(&network.admin(2, "set_node_role", &[&set_by_proof(3, "removed", &lie)])), Code::BadArgument);
+}
+
+/// The proof that node 1 has led with two logs, as long as one can be.
+fn longest_double_head(network: &Network) -> String {
+    let (name, node) = (network.ledger.network(), &network.nodes[0]);
+    let link = BranchLink { term: 3, time: network.time, root: Hash([9; 32]) };
+    let branch = |base: u8| {
+        let base = Hash([base; 32]);
+        let links = vec![link; LINKS_MAX];
+        let end = 5 + LINKS_MAX as u64;
+        let hash = (6..=end).zip(&links).fold(base, |hash, (height, link)| block_hash(height, link, hash));
+        let head = Head { network: name, recoveries: 0, leader: 1, term: 3, height: end, hash };
+        Branch { base, links, signature: head.sign(node.certificate.clone(), &node.key).unwrap() }
+    };
+    let branches = [branch(1), branch(2)];
+    let heads =
+        DoubleHead { network: name, recoveries: 0, leader: 1, term: 3, height: 5, time: network.time, branches };
+    hex::encode(Misbehaviour::DoubleHead(heads).to_bytes())
+}
+
+#[test]
+fn the_longest_proof_of_two_logs_fits_a_proposal() {
+    let mut network = Network::new(4, 3);
+    let heads = longest_double_head(&network);
+    let id = waiting(network.admin(2, "set_node_role", &[&set_by_proof(1, "removed", &heads)]));
+    assert!(is_executed(network.admin(3, "approve", &[&id])));
+    assert_eq!(network.role(1), REMOVED);
+    let other = network.admin(2, "set_node_role", &[&set_by_proof(2, "removed", &heads)]);
+    assert_eq!(code(&other), Code::BadArgument, "it is about node 1");
 }
 
 #[test]

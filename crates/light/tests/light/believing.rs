@@ -4,7 +4,10 @@ use crate::world::{NETWORK, NOW, World, statement};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_identity::key::KeyKind;
-use ledger_light::{Certificate, DoubleVote, Fault, Lie, Misbehaviour, Statement, Vote, Voter};
+use ledger_light::{
+    Branch, BranchLink, Certificate, DoubleHead, DoubleVote, Fault, Head, Lie, Misbehaviour, Statement, Vote, Voter,
+    block_hash,
+};
 
 fn code(world: &World, certificate: &Certificate) -> Code {
     world.verify(certificate).map_or_else(|refused| refused.code, |()| Code::Ok)
@@ -164,6 +167,34 @@ fn two_votes_of_one_node_in_one_term_prove_a_lie_and_nothing_else_does() {
     assert_eq!(proved([vote(1, 3), recovered]), Err(Code::BadSignature), "before and after a forced recovery");
     let (_, signed) = vote(1, 3);
     assert_eq!(proved([(1, signed.clone()), (2, signed)]), Err(Code::BadSignature), "a vote for another candidate");
+}
+
+#[test]
+fn two_heads_of_one_leader_in_one_term_above_two_blocks_of_one_height_prove_a_lie_and_nothing_else_does() {
+    let world = World::new();
+    let link = BranchLink { term: 6, time: NOW, root: Hash([9; 32]) };
+    // A branch from block 5 with this hash on, with so many blocks, whose head is signed by a node as the leader of a term.
+    let branch = |base: u8, blocks: u64, signer: u64, term: u64| {
+        let base = Hash([base; 32]);
+        let hash = (6..6 + blocks).fold(base, |hash, height| block_hash(height, &link, hash));
+        let head = Head { network: NETWORK, recoveries: 0, leader: 3, term, height: 5 + blocks, hash };
+        Branch { base, links: vec![link; blocks as usize], signature: world.head(&head, signer) }
+    };
+    let verify = |branches| {
+        let proof = DoubleHead { network: NETWORK, recoveries: 0, leader: 3, term: 7, height: 5, time: NOW, branches };
+        assert_eq!(DoubleHead::from_bytes(&proof.to_bytes()).unwrap(), proof);
+        let any = Misbehaviour::from_bytes(&proof.to_bytes()).unwrap();
+        assert_eq!((any.node(), any.is_lie(), any.to_bytes()), (3, true, proof.to_bytes()));
+        proof.verify(|der, time| world.identify(der, time)).map(|liar| liar.id()).map_err(|refused| refused.code)
+    };
+    assert_eq!(verify([branch(1, 0, 3, 7), branch(2, 0, 3, 7)]).unwrap(), "Org2/node3");
+    assert_eq!(verify([branch(1, 2, 3, 7), branch(2, 9, 3, 7)]).unwrap(), "Org2/node3", "heads of two heights");
+    assert_eq!(verify([branch(1, 2, 3, 7), branch(1, 9, 3, 7)]), Err(Code::Malformed), "one log, which has grown");
+    assert_eq!(verify([branch(1, 2, 3, 7), branch(2, 2, 1, 7)]), Err(Code::Malformed), "two nodes");
+    assert_eq!(verify([branch(1, 2, 3, 7), branch(2, 2, 3, 8)]), Err(Code::BadSignature), "two terms");
+    let mut longer = branch(2, 2, 3, 7);
+    longer.links.push(link);
+    assert_eq!(verify([branch(1, 2, 3, 7), longer]), Err(Code::BadSignature), "a block more than was signed");
 }
 
 #[test]

@@ -8,7 +8,10 @@ use ledger_light::fact::{FACT_BYTES_MAX, Fact};
 use ledger_light::merkle::{PATH_BYTES_MAX, Path};
 use ledger_light::proof::Shown;
 use ledger_light::statement::SIGNED_BYTES_MAX;
-use ledger_light::{Certificate, Change, DoubleVote, Fault, Lie, Proof, Signature, Signed, Statement, lie};
+use ledger_light::{
+    Branch, BranchLink, Certificate, Change, DoubleHead, DoubleVote, Fault, Lie, Proof, Signature, Signed, Statement,
+    head, lie,
+};
 use proptest::prelude::*;
 
 fn hash() -> impl Strategy<Value = Hash> {
@@ -88,6 +91,15 @@ fn written() -> impl Strategy<Value = Bytes> {
             let (network, recoveries) = (first.statement.network, first.statement.recoveries);
             DoubleVote { network, recoveries, term, time, votes }.to_bytes()
         }),
+        (signed(), signed(), any::<[u64; 5]>(), prop::collection::vec((any::<u64>(), any::<u64>(), hash()), 0..3))
+            .prop_map(|(first, second, [recoveries, leader, term, height, time], links)| {
+                let links: Vec<_> =
+                    links.into_iter().map(|(term, time, root)| BranchLink { term, time, root }).collect();
+                let branches = [(first.statement.block, first.signature), (second.statement.block, second.signature)]
+                    .map(|(base, signature)| Branch { base, links: links.clone(), signature });
+                let network = first.statement.network;
+                DoubleHead { network, recoveries, leader, term, height, time, branches }.to_bytes()
+            }),
         proofs(),
         prop::collection::vec((bytes(60), prop::option::of(bytes(200))), 0..4).prop_map(|writes| Change {
             height: 1,
@@ -99,7 +111,7 @@ fn written() -> impl Strategy<Value = Bytes> {
 
 /// The bytes again, from each kind that they are read as.
 fn read(bytes: &[u8]) -> Vec<Bytes> {
-    let again: [Result<Bytes, Rejection>; 10] = [
+    let again: [Result<Bytes, Rejection>; 11] = [
         Fact::from_bytes(bytes).map(|fact| fact.to_bytes().into()),
         Path::from_bytes(bytes).map(|path| path.to_bytes().into()),
         Statement::from_bytes(bytes).map(|statement| statement.to_bytes().into()),
@@ -108,6 +120,7 @@ fn read(bytes: &[u8]) -> Vec<Bytes> {
         Lie::from_bytes(bytes).map(|lie| lie.to_bytes()),
         Fault::from_bytes(bytes).map(|fault| fault.to_bytes()),
         DoubleVote::from_bytes(bytes).map(|lie| lie.to_bytes()),
+        DoubleHead::from_bytes(bytes).map(|lie| lie.to_bytes()),
         Proof::from_bytes(bytes).map(|proof| proof.to_bytes()),
         Change::from_bytes(1, bytes).map(|change| change.to_bytes()),
     ];
@@ -173,6 +186,15 @@ fn limits_are_exact_and_hold_before_anything_is_allocated() {
     let votes = DoubleVote { network: Hash::ZERO, recoveries: 0, term: 1, time: 1, votes };
     assert_eq!(votes.to_bytes().len(), lie::DOUBLE_VOTE_BYTES_MAX);
     assert!(DoubleVote::from_bytes(&votes.to_bytes()).is_ok());
+    let link = BranchLink { term: 1, time: 1, root: Hash::ZERO };
+    let branch = |count| Branch { base: Hash::ZERO, links: vec![link; count], signature: signature(1) };
+    let heads = |count| {
+        let branches = [branch(count), branch(count)];
+        DoubleHead { network: Hash::ZERO, recoveries: 0, leader: 1, term: 1, height: 1, time: 1, branches }
+    };
+    assert_eq!(heads(head::LINKS_MAX).to_bytes().len(), head::DOUBLE_HEAD_BYTES_MAX);
+    assert!(DoubleHead::from_bytes(&heads(head::LINKS_MAX).to_bytes()).is_ok());
+    assert!(DoubleHead::from_bytes(&heads(head::LINKS_MAX + 1).to_bytes()).is_err());
     let mut longer = signed.clone();
     longer.signature.signature = vec![0; 73].into();
     assert_eq!(Signed::from_bytes(&longer.to_bytes()).unwrap_err().code, Code::TooLarge);

@@ -6,7 +6,7 @@ use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
-use ledger_light::{Certificate, CertificateRule, Signature, Signed, Statement, Vote, Voter, Voters};
+use ledger_light::{Certificate, CertificateRule, Head, Signature, Signed, Statement, Vote, Voter, Voters};
 use testkit::{Ca, User};
 
 /// 2030-01-01, microseconds.
@@ -66,6 +66,11 @@ impl World {
     pub(crate) fn vote(&self, vote: &Vote) -> Signature {
         let User { key, certificate } = &self.nodes[vote.voter as usize - 1];
         vote.sign(certificate.clone(), key).unwrap()
+    }
+
+    pub(crate) fn head(&self, head: &Head, signer: u64) -> Signature {
+        let User { key, certificate } = &self.nodes[signer as usize - 1];
+        head.sign(certificate.clone(), key).unwrap()
     }
 
     pub(crate) fn certificate(&self, statement: Statement, signers: &[u64]) -> Certificate {

@@ -105,6 +105,20 @@ pub enum EngineError {
         /// Height known to be committed.
         commit: u64,
     },
+    /// The hash of the newest executed block is not known.
+    #[error("hash of executed block {height} is not known; move state and results aside so that they are rebuilt")]
+    NoHash {
+        /// Height of the block.
+        height: u64,
+    },
+    /// The end of the log cannot be read.
+    #[error("log cannot be read at height {height}: {error}")]
+    Log {
+        /// Where.
+        height: u64,
+        /// Why.
+        error: String,
+    },
     /// The configuration contradicts itself.
     #[error("ordering cannot be configured so: {0}")]
     Config(String),

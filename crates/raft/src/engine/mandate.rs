@@ -21,6 +21,7 @@ use crate::interface::{Output, VotedTwice};
 use crate::message::{Mandate, MandateWanted, PeerMessage, RaftKind, RaftMessage, SignedVote};
 use bytes::Bytes;
 use ledger::members::Membership;
+use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use raft::StateRole;
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,7 +38,31 @@ pub struct Ballot {
     pub voter: u64,
 }
 
-/// The key of this node for votes, and how votes of others are checked.
+/// A leader hands its leadership over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Handover {
+    /// The term of the leader.
+    pub term: u64,
+    /// The leader, which says so.
+    pub leader: u64,
+    /// The voter that is to lead next.
+    pub to: u64,
+}
+
+/// The log of a leader up to a height.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogHead {
+    /// The term of the leader.
+    pub term: u64,
+    /// The leader, which says so.
+    pub leader: u64,
+    /// Height of the last entry.
+    pub height: u64,
+    /// Hash of the chain up to it.
+    pub hash: Hash,
+}
+
+/// The key of this node for votes, transfers and heads, and how those of others are checked.
 pub trait Ballots: Send + Sync {
     /// Signs a vote of this node.
     ///
@@ -51,6 +76,31 @@ pub trait Ballots: Send + Sync {
     /// # Errors
     /// The reason why this is not its vote.
     fn check(&self, ballot: Ballot, signed: &[u8], now: u64) -> Result<(), Rejection>;
+
+    /// Signs that this leader hands over.
+    ///
+    /// # Errors
+    /// As [`Ballots::sign`].
+    fn sign_handover(&self, handover: Handover) -> Result<Bytes, Rejection>;
+
+    /// Has the leader signed that it hands over? `now` as for [`Ballots::check`].
+    ///
+    /// # Errors
+    /// The reason why it has not.
+    fn check_handover(&self, handover: Handover, signed: &[u8], now: u64) -> Result<(), Rejection>;
+
+    /// Signs the head of this leader's log: the certificate, which votes that are signed now have, too, and the signature.
+    ///
+    /// # Errors
+    /// As [`Ballots::sign`].
+    fn sign_head(&self, head: LogHead) -> Result<(Bytes, Bytes), Rejection>;
+
+    /// Has the leader signed this head? `vote` is its vote for itself, signed by [`Ballots::sign`] with the same certificate; `now` as
+    /// for [`Ballots::check`]. It is called for every append, so it must be quick for a vote that was seen before.
+    ///
+    /// # Errors
+    /// The reason why it has not.
+    fn check_head(&self, head: LogHead, vote: &[u8], signature: &[u8], now: u64) -> Result<(), Rejection>;
 }
 
 /// A leader that has shown its mandate.
@@ -63,17 +113,21 @@ struct Elected {
 
 /// When something was last done for a node, in ticks.
 #[derive(Default)]
-struct Rests(BTreeMap<u64, u64>);
+pub(super) struct Rests(BTreeMap<u64, u64>);
 
 impl Rests {
     /// Less than `pause` has gone by since. Older moments are forgotten.
-    fn rests(&mut self, node: u64, now: u64, pause: usize) -> bool {
+    pub(super) fn rests(&mut self, node: u64, now: u64, pause: usize) -> bool {
         self.0.retain(|_, at| now - *at < pause as u64);
         self.0.contains_key(&node)
     }
 
-    fn begin(&mut self, node: u64, now: u64) {
+    pub(super) fn begin(&mut self, node: u64, now: u64) {
         self.0.insert(node, now);
+    }
+
+    pub(super) fn end(&mut self, node: u64) {
+        self.0.remove(&node);
     }
 }
 
@@ -128,6 +182,22 @@ impl Mandates {
     /// Has the node shown a mandate for this very term?
     pub(super) fn is_elected(&self, node: u64, term: u64) -> bool {
         self.elected.as_ref().is_some_and(|elected| (elected.leader, elected.term) == (node, term))
+    }
+
+    /// Signs and checks.
+    pub(super) fn ballots(&self) -> &dyn Ballots {
+        &*self.ballots
+    }
+
+    /// The vote of a leader for itself, if its mandate for this term has it.
+    pub(super) fn vote_of_leader(&self, leader: u64, term: u64) -> Option<Bytes> {
+        let elected = self.elected.as_ref().filter(|elected| (elected.leader, elected.term) == (leader, term));
+        elected?.by.get(&leader).cloned()
+    }
+
+    /// A node has shown something that is not believed.
+    pub(super) fn doubt(&mut self, node: u64, now: u64) {
+        self.doubted.begin(node, now);
     }
 
     /// Signs the vote in an answer to a candidate. It is on the disk: answers wait for that.
@@ -204,7 +274,7 @@ impl Engine {
     }
 
     /// A node that has shown something that was not believed rests for a while: checking costs time.
-    fn hear_proof(&mut self, from: u64) -> Result<(), &'static str> {
+    pub(super) fn hear_proof(&mut self, from: u64) -> Result<(), &'static str> {
         match self.mandates.doubted.rests(from, self.ticks, self.config.heartbeat_tick) {
             true => Err("it has shown before what nobody believes"),
             false => Ok(()),
@@ -214,13 +284,19 @@ impl Engine {
     /// This node is elected: it shows everybody its mandate, before the first append of the term.
     pub(super) fn show_mandate_to_all(&mut self, term: u64, out: &mut Vec<Output>) {
         let me = self.config.id;
-        match self.mandates.ballots.sign(Ballot { term, candidate: me, voter: me }) {
-            Ok(signed) => self.mandates.keep_vote(term, me, signed),
-            Err(reason) => tracing::warn!(code = reason.code.name(), %reason, "this node cannot sign its own vote"),
-        }
+        self.sign_own_vote(term);
         let mandate = self.mandates.mandate();
         for to in self.membership.nodes().into_iter().filter(|node| *node != me) {
             out.push(Output::Send { to, message: PeerMessage::Mandate(mandate.clone()) });
+        }
+    }
+
+    /// Signs the vote of this leader for itself, with the certificate that it has now.
+    fn sign_own_vote(&mut self, term: u64) {
+        let me = self.config.id;
+        match self.mandates.ballots.sign(Ballot { term, candidate: me, voter: me }) {
+            Ok(signed) => self.mandates.keep_vote(term, me, signed),
+            Err(reason) => tracing::warn!(code = reason.code.name(), %reason, "this node cannot sign its own vote"),
         }
     }
 
@@ -246,13 +322,18 @@ impl Engine {
             tracing::info!(term, "the voters have changed since they elected this node: it stands for election again");
             return self.lead_again_after(term);
         }
+        // Its certificate may be a new one.
+        self.sign_own_vote(term);
         out.push(Output::Send { to: by, message: PeerMessage::Mandate(self.mandates.mandate()) });
     }
 
     /// A node shows its mandate.
     pub(super) fn mandate_shown(&mut self, by: u64, mandate: &Mandate, out: &mut Vec<Output>) {
-        if mandate.term < self.raw.raft.term || self.mandates.is_elected(by, mandate.term) {
+        if mandate.term < self.raw.raft.term {
             return;
+        }
+        if self.mandates.is_elected(by, mandate.term) {
+            return self.leader_renewed(by, mandate);
         }
         let checked = self.hear_proof(by).and_then(|()| self.check_mandate(by, mandate));
         if let Ok(Elected { term, leader, by }) = &checked {
@@ -263,6 +344,28 @@ impl Engine {
         match checked.and_then(|elected| self.only_leader_of_term(elected)) {
             Ok(elected) => self.mandates.elected = Some(elected),
             Err(reason) => out.push(Output::Ignored { from: by, reason }),
+        }
+    }
+
+    /// The leader shows its mandate again: its vote for itself has the certificate that it signs with now.
+    fn leader_renewed(&mut self, leader: u64, mandate: &Mandate) {
+        let Some(vote) = mandate.votes.iter().find(|vote| vote.node == leader) else { return };
+        let ballot = Ballot { term: mandate.term, candidate: leader, voter: leader };
+        let is_known = self.mandates.vote_of_leader(leader, mandate.term).is_some_and(|known| known == vote.signed);
+        if is_known || self.hear_proof(leader).is_err() {
+            return;
+        }
+        match self.mandates.ballots.check(ballot, &vote.signed, self.now) {
+            Ok(()) => {
+                if let Some(elected) = &mut self.mandates.elected {
+                    elected.by.insert(leader, vote.signed.clone());
+                }
+                self.heads.trust_again(leader);
+            }
+            Err(reason) => {
+                tracing::warn!(leader, code = reason.code.name(), %reason, "the certificate of the leader is not believed");
+                self.mandates.doubt(leader, self.ticks);
+            }
         }
     }
 

@@ -69,6 +69,12 @@ impl Engine {
             "the disk has nothing that the log lacks",
             "block {persisted}, the log ends at {last}"
         );
+        invariant!(
+            self.chain.last() == last,
+            "the hash of every entry is known",
+            "hashes up to {}, the log ends at {last}",
+            self.chain.last()
+        );
         costly_invariant!(
             self.waiting_bytes() == (self.unpersisted_bytes, self.unapplied_bytes),
             "counted bytes are those that wait",

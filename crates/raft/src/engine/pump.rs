@@ -230,6 +230,7 @@ impl Engine {
             self.unapplied_bytes -= bytes;
         }
         self.ahead.executed(height, at);
+        self.chain.executed(height);
         self.advance_applied();
     }
 
@@ -259,12 +260,16 @@ impl Engine {
             ready.hs().map(|state| HardState { term: state.term, vote: kept(state.vote), commit: state.commit });
         if !entries.is_empty() || hard_state.is_some() {
             self.store.append(&entries, hard_state.as_ref())?;
+            entries.iter().for_each(|entry| self.chain.append(entry));
         }
         self.store.set_committed(self.raw.raft.raft_log.committed);
-        let messages = self.hold_back(ready.take_messages());
+        let mut messages = ready.take_messages();
+        self.chain.name(&mut messages);
+        let messages = self.hold_back(messages);
         self.send(messages, out);
         let (number, needs_flush) = (ready.number(), ready.must_sync());
-        let messages = ready.take_persisted_messages();
+        let mut messages = ready.take_persisted_messages();
+        self.chain.name(&mut messages);
         let bytes = entries.iter().map(|entry| entry.data.len()).sum();
         self.unpersisted_bytes += bytes;
         self.pending.push_back(PendingReady { number, needs_flush, bytes, messages });
@@ -336,7 +341,8 @@ impl Engine {
         now
     }
 
-    /// Puts messages out. Appends to one peer that follow each other become one message, within the limits.
+    /// Puts messages out. Appends to one peer that follow each other become one message, within the limits. The head of each
+    /// is signed then, once for all that end with the same entry.
     fn send(&mut self, messages: Vec<Message>, out: &mut Vec<Output>) {
         let first = out.len();
         for message in messages {
@@ -353,9 +359,11 @@ impl Engine {
                 self.receipts.attach(to, &mut message);
                 self.times.attach(&mut message);
                 self.mandates.attach(self.config.id, to, &mut message);
+                self.attach_handover(to, &mut message);
                 out.push(Output::Send { to, message: PeerMessage::Raft(message) });
             }
         }
+        self.sign_heads(first, out);
     }
 
     /// Adds an append to an earlier one to the same peer, if it follows it and both fit one message.

@@ -7,7 +7,8 @@
 //! | message | taken from | with a later term |
 //! |---|---|---|
 //! | append, heartbeat | voters that show their mandate | yes |
-//! | hand-over, answer to a read, *behind* | the leader of this term | no |
+//! | hand-over, answer to a read, *behind* | the leader of this term; a hand-over with its signature | no |
+//! | head of a leader | members; checked only if it contradicts this log | |
 //! | vote, pre-vote | voters | at most [`TERM_AHEAD_MAX`] ahead |
 //! | answers to them | voters, by a candidate | at most [`TERM_AHEAD_MAX`] ahead |
 //! | answers to append and heartbeat | members | by a leader, see below |
@@ -23,9 +24,9 @@
 //!
 //! **Ends of terms.** A member that is stuck in a later term cannot follow the leader (Raft §5.1); one that was a voter
 //! before may be such a one. The leader then stands for election again at once, in a term after that, and is elected by
-//! those that follow it: a pause of one write. A transfer of leadership makes a voter stand for election in spite of the
-//! leader's lease (thesis §3.10). Both are needed, and both could be done without end. So each voter, and all learners together,
-//! may do so once in [`REST_TIMEOUTS`] election timeouts.
+//! those that follow it: a pause of one write. It is needed, and could be done without end. So each voter, and all learners
+//! together, may do so once in [`REST_TIMEOUTS`] election timeouts. A transfer of leadership makes a voter stand for election in
+//! spite of the leader's lease (thesis §3.10), with the leader's signed word only: see `engine/handover.rs`.
 
 use super::Engine;
 use crate::interface::Output;
@@ -33,7 +34,7 @@ use crate::message::{RaftKind, RaftMessage};
 use ledger_base::mutation::{Mutation, active};
 use ledger_storage::entry::Entry;
 use raft::eraftpb::{Message, MessageType};
-use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};
+use raft::{INVALID_ID, StateRole};
 
 /// How far the term of a vote may be ahead. Terms grow by one with an election that a majority did not refuse
 /// beforehand, so no honest node is further ahead. A hostile voter needs centuries to use up all terms this way.
@@ -90,6 +91,7 @@ impl Engine {
             RaftKind::Append | RaftKind::Heartbeat if self.mandates.is_elected(from, message.term) => Ok(()),
             RaftKind::Append | RaftKind::Heartbeat => self.may_lead(from, message.term),
             RaftKind::TimeoutNow | RaftKind::ReadIndexResponse => match self.is_leader_of(from, message.term) {
+                true if kind == RaftKind::TimeoutNow => Ok(self.take_handover(from, message)?),
                 true => Ok(()),
                 false => doubt("only the leader of this term says that"),
             },
@@ -98,10 +100,7 @@ impl Engine {
                 if message.term > term.saturating_add(TERM_AHEAD_MAX) {
                     return doubt("its term is further ahead than elections make it");
                 }
-                if message.context[..] == *CAMPAIGN_TRANSFER && !self.may_end_term(from) {
-                    // It stands for election like any other: the leader's lease counts.
-                    message.context.clear();
-                }
+                self.check_transfer(from, message);
                 Ok(())
             }
             RaftKind::VoteResponse | RaftKind::PreVoteResponse => {
@@ -184,10 +183,9 @@ impl Engine {
         }
     }
 
-    /// A member ends a leader's term before its time: not again for a while. The leader's own hand-over is free, and so is
-    /// its standing for election again.
+    /// A member ends a leader's term before its time: not again for a while. The leader's own hand-over is free.
     fn may_end_term(&mut self, from: u64) -> bool {
-        if self.raw.raft.lead_transferee == Some(from) || self.raw.raft.leader_id == from {
+        if self.raw.raft.lead_transferee == Some(from) {
             return true;
         }
         let from = if self.membership.is_voter(from) { from } else { LEARNERS };
@@ -202,16 +200,17 @@ impl Engine {
         true
     }
 
-    /// With every tick: only nodes speak as leaders of which this node does not know that they vote. Blocks that it lacks
-    /// may say so, and its peers may have them.
+    /// With every tick: only nodes speak as leaders of which this node does not know that they vote, or whose heads it cannot
+    /// check. Blocks that it lacks may say so, and its peers may have them.
     pub(super) fn look_for_leader(&mut self, out: &mut Vec<Output>) {
         let timeouts = if self.may_vote(self.config.id).is_ok() { LOOK_TIMEOUTS } else { LEARNER_LOOK_TIMEOUTS };
-        if self.leaderless_ticks < timeouts * self.config.election_tick {
+        let unchecked = self.heads.take_unchecked(self.ticks, timeouts * self.config.election_tick);
+        if !unchecked && self.leaderless_ticks < timeouts * self.config.election_tick {
             return;
         }
         // Asked again after the same time.
         self.leaderless_ticks = 0;
-        if std::mem::take(&mut self.stranger_leads) {
+        if std::mem::take(&mut self.stranger_leads) || unchecked {
             let committed = self.raw.raft.raft_log.committed;
             out.push(Output::Behind { from: self.config.id, first_index: committed + 2 });
         }

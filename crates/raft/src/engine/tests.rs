@@ -2,7 +2,10 @@
 
 mod acknowledged;
 mod bounds;
+mod chain;
 mod doubt;
+mod handover;
+mod heads;
 mod learners;
 mod mandate;
 mod promises;
@@ -14,9 +17,10 @@ use super::*;
 use crate::Lane;
 use crate::message::{RaftKind, RaftMessage, WireEntry};
 use bytes::Bytes;
+use ledger_base::hash::Hash;
 use ledger_storage::block_store::Options;
 use ledger_storage::disk::SimDisk;
-use votes::{Names, mandate, signed, step};
+use votes::{Genesis, Names, honest, mandate, signed, step};
 
 fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     let disk = SimDisk::new(id);
@@ -24,7 +28,7 @@ fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     options.segment_bytes = 1 << 16;
     let (store, _) = BlockStore::open(Arc::new(disk), options).unwrap();
     let members = Membership::new(voters.iter().copied(), learners.iter().copied());
-    Engine::new(EngineConfig::new(id, members, id), Arc::new(store), Arc::new(Names(id))).unwrap()
+    Engine::new(EngineConfig::new(id, members, id), Arc::new(store), Arc::new(Genesis), Arc::new(Names(id))).unwrap()
 }
 
 /// Steps, with a disk that is done at once and an executor that keeps up.
@@ -253,6 +257,7 @@ fn nothing_that_promises_goes_out_before_it_is_on_disk() {
         message.term = 3;
         message.entries = vec![WireEntry { index: 1, term: 3, kind: 1, data: Bytes::new() }];
     });
+    let append = honest(&engine, append);
     engine.step(0, append.clone(), &mut out);
     let flushed: Vec<_> = out.iter().filter(|output| matches!(output, Output::Flush { .. })).cloned().collect();
     assert_eq!(flushed.len(), 1, "found {out:?}");
@@ -287,7 +292,8 @@ fn a_leader_sends_before_its_own_disk_is_done_and_does_not_count_itself_until_th
     let ready = *ready;
     assert_eq!(engine.raw.raft.prs().get(1).unwrap().matched, 1);
     // One other of three is no majority without the leader itself.
-    engine.step(0, message(3, RaftKind::AppendResponse, |message| message.index = 2), &mut out);
+    let acknowledgement = honest(&engine, message(3, RaftKind::AppendResponse, |message| message.index = 2));
+    engine.step(0, acknowledgement, &mut out);
     assert_eq!(engine.raw.raft.raft_log.committed, 1);
     engine.store.flush().unwrap();
     engine.step(0, Input::Persisted { ready }, &mut out);
@@ -465,6 +471,7 @@ fn a_heartbeat_that_knows_less_is_answered_with_what_is_committed_on_this_disk()
     });
     let mut out = Vec::new();
     engine.step(0, mandate(1, 2, &[2, 3]), &mut out);
+    let append = honest(&engine, append);
     engine.step(0, append, &mut out);
     let heartbeat = |commit| message(2, RaftKind::Heartbeat, |message| message.commit = commit);
     out.clear();

@@ -27,11 +27,13 @@ impl RaftMessage {
     pub(crate) fn from_raft(mut message: eraftpb::Message) -> Option<Self> {
         let (kind, _) = KINDS.iter().find(|(_, of)| *of == message.get_msg_type())?;
         let mut entries: Vec<eraftpb::Entry> = message.take_entries().into();
-        let context = match kind {
+        let (context, hash) = match kind {
             RaftKind::ReadIndex | RaftKind::ReadIndexResponse => {
-                entries.drain(..).next().map(|mut entry| entry.take_data()).unwrap_or_default()
+                (entries.drain(..).next().map(|mut entry| entry.take_data()).unwrap_or_default(), Bytes::new())
             }
-            _ => message.take_context(),
+            // The engine has named it there (`engine/chain.rs`).
+            RaftKind::Append | RaftKind::AppendResponse => (Bytes::new(), message.take_context()),
+            _ => (message.take_context(), Bytes::new()),
         };
         Some(Self {
             kind: (*kind).into(),
@@ -48,6 +50,9 @@ impl RaftMessage {
             receipt: Bytes::new(),
             accepts_until: 0,
             vote: Bytes::new(),
+            hash,
+            transfer: Bytes::new(),
+            head: Bytes::new(),
         })
     }
 
@@ -71,7 +76,8 @@ impl RaftMessage {
                 message.set_entries(vec![entry].into());
             }
             _ => {
-                message.context = self.context;
+                let names = matches!(kind, RaftKind::Append | RaftKind::AppendResponse);
+                message.context = if names { self.hash } else { self.context };
                 let entries: Option<Vec<_>> = self.entries.into_iter().map(WireEntry::into_raft).collect();
                 message.set_entries(entries?.into());
             }

@@ -22,6 +22,8 @@ fn message() -> impl Strategy<Value = PeerMessage> {
     let raft = (1..=11i32, numbers, any::<bool>(), bytes(), prop::collection::vec((1..=3u32, bytes()), 0..5)).prop_map(
         |(kind, numbers, reject, context, entries)| {
             let [index, log_term, commit, commit_term, reject_hint, more] = numbers[..] else { unreachable!() };
+            // These two name a hash, and the engine hands it over as their context.
+            let names = [RaftKind::Append, RaftKind::AppendResponse].map(i32::from).contains(&kind);
             let entries = entries.into_iter().enumerate().map(|(nth, (kind, data))| WireEntry {
                 index: index + 1 + nth as u64,
                 term: log_term + 1,
@@ -37,12 +39,15 @@ fn message() -> impl Strategy<Value = PeerMessage> {
                 commit_term,
                 reject,
                 reject_hint,
-                context,
+                context: if names { Bytes::new() } else { context.clone() },
                 entries: if kind == i32::from(RaftKind::Append) { entries.collect() } else { Vec::new() },
                 receipt_index: 0,
                 receipt: Bytes::new(),
                 accepts_until: 0,
                 vote: Bytes::new(),
+                hash: if names { context.slice(..context.len().min(HASH_BYTES)) } else { Bytes::new() },
+                transfer: Bytes::new(),
+                head: Bytes::new(),
             })
         },
     );

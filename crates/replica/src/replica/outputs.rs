@@ -7,8 +7,8 @@ use ledger::Refusal;
 use ledger::transaction::Transaction;
 use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::{DoubleVote, Signature};
-use ledger_raft::{Input, Output, PeerMessage, Role, Transactions, VotedTwice};
+use ledger_light::{Branch, DoubleHead, DoubleVote, Misbehaviour, Signature};
+use ledger_raft::{HeadBranch, Input, Output, PeerMessage, Role, Transactions, VotedTwice};
 
 impl<W: Waiter> Replica<W> {
     /// Hands an input to the engine.
@@ -61,11 +61,18 @@ impl<W: Waiter> Replica<W> {
             Output::Behind { from, first_index } => out.push(Effect::Behind { from, first_index }),
             Output::Ignored { from, reason } => out.push(Effect::Ignored { from, reason }),
             Output::VotedTwice(found) => match self.proof(now, &found) {
-                Ok(proof) => out.push(Effect::VotedTwice(Box::new(proof))),
+                Ok(proof) => out.push(Effect::Misbehaved(Box::new(Misbehaviour::DoubleVote(proof)))),
                 Err(reason) => {
                     tracing::warn!(voter = found.voter, code = reason.code.name(), %reason, "two votes of one voter cannot be read")
                 }
             },
+            Output::TwoHeads(found) => match self.proof_of_heads(now, &found) {
+                Ok(proof) => out.push(Effect::Misbehaved(Box::new(Misbehaviour::DoubleHead(proof)))),
+                Err(reason) => {
+                    tracing::warn!(leader = found.leader, code = reason.code.name(), %reason, "two heads of one leader cannot be read")
+                }
+            },
+            Output::Contradicted(found) => out.push(Effect::Contradicted(found)),
             Output::Failed(reason) => out.push(Effect::Failed(reason)),
         }
     }
@@ -91,6 +98,22 @@ impl<W: Waiter> Replica<W> {
             out.push(Effect::Send { to: from, message: PeerMessage::Returned(excess) });
         }
         forwarded
+    }
+
+    /// Two logs of one leader, for anybody to check.
+    fn proof_of_heads(&self, now: Now, found: &ledger_raft::DoubleHead) -> Result<DoubleHead, Rejection> {
+        let branch = |branch: &HeadBranch| -> Result<Branch, Rejection> {
+            let HeadBranch { base, links, vote, signature } = branch;
+            let Signature { node, certificate, .. } = Signature::from_bytes(vote)?;
+            let signature = Signature { node, certificate, signature: signature.clone() };
+            Ok(Branch { base: *base, links: links.clone(), signature })
+        };
+        let [one, other] = &found.branches;
+        let branches = [branch(one)?, branch(other)?];
+        let ledger = self.executor.ledger();
+        let (network, recoveries) = (ledger.network(), ledger.recoveries()?);
+        let ledger_raft::DoubleHead { leader, term, height, .. } = *found;
+        Ok(DoubleHead { network, recoveries, leader, term, height, time: now.clock, branches })
     }
 
     /// There is no way to the leader now, so who waits for what was forwarded is told.

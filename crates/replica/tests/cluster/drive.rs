@@ -98,11 +98,9 @@ impl Cluster {
         let node = self.nodes.get_mut(&id).unwrap();
         match effect {
             Effect::Send { to, message } => self.send(id, to, &message),
-            Effect::Status(_)
-            | Effect::Reconciles(_)
-            | Effect::Denied(_)
-            | Effect::Ignored { .. }
-            | Effect::VotedTwice(_) => {}
+            Effect::Status(_) | Effect::Reconciles(_) | Effect::Denied(_) | Effect::Ignored { .. } => {}
+            Effect::Misbehaved(proof) => panic!("an honest node is called a liar: {proof:?}"),
+            Effect::Contradicted(found) => panic!("honest nodes contradict each other: {found:?}"),
             Effect::Role(change) if change.role == Role::Leader => {
                 let leader = *self.leaders.entry(change.term).or_insert(id);
                 assert_eq!(leader, id, "two leaders in term {}", change.term);

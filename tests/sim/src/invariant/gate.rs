@@ -27,6 +27,8 @@ const NAME: &str = "gate";
 const MAX_AGE: u64 = 1_000_000;
 /// So much older may a message seem that nothing has delayed, microseconds: a sign of life, and the way of a question and of the news.
 const ALLOWANCE: u64 = 500_000;
+/// The most by which the clocks of two machines differ that no fault has set, microseconds.
+const CLOCKS_APART: u64 = 400_000;
 /// The most that rounding may take, microseconds.
 const SLACK: u64 = 2_000;
 
@@ -239,8 +241,10 @@ impl GateKeepsTheRules {
             return Err(what("is not signed by its creator"));
         }
         let signed_at = body.not_after.saturating_sub(micros(COMMAND_TTL));
-        // A node that holds blocks back may make it younger, for as long as answers count.
-        let longest = MAX_AGE + 2 * self.stale_after + SLACK;
+        // A command passes for `stale_after` after a question. It was signed after that question, or after one that is no older than the
+        // longer of MAX_AGE and COMMAND_TTL, or it is no older than that by the certified block time of the answer. A node that lies
+        // about block time makes it younger by the difference of the clocks of signer and leader.
+        let longest = MAX_AGE.max(micros(COMMAND_TTL)) + CLOCKS_APART + self.stale_after + SLACK;
         let is_too_old = match self.signed.get(&transaction.id()) {
             Some(signed) if by_block => now > signed + longest,
             _ => wall > signed_at.saturating_add(MAX_AGE + SLACK),

@@ -85,8 +85,15 @@ impl World {
                 self.note(format_args!("n{id} drops {transaction:?}: {code}"));
             }
             Effect::Refused { input, reason } => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
-            Effect::VotedTwice(proof) => {
-                self.note(format_args!("n{id} has a proof: n{} has voted twice", proof.voter()))
+            Effect::Misbehaved(proof) => {
+                let what = format!("node {id} has a proof: {proof:?}");
+                return Err(Violation::new("no honest node signs two things for one place", what));
+            }
+            Effect::Contradicted(found) => {
+                return Err(Violation::new(
+                    "nobody contradicts the chain of an honest node",
+                    format!("node {id}: {found:?}"),
+                ));
             }
             Effect::Ignored { from, reason } => self.note(format_args!("n{id} ignores a message of n{from}: {reason}")),
             Effect::Behind { from, first_index } => {

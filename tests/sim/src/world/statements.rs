@@ -9,7 +9,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Certificate, Proof, Signature, Signed, Statement, Vote};
+use ledger_light::{Certificate, Head, Proof, Signature, Signed, Statement, Transfer, Vote};
 use ledger_replica::certifier::{Certifiable, Certifier, Earlier, Effect, Era, Event, Signing};
 use std::sync::Arc;
 
@@ -34,6 +34,16 @@ impl Signing for Keys {
     fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection> {
         let node = self.people.node(self.id, self.organisations);
         vote.sign(node.certificate.clone(), &node.key)
+    }
+
+    fn sign_transfer(&self, transfer: &Transfer) -> Result<Signature, Rejection> {
+        let node = self.people.node(self.id, self.organisations);
+        transfer.sign(node.certificate.clone(), &node.key)
+    }
+
+    fn sign_head(&self, head: &Head) -> Result<Signature, Rejection> {
+        let node = self.people.node(self.id, self.organisations);
+        head.sign(node.certificate.clone(), &node.key)
     }
 
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], _time: u64) -> Result<Identity, Rejection> {

@@ -3,6 +3,7 @@
 use super::{Timer, World};
 use crate::invariant::{Call as Seen, Check};
 use crate::node::{Answer, Asking, Client, Looking, Refused, Request, Running, Stream, What};
+use ledger::transaction::Transaction;
 use ledger::{Ground, Refusal};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -233,7 +234,11 @@ impl World {
         let start = self.nodes.get(&id).map_or(0, |node| node.start);
         let call = Seen { stream: (id, start, stream), subject, lane: ticket.lane, number: client.number };
         self.invariants.in_order.ordered(call)?;
-        self.notify_robot(id, &transaction);
+        if self.notify_robot(id, &transaction) && self.chaos && is_lost(&transaction, client.reply.attempt) {
+            self.coverage.lost_stops += 1;
+            self.note(format_args!("n{id} loses {} after it has notified the robot", transaction.id()));
+            return Ok(());
+        }
         let Some(running) = self.running(id) else { return Ok(()) };
         running.waiting.insert(client.reply, now);
         running.waiters.add(now, &transaction, ticket.lane, client);
@@ -247,4 +252,11 @@ impl World {
         }
         self.input(id, Input::Submit { lane: ticket.lane, transaction: transaction.encoded().clone() })
     }
+}
+
+/// Does a gateway lose this try of a stop after it has notified robots? One try in four, without a random number, so that other
+/// events of a seed stay the same.
+fn is_lost(stop: &Transaction, attempt: u64) -> bool {
+    let [first, ..] = stop.id().0;
+    u64::from(first).wrapping_add(attempt).is_multiple_of(4)
 }

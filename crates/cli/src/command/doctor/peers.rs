@@ -5,7 +5,8 @@ use crate::command::network::status::{self, Node, Overview};
 use crate::health::{Attention, certificate_text, disk_text};
 use crate::session::{ABAC, Session};
 use crate::time;
-use ledger_api::facts::CertificateFacts;
+use ledger_api::facts::{CertificateFacts, CertificateRuleFacts};
+use std::collections::BTreeSet;
 use std::io;
 use std::time::Duration;
 use tokio::net::TcpStream;
@@ -87,6 +88,7 @@ fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
     if !needs(&["quorum", "leader"], "") {
         findings.push(Finding::ok("quorum", format!("voters: {}", overview.quorum.text())));
     }
+    findings.extend(survived(&overview.certificate_rule, &overview.nodes));
     for node in overview.nodes.iter().filter(|node| node.reachable) {
         let name = node.full_name();
         if !needs(&["log", "state"], &name) {
@@ -105,6 +107,22 @@ fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
     };
     let well = of_nodes.chain(cas).filter(needs_none);
     findings.extend(well.map(|found| Finding::ok("certificate", certificate_text(found, now))));
+}
+
+/// The faults that the voters survive. Where one organisation has all of them, its lie is nobody else's loss.
+fn survived(rule: &CertificateRuleFacts, nodes: &[Node]) -> Option<Finding> {
+    if rule.signatures_needed == 0 {
+        return None;
+    }
+    let message = format!("certificates: {}; the voters survive {}", rule.rule(), rule.survives());
+    let voters = nodes.iter().filter(|node| node.role != "learner");
+    let organisations: BTreeSet<&str> = voters.map(|node| &*node.organisation).collect();
+    Some(if rule.survives_lie || organisations.len() < 2 {
+        Finding::ok("quorum", message)
+    } else {
+        let repair = "four organisations with a voter each survive the lie of one: docs/cluster.md";
+        Finding::advice("quorum", message, repair)
+    })
 }
 
 /// Something that needs attention, as a finding.
@@ -186,6 +204,28 @@ mod tests {
         assert_eq!(states(&[0, 9_000_000]), [(State::Ok, true), (State::Wrong, false)]);
         assert_eq!(states(&[300_000]), [(State::Advice, true)]);
         assert_eq!(states(&[]), [(State::Unknown, false)]);
+    }
+
+    #[test]
+    fn a_lie_that_the_voters_do_not_survive_is_advice_where_there_is_another_organisation() {
+        let node = |organisation: &str| {
+            let mut node = node("a", 0);
+            node.organisation = organisation.into();
+            node
+        };
+        let rule = |needed, lie: bool| CertificateRuleFacts {
+            signatures_needed: needed,
+            strict_since: lie.then_some(0),
+            survives_crashes: 1,
+            survives_lie: lie,
+            survives_silence: lie,
+        };
+        let of = |needed, lie, nodes: &[Node]| survived(&rule(needed, lie), nodes).map(|found| found.state);
+        let (one, two) = ([node("Org1"), node("Org1")], [node("Org1"), node("Org2")]);
+        assert_eq!(of(2, false, &one), Some(State::Ok));
+        assert_eq!(of(2, false, &two), Some(State::Advice));
+        assert_eq!(of(3, true, &two), Some(State::Ok));
+        assert_eq!(of(0, false, &two), None, "no node has said it");
     }
 
     #[test]

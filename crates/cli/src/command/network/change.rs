@@ -108,7 +108,7 @@ fn read_proof(file: &Path) -> Result<String, Rejection> {
     if !proof.is_lie() {
         return Err(Rejection::new(Code::BadArgument, "the file proves no lie")
             .found("two different results of one block: the machine or the state of that node is at fault")
-            .wanted("a file HEIGHT-NODE.lie or TERM-NODE.votes in certificates/ of a node"));
+            .wanted("a file HEIGHT-NODE.lie, TERM-NODE.votes or TERM-NODE.heads in certificates/ of a node"));
     }
     Ok(hex::encode(bytes))
 }

@@ -145,6 +145,45 @@ fn the_first_command_after_a_minute_without_a_block_passes_and_so_does_that_of_a
 }
 
 #[test]
+fn a_robot_at_rest_takes_no_old_command_from_a_node_that_was_cut_off() {
+    let minute = 60 * SECOND;
+    for (robot, leader, signer) in clocks() {
+        let mut scene = Scene::new(robot, leader, signer);
+        let service = Service { max_age_ms: MAX_AGE / MS, ..service("open") };
+        scene.reported(5..=6, 0);
+        for time in (0..minute).step_by(250_000) {
+            scene.gate.heads(6, &[], scene.now(time));
+        }
+        // The network made blocks 7 to 10 meanwhile. The robot asks when they arrive, and its question is in block 11.
+        scene.reported(7..=10, minute);
+        scene.learn(&service, 11, minute + 10 * MS);
+        let clocks = format!("robot {robot}, leader {leader}, signer {signer}");
+        for ago in [4, 12, 50] {
+            let signed = minute - ago * SECOND;
+            let late = Command { signed, block: 8, known: 10 * MS, ordered: signed + 20 * MS };
+            assert_eq!(scene.arrives(late, minute + 20 * MS), Err(Refused::TooOld), "{ago} s old: {clocks}");
+        }
+        let new = Command { signed: minute, block: 10, known: 10 * MS, ordered: minute + 5 * MS };
+        assert_eq!(scene.arrives(new, minute + 20 * MS), Ok(()), "{clocks}");
+    }
+}
+
+#[test]
+fn a_command_that_names_a_block_behind_a_question_passes_though_block_time_jumps_ahead() {
+    let mut scene = Scene::new(0, 0, 0);
+    let service = Service { max_age_ms: MAX_AGE / MS, ..service("open") };
+    scene.reported(5..=5, 50 * MS);
+    scene.learn(&service, 6, 60 * MS);
+    scene.reported(6..=7, 100 * MS);
+    let command = Command { signed: 90 * MS, block: 6, known: 10 * MS, ordered: 100 * MS };
+    // Another leader, with a clock far ahead.
+    scene.leader = 3 * BOUND;
+    scene.learn(&service, 8, 110 * MS);
+    scene.leader = 0;
+    assert_eq!(scene.arrives(command, 120 * MS), Ok(()));
+}
+
+#[test]
 fn nothing_from_before_a_stop_passes_and_what_is_signed_after_it_does_whatever_the_clocks_say() {
     for (robot, leader, signer) in clocks() {
         let mut scene = Scene::new(robot, leader, signer);

@@ -16,7 +16,7 @@ fn commits_stop_when_the_executor_falls_behind_and_go_on_when_it_catches_up() {
     let store = store();
     let mut config = EngineConfig::new(1, Membership::new([1], []), 1);
     config.unapplied_bytes = 1000;
-    let mut engine = Engine::new(config, Arc::clone(&store), Arc::new(Names(1))).unwrap();
+    let mut engine = Engine::new(config, Arc::clone(&store), Arc::new(Genesis), Arc::new(Names(1))).unwrap();
     let (mut out, mut heights) = (Vec::new(), Vec::new());
     engine.step(0, Input::Tick, &mut out);
     let mut apply = true;
@@ -54,6 +54,15 @@ fn commits_stop_when_the_executor_falls_behind_and_go_on_when_it_catches_up() {
     assert_eq!(heights, (1..=101).collect::<Vec<_>>());
 }
 
+/// Execution went on from a snapshot of height 50.
+struct Snapshot;
+
+impl ExecutedBlocks for Snapshot {
+    fn link(&self, height: u64) -> Option<Link> {
+        (height == 50).then_some(Link { hash: Hash([5; 32]), time: 9 })
+    }
+}
+
 #[test]
 fn a_state_that_does_not_fit_the_log_is_refused() {
     let start = |applied| {
@@ -61,7 +70,7 @@ fn a_state_that_does_not_fit_the_log_is_refused() {
         store.begin_after(Base { index: 50, term: 3 }).unwrap();
         let mut config = EngineConfig::new(1, Membership::new([1], []), 1);
         config.applied = applied;
-        Engine::new(config, store, Arc::new(Names(1))).map(|engine| engine.status())
+        Engine::new(config, store, Arc::new(Snapshot), Arc::new(Names(1))).map(|engine| engine.status())
     };
     assert!(matches!(start(49), Err(EngineError::StateBehind { applied: 49, first: 51 })));
     assert!(matches!(start(51), Err(EngineError::StateAhead { applied: 51, last: 50 })));

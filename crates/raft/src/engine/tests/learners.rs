@@ -73,6 +73,7 @@ fn a_learner_hands_out_what_is_committed_before_its_own_disk_has_it() {
         let append = message(1, RaftKind::Append, |message| (message.entries, message.commit) = (entries, 2));
         let mut out = Vec::new();
         engine.step(1000, mandate(1, 1, &[1, 2]), &mut out);
+        let append = honest(engine, append);
         engine.step(1000, append, &mut out);
         engine.step(1000, Input::Applied { height: 2, at: 1000 }, &mut out);
         assert_eq!(engine.store.durable_index(), 0);

@@ -166,25 +166,6 @@ fn a_leader_stands_for_election_again_for_a_member_in_a_later_term_but_not_again
 const REST: u64 = super::super::standing::REST_TIMEOUTS * 20;
 
 #[test]
-fn a_vote_in_spite_of_the_leaders_lease_is_asked_for_once_and_then_not_for_a_while() {
-    let transfer = |term: u64| {
-        message(3, RaftKind::Vote, move |message| {
-            (message.term, message.index, message.log_term) = (term, 99, 1);
-            message.context = Bytes::from_static(raft::CAMPAIGN_TRANSFER);
-        })
-    };
-    let mut node = follower();
-    step(&mut node, transfer(2));
-    assert_eq!((node.raw.raft.term, node.raw.raft.vote), (2, 3), "a hand-over");
-    step(&mut node, message(1, RaftKind::Heartbeat, |message| message.term = 3));
-    step(&mut node, transfer(4));
-    assert_eq!((node.raw.raft.term, node.leader()), (3, Some(1)), "the lease counts");
-    node.ticks += REST;
-    step(&mut node, transfer(4));
-    assert_eq!((node.raw.raft.term, node.raw.raft.vote), (4, 3));
-}
-
-#[test]
 fn the_term_of_a_vote_cannot_use_up_the_terms_that_there_are() {
     let mut node = engine(2, &[1, 2, 3], &[]);
     let vote = |term: u64| message(1, RaftKind::Vote, move |message| message.term = term);

@@ -143,9 +143,9 @@ impl World {
     }
 
     /// A node has taken a call in: the robot is notified of a stop before it is ordered (`src/peers/early_stop.rs`). Its own node judges
-    /// the call as if a user of its own had submitted it, unless the way from the other one is cut.
-    pub(in crate::world) fn notify_robot(&mut self, from: u64, transaction: &Transaction) {
-        let Some(mut robot) = self.robot.take() else { return };
+    /// the call as if a user of its own had submitted it, unless the way from the other one is cut. Is it notified?
+    pub(in crate::world) fn notify_robot(&mut self, from: u64, transaction: &Transaction) -> bool {
+        let Some(mut robot) = self.robot.take() else { return false };
         let node = robot.stream.as_ref().map(|stream| stream.node);
         let passed_on = node.filter(|node| *node == from || self.random.robot.percent(80));
         let foreseen = passed_on.and_then(|node| {
@@ -153,6 +153,7 @@ impl World {
             let running = node.up.as_ref()?;
             Some((running.ledger.foresee(transaction, node.clock.now(self.now))?, running.ledger.tip()))
         });
+        let mut is_notified = false;
         if let Some((events, tip)) = foreseen {
             let of_robot = events.into_iter().filter(|event| event.subject == robot.name);
             let told = |event: Event| Told {
@@ -166,13 +167,12 @@ impl World {
             };
             let events: Vec<_> = of_robot.map(told).collect();
             if !events.is_empty() {
-                let _lost = self.send_to_robot(
-                    &mut robot,
-                    Delivery { height: tip.height, time: tip.time, events, early: true, heads: Vec::new() },
-                );
+                let delivery = Delivery { height: tip.height, time: tip.time, events, early: true, heads: Vec::new() };
+                is_notified = self.send_to_robot(&mut robot, delivery);
             }
         }
         self.robot = Some(robot);
+        is_notified
     }
 
     /// Sends a delivery on its way, behind those before it. False if the connection is lost.
