@@ -60,9 +60,6 @@ const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
 
 /// Without a certificate for so long, a network does not certify now: nobody waits for one.
 const LAG_MAX: Duration = Duration::from_secs(2);
-/// Most old statements that are remembered because the signatures of a certificate were sent for them.
-const EXCHANGED_MAX: usize = 4096;
-
 /// The node tells the task.
 pub(crate) enum Told {
     /// A step of the machine.
@@ -394,37 +391,6 @@ impl Certifying {
         for member in members.iter().filter(|member| ![self.me, except].contains(&member.id)) {
             self.connections.send(member.id, message);
         }
-    }
-
-    /// A node has signed something else about a block than this node's certificate says: the signatures in the certificate
-    /// are exchanged for it. A block that the certifier still holds is its own matter.
-    async fn compare(&mut self, signed: &Signed) {
-        let (height, node) = (signed.statement.height, signed.signature.node);
-        let Some(certificate) = self.certificates.recent.of(height).filter(|own| own.statement != signed.statement)
-        else {
-            return;
-        };
-        if self.certifier.holds(height) || self.exchanged.contains(&(height, node)) || self.check(signed).is_err() {
-            return;
-        }
-        self.exchanged.insert((height, node));
-        if self.exchanged.len() > EXCHANGED_MAX {
-            self.exchanged.pop_first();
-        }
-        let Certificate { statement, signatures } = certificate;
-        for signature in signatures {
-            let other = Signed { statement, signature };
-            self.send_statement(&other);
-            if let Some(proof) = Misbehaviour::of(other, signed.clone()) {
-                self.misbehaved(&proof, self.me).await;
-            }
-        }
-    }
-
-    fn check(&self, signed: &Signed) -> Result<(), Rejection> {
-        let (ledger, Signed { statement, signature }) = (&self.ordering.storage.ledger, signed);
-        let identity = self.keys.identify(&ledger.msps(), &signature.certificate, statement.time)?;
-        ledger.voters()?.check(statement, signature, &identity)
     }
 
     /// A peer has sent a proof. It counts if the organisations that this node knows say so.

@@ -58,6 +58,9 @@ use std::time::Duration;
 /// How long an outcome is waited for to be certified: a majority of the voters is one exchange of messages away.
 const CERTIFIED_WITHIN: Duration = Duration::from_secs(2);
 
+/// Time for the question about it besides.
+const ANSWER_TIME: Duration = Duration::from_secs(1);
+
 /// How patient a client is.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
@@ -199,11 +202,12 @@ impl Client {
     /// has executed it, and the network does not have it.
     pub async fn invoke(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
         let done = self.executed(chaincode, function, args).await?;
-        match self.certified(done.id, self.session.options.certified).await {
-            Ok(certified) => Ok(Committed { certified, ..done }),
-            Err(refused) if refused.code == Code::NotFound => Err(lost(&done)),
-            // Nobody answers that question now.
-            Err(_) => Ok(done),
+        let within = self.session.options.certified;
+        match tokio::time::timeout(within + ANSWER_TIME, self.certified(done.id, within)).await {
+            Ok(Ok(certified)) => Ok(Committed { certified, ..done }),
+            Ok(Err(refused)) if refused.code == Code::NotFound => Err(lost(&done)),
+            // No node answers that question now.
+            _ => Ok(done),
         }
     }
 

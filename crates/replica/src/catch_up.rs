@@ -435,6 +435,18 @@ impl<P: Clone> CatchUp<P> {
     }
 }
 
+/// Lets an empty log begin where another log of the same chain begins.
+///
+/// # Errors
+/// As [`BlockStore::begin_after`].
+pub fn begin_as(store: &BlockStore, other: &BlockStore) -> Result<(), Rejection> {
+    let index = other.first_index().saturating_sub(1);
+    if index > 0 {
+        store.begin_after(Base { index, term: other.term(index).unwrap_or_default() })?;
+    }
+    Ok(())
+}
+
 /// Lets the log begin after a snapshot that is believed. The world state follows when the node starts again: what is in
 /// memory and in use cannot be exchanged.
 ///

@@ -150,7 +150,7 @@ impl Description {
     }
 
     /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out: then the node does not run.
-    /// What contradicts this node's chain, in words; empty if nothing does.
+    /// Contradictions of this node's chain, in words; empty if there are none.
     fn divergence(&self) -> String {
         let said = [self.peers.monitor.describe(), self.peers.certificates.two_certificates()];
         said.into_iter().filter(|said| !said.is_empty()).collect::<Vec<_>>().join(", ")

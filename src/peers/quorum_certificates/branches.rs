@@ -7,12 +7,15 @@ use ledger::network::Genesis;
 use ledger_base::durable::{PUBLIC_MODE, replace};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_light::{Certificate, Governance, Signed};
+use ledger_light::{Certificate, Governance, Misbehaviour, Signed};
 use ledger_replica::branches::Branches;
+use ledger_replica::certifier::Signing;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+/// Most old statements that are remembered because the signatures of a certificate were sent for them.
+const EXCHANGED_MAX: usize = 4096;
 /// Most statements passed on by one peer in a second whose signatures are checked here.
 const PASSED_MAX: u32 = 64;
 /// The second in which they are counted.
@@ -36,6 +39,37 @@ impl OtherBlocks {
 }
 
 impl Certifying {
+    /// A node has signed something else about a block than this node's certificate says: the signatures in the certificate
+    /// are exchanged for it. A block that the certifier still holds is its own matter.
+    pub(super) async fn compare(&mut self, signed: &Signed) {
+        let (height, node) = (signed.statement.height, signed.signature.node);
+        let Some(certificate) = self.certificates.recent.of(height).filter(|own| own.statement != signed.statement)
+        else {
+            return;
+        };
+        if self.certifier.holds(height) || self.exchanged.contains(&(height, node)) || self.check(signed).is_err() {
+            return;
+        }
+        self.exchanged.insert((height, node));
+        if self.exchanged.len() > EXCHANGED_MAX {
+            self.exchanged.pop_first();
+        }
+        let Certificate { statement, signatures } = certificate;
+        for signature in signatures {
+            let other = Signed { statement, signature };
+            self.send_statement(&other);
+            if let Some(proof) = Misbehaviour::of(other, signed.clone()) {
+                self.misbehaved(&proof, self.me).await;
+            }
+        }
+    }
+
+    fn check(&self, signed: &Signed) -> Result<(), Rejection> {
+        let (ledger, Signed { statement, signature }) = (&self.ordering.storage.ledger, signed);
+        let identity = self.keys.identify(&ledger.msps(), &signature.certificate, statement.time)?;
+        ledger.voters()?.check(statement, signature, &identity)
+    }
+
     /// A voter has signed something about a block, which this node does not have, or has not executed yet.
     pub(super) fn hear_of_branch(&mut self, from: u64, signed: &Signed) {
         let (statement, node) = (&signed.statement, signed.signature.node);
@@ -128,8 +162,8 @@ impl Certifying {
         if !self.certificates.evidence.set_other(&branch) {
             return;
         }
-        let (height, block) = (branch.height(), branch.block());
-        tracing::error!(height, %block, "voters have certified another block than this node's own certificate covers; people must decide");
+        let (height, other) = (branch.height(), branch.block());
+        tracing::error!(height, %other, "voters have certified another block than this node's own certificate covers; people must decide");
         self.keep(move |kept| kept.other_branch(&branch)).await;
     }
 }

@@ -1,8 +1,8 @@
 //! The two branches of a node that a strict certificate contradicts.
 //!
-//! The other branch is fetched and verified *before* anything of the own one is moved: its blocks are executed in a directory of
-//! their own, and must give what voters have certified, by the voters of the last certified block that both branches have and by
-//! all since. Blocks that a strict certificate of this node covers are never left: then people decide.
+//! The other branch is fetched and verified *before* anything of the own one is moved. Its blocks are executed in a directory of
+//! their own, and must give the certified block. The certificate counts by the voters of the last certified block that both
+//! branches have, and by all since. Blocks that a strict certificate of this node covers are never left: then people decide.
 //!
 //! | in the data directory | what it is |
 //! |---|---|
@@ -31,11 +31,11 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_light::{Certificate, Governance, Statement};
+use ledger_replica::catch_up::begin_as;
 use ledger_storage::archive::{oldest_snapshot, snapshot_name};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::entry::{Entry, HardState};
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY};
-use ledger_storage::segment::Base;
 use serde::Serialize;
 use std::fs;
 use std::io::ErrorKind;
@@ -270,10 +270,7 @@ impl Own {
             fs::copy(&from, &to).map_err(|error| failed("copy", &from, &error))?;
         }
         let store = open_blocks(there, self.stores.ledger.network())?;
-        if let Some(index) = first.checked_sub(1).filter(|index| *index > 0) {
-            let term = own.term(index).unwrap_or_default();
-            store.begin_after(Base { index, term })?;
-        }
+        begin_as(&store, own)?;
         let mut next = first;
         while next <= common {
             let entries = own.entries(next..common + 1, READ_BYTES)?;
@@ -310,7 +307,7 @@ impl Own {
             .next("people decide which branch stays: \"Two certified branches\" in docs/operations.md"))
     }
 
-    /// What was executed here, and is not on the other branch.
+    /// The transactions that were executed here, and are not on the other branch.
     fn lost(&self, other: &Ledger, common: u64, certificate: &Certificate) -> Result<Lost, Rejection> {
         let (ledger, tip) = (&self.stores.ledger, self.stores.ledger.tip());
         let blocks = Blocks::new(Arc::clone(ledger), Arc::clone(&self.stores.store));

@@ -38,6 +38,8 @@ being answered.
 CERTIFIED_WITHIN: Final = 2.0
 """How long a call waits until its outcome is certified, in seconds."""
 
+_ANSWER: Final = 1.0
+"""Time for the question whether it is, besides, in seconds."""
 _AGAIN: Final = 0.5
 """Pause before a stop that is not in force is signed and sent again, in seconds."""
 _NAMED_MAX: Final = 64
@@ -90,7 +92,10 @@ class Client:
         """
         done = await self._executed(chaincode, function, args, ttl)
         try:
-            return dataclasses.replace(done, certified=await self.certified(done.id, certified))
+            known = await asyncio.wait_for(self.certified(done.id, certified), certified + _ANSWER)
+            return dataclasses.replace(done, certified=known)
+        except asyncio.TimeoutError:
+            return done
         except Refusal as refused:
             if refused.name != "NOT_FOUND":
                 # Nobody answers that question now.
