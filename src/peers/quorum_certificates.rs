@@ -117,22 +117,18 @@ impl Certificates {
         self.certified.load(Relaxed)
     }
 
-    /// Waits so long until a block is certified, itself or with a later one; is it? It does not wait for a block that is not due to be
-    /// certified, nor while the network certifies nothing.
-    ///
-    /// # Errors
-    /// A fault of the store.
-    pub(crate) async fn reaches(&self, ledger: &Ledger, height: u64, patience: Duration) -> Result<bool, Rejection> {
+    /// Waits so long until a block is certified, itself or with a later one; is it? It does not wait while the network certifies
+    /// nothing.
+    pub(crate) async fn reaches(&self, height: u64, patience: Duration) -> bool {
         let is_reached = || self.certified() >= height;
-        let is_due = ledger.block_hashes(height)?.is_some_and(|block| block.roots.is_some());
         let lags = self.lagging().is_some_and(|since| since.elapsed() > LAG_MAX);
-        if is_reached() || !is_due || lags || patience.is_zero() {
-            return Ok(is_reached());
+        if is_reached() || lags || patience.is_zero() {
+            return is_reached();
         }
         let mut added = self.recent.added();
         let reached = async { while !is_reached() && added.changed().await.is_ok() {} };
         let _perhaps_not = tokio::time::timeout(patience, reached).await;
-        Ok(is_reached())
+        is_reached()
     }
 
     fn lagging(&self) -> MutexGuard<'_, Option<Instant>> {

@@ -61,6 +61,9 @@ pub(crate) fn refuse_restored(config: &Config) -> Result<(), Rejection> {
         )))
 }
 
+/// The way back of a contradicted node.
+pub(crate) const CONTRADICTED_NEXT: &str = "ledgerd rejoin --config FILE; it verifies the certified branch, keeps this one for auditors, and brings the node back";
+
 /// Refuses a data directory whose chain a strict certificate contradicts.
 ///
 /// # Errors
@@ -73,7 +76,8 @@ pub(crate) fn refuse_contradicted(config: &Config) -> Result<(), Rejection> {
             "this node has stopped because enough voters have certified another block than it has executed",
         )
         .found(format!("the certificate of block {}", branch.certificate().statement.height))
-        .wanted(format!("block {} at height {}", branch.block(), branch.height()))),
+        .wanted(format!("block {} at height {}", branch.block(), branch.height()))
+        .next(CONTRADICTED_NEXT)),
     }
 }
 

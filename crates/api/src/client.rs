@@ -44,6 +44,7 @@ pub use reads::Answer;
 use crate::connect::Credentials;
 use crate::context::Context;
 use crate::tls::TlsIdentity;
+use crate::v1;
 use bytes::Bytes;
 use in_flight::Patience;
 use learning::Nodes;
@@ -115,6 +116,9 @@ pub struct Committed {
     /// Enough voters have signed its block or a later one, as the node says. [`Client::invoke`] waits for that; other ways to submit do
     /// not. Under a leader that lies, only certified outcomes are final.
     pub certified: bool,
+    /// Voters sign its block, as the node says: it changed who may do what, or the last signed block is 200 ms old. True where no node
+    /// has said it.
+    pub certificate_due: bool,
 }
 
 /// A connection to a network as one identity. Clones share it; it ends with the last clone.
@@ -203,8 +207,10 @@ impl Client {
     pub async fn invoke(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
         let done = self.executed(chaincode, function, args).await?;
         let within = self.session.options.certified;
-        match tokio::time::timeout(within + ANSWER_TIME, self.certified(done.id, within)).await {
-            Ok(Ok(certified)) => Ok(Committed { certified, ..done }),
+        match tokio::time::timeout(within + ANSWER_TIME, self.record(done.id, within)).await {
+            Ok(Ok(v1::TransactionRecord { certified, certificate_due, .. })) => {
+                Ok(Committed { certified, certificate_due, ..done })
+            }
             Ok(Err(refused)) if refused.code == Code::NotFound => Err(lost(&done)),
             // No node answers that question now.
             _ => Ok(done),

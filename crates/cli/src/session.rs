@@ -40,13 +40,14 @@ impl Session {
     /// Calls a function in a transaction and waits for its verdict, and a moment until that is certified. Warns if it is not.
     pub(crate) async fn call(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
         let done = self.client.invoke(chaincode, function, args).await?;
-        self.warn_uncertified(&done.id, done.certified);
+        self.warn_uncertified(&done);
         Ok(done)
     }
 
-    /// Warns if the outcome of a transaction is not certified.
-    pub(crate) fn warn_uncertified(&self, id: &Hash, certified: bool) {
-        if !certified {
+    /// Warns if the outcome of a transaction is not certified, although voters sign its block.
+    pub(crate) fn warn_uncertified(&self, done: &Committed) {
+        let Committed { id, certified, certificate_due, .. } = done;
+        if *certificate_due && !certified {
             let message = format!(
                 "transaction {id} is executed, not certified yet: if the leader lies, only certified outcomes are final"
             );

@@ -103,8 +103,11 @@ impl Records {
             }
             found => found?,
         };
-        let certified = self.peers.certificates.reaches(&self.ordering.storage.ledger, record.height, patience).await?;
-        Ok(TransactionRecord { certified, ..record })
+        let block = self.ordering.storage.ledger.block_hashes(record.height)?;
+        let certificate_due = block.is_some_and(|block| block.roots.is_some());
+        let patience = if certificate_due { patience } else { Duration::ZERO };
+        let certified = self.peers.certificates.reaches(record.height, patience).await;
+        Ok(TransactionRecord { certified, certificate_due, ..record })
     }
 
     async fn in_turn(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
@@ -194,6 +197,7 @@ impl Records {
             creator: creator.unwrap_or_default(),
             events,
             certified: outcome.header.height <= self.peers.certificates.certified(),
+            certificate_due: false,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Certificates of other blocks than this node has: they stop it, or are shown where a certificate of its own contradicts them.
 
 use super::{Certifying, Told};
-use crate::storage::files::CONTRADICTED_FILE;
+use crate::storage::files::{CONTRADICTED_FILE, CONTRADICTED_NEXT};
 use ledger::branch::CertifiedBranch;
 use ledger::network::Genesis;
 use ledger_base::durable::{PUBLIC_MODE, replace};
@@ -190,6 +190,7 @@ fn contradicted(branch: &CertifiedBranch, found: &str) -> Rejection {
             statement.height,
             signatures.len()
         ))
+        .next(CONTRADICTED_NEXT)
 }
 
 impl super::Certificates {

@@ -298,6 +298,7 @@ impl InFlight {
                 time: answer.time,
                 response: answer.response,
                 certified: false,
+                certificate_due: true,
             }),
             Err(refused) if open => Err(unknown(id, entry.attempts, &refused.message)),
             Err(refused) => Err(refused),

@@ -116,7 +116,7 @@ impl Client {
         Ok(self.record(id, within).await?.certified)
     }
 
-    async fn record(&self, id: Hash, within: Duration) -> Result<v1::TransactionRecord, Rejection> {
+    pub(super) async fn record(&self, id: Hash, within: Duration) -> Result<v1::TransactionRecord, Rejection> {
         let certified_within_ms = u32::try_from(within.as_millis()).unwrap_or(u32::MAX);
         let ask = |up: Uplink| async move {
             let id = Bytes::copy_from_slice(id.as_ref());

@@ -262,8 +262,7 @@ codes! {
     /// The network has another history than this node.
     Forked = 5008 "FORKED" Failure;
     /// A strict certificate contradicts the chain of this node.
-    Contradicted = 5009 "CONTRADICTED" Failure,
-        "ledgerd rejoin --config FILE; it verifies the certified branch, keeps this one for auditors, and brings the node back";
+    Contradicted = 5009 "CONTRADICTED" Failure;
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid,

@@ -376,8 +376,9 @@ impl Revoke {
             find(&session, &self.name).await?;
             let attempt = || session.client.revoke_identity(&self.name, &reason);
             let revoked = until_in_force(&session, &described, timeout, output, attempt).await?;
-            let (revoked, Committed { height, id: transaction, certified, .. }) = revoked;
-            session.warn_uncertified(&transaction, certified);
+            let (revoked, done) = revoked;
+            session.warn_uncertified(&done);
+            let Committed { height, id: transaction, certified, .. } = done;
             let certificates = revoked.certificates.into_iter().map(|issued| issued.serial);
             let certificates =
                 certificates.map(|serial| RevokedCertificate { serial, height, transaction, certified }).collect();

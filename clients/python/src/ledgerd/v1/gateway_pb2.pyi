@@ -385,7 +385,7 @@ class GetTransactionRequest(_message.Message):
     def __init__(self, id: _Optional[bytes] = ..., certified_within_ms: _Optional[int] = ...) -> None: ...
 
 class TransactionRecord(_message.Message):
-    __slots__ = ("id", "height", "index", "time", "verdict", "response", "transaction", "creator", "events", "certified")
+    __slots__ = ("id", "height", "index", "time", "verdict", "response", "transaction", "creator", "events", "certified", "certificate_due")
     ID_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     INDEX_FIELD_NUMBER: _ClassVar[int]
@@ -396,6 +396,7 @@ class TransactionRecord(_message.Message):
     CREATOR_FIELD_NUMBER: _ClassVar[int]
     EVENTS_FIELD_NUMBER: _ClassVar[int]
     CERTIFIED_FIELD_NUMBER: _ClassVar[int]
+    CERTIFICATE_DUE_FIELD_NUMBER: _ClassVar[int]
     id: bytes
     height: int
     index: int
@@ -406,7 +407,8 @@ class TransactionRecord(_message.Message):
     creator: str
     events: _containers.RepeatedCompositeFieldContainer[EventRecord]
     certified: bool
-    def __init__(self, id: _Optional[bytes] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., transaction: _Optional[bytes] = ..., creator: _Optional[str] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., certified: _Optional[bool] = ...) -> None: ...
+    certificate_due: bool
+    def __init__(self, id: _Optional[bytes] = ..., height: _Optional[int] = ..., index: _Optional[int] = ..., time: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., transaction: _Optional[bytes] = ..., creator: _Optional[str] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., certified: _Optional[bool] = ..., certificate_due: _Optional[bool] = ...) -> None: ...
 
 class GovernanceRequest(_message.Message):
     __slots__ = ("after",)
