@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
-const SEEDS: u64 = 46;
+const SEEDS: u64 = 60;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.
