@@ -7,7 +7,7 @@
 //! A robot at rest asks nothing. The blocks of a node that was cut off may come late then, and no question shows by how much. Until a
 //! question is older than the block that a command names, certified block time limits its age.
 //!
-//! Where a message names no block, or one from before this gate was opened, wall clocks and block time decide instead.
+//! Where a message names no block, or one that may be from before this gate was opened, wall clocks and block time decide instead.
 
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 

@@ -22,6 +22,9 @@ pub(super) struct Heads {
     known: VecDeque<Head>,
     /// The last answers of the voters.
     answers: VecDeque<Answer>,
+    /// The lowest height of a block with a question of this gate. Blocks below may be from before the gate was opened, whenever they
+    /// came: a node that lags brings them late.
+    asked_in: Option<u64>,
     /// From the last question to the moment at which its block was known, microseconds.
     round_trip: u64,
     /// When the node last sent something, by the steady clock (microseconds).
@@ -69,7 +72,7 @@ pub(super) enum Found {
         /// The age that the message has at most, whatever has delayed it: the time since the last question before the block.
         age_max: u64,
     },
-    /// It is older than all that the gate knows.
+    /// It is older than all that the gate knows, or may be from before the gate was opened.
     Older,
     /// The gate knows another block of that height, or none as high.
     Unknown,
@@ -129,6 +132,7 @@ impl Heads {
         let known = self.since(height).map_or(now, |head| head.since);
         self.round_trip = if asks_often { known.saturating_sub(asked) } else { 0 };
         self.silence = self.silence.filter(|silence| asked < silence.until);
+        self.asked_in = Some(self.asked_in.map_or(height, |lowest| lowest.min(height)));
         self.answers.push_back(Answer { height, asked, since: now });
         if self.answers.len() > ANSWERS_MAX {
             self.answers.pop_front();
@@ -137,7 +141,7 @@ impl Heads {
 
     /// The age of a message that names this block.
     pub(super) fn find(&self, named: &KnownBlock, now: u64) -> Found {
-        if self.known.is_empty() || named.height < self.first {
+        if self.known.is_empty() || named.height < self.first.max(self.asked_in.unwrap_or_default()) {
             return Found::Older;
         }
         match self.since(named.height) {
@@ -183,6 +187,11 @@ mod tests {
     /// The hash of the block at a height, on a branch.
     fn hash(branch: u8, height: u64) -> [u8; KNOWN_HASH_BYTES] {
         [&[branch][..], &height.to_be_bytes()[1..]].concat().try_into().unwrap_or_default()
+    }
+
+    /// A gate that has asked its first question long ago.
+    fn asked_before() -> Heads {
+        Heads { asked_in: Some(1), ..Heads::default() }
     }
 
     fn tell(heads: &mut Heads, (branch, from, to): (u8, u64, u64), now: u64) {
@@ -253,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_node_that_holds_blocks_back_makes_no_message_younger_than_the_answers_of_the_voters_say() {
-        let mut heads = Heads::default();
+        let mut heads = asked_before();
         tell(&mut heads, (1, 5, 5), 0);
         heads.answered(8, 50 * MS, true, 100 * MS);
         tell(&mut heads, (1, 6, 9), 400 * MS);
@@ -284,7 +293,7 @@ mod tests {
             Found::Known { age_max, .. } => Some(age_max),
             _ => None,
         };
-        let mut heads = Heads::default();
+        let mut heads = asked_before();
         tell(&mut heads, (1, 5, 9), 100 * MS);
         heads.answered(8, 80 * MS, true, 120 * MS);
         heads.answered(9, 90 * MS, true, 130 * MS);
@@ -295,7 +304,7 @@ mod tests {
 
     #[test]
     fn what_comes_behind_a_silence_is_known_since_before_it_until_a_later_question_is_answered() {
-        let mut heads = Heads::default();
+        let mut heads = asked_before();
         tell(&mut heads, (1, 5, 5), 0);
         tell(&mut heads, (1, 6, 7), 700 * MS);
         tell(&mut heads, (1, 8, 8), 701 * MS);
@@ -305,7 +314,7 @@ mod tests {
         tell(&mut heads, (1, 9, 10), 713 * MS);
         assert!(!heads.was_silent());
         assert_eq!(age(&heads, &named(1, 9, 0), 714 * MS), Some(11 * MS));
-        let mut feed = Heads::default();
+        let mut feed = asked_before();
         feed.reported(5, &hash(1, 5), false, 0);
         feed.reported(6, &hash(1, 6), false, 700 * MS);
         feed.answered(7, 0, false, 900 * MS);

@@ -206,6 +206,31 @@ fn a_block_that_the_gate_does_not_know_lets_nothing_pass() {
 }
 
 #[test]
+fn what_passed_before_the_bridge_started_anew_does_not_pass_again_when_its_node_lags() {
+    let network = Network::default();
+    let service = Service { max_age_ms: MAX_AGE / MS, ..service("open") };
+    let now = Now { wall: at(0, 0), steady: SECOND };
+    let gate = Gate::new(of_commands(&network), "T/cmd_vel", now);
+    let mut scene = Scene { gate, network, robot: 0, leader: 0, signer: 0, seq: 0 };
+    // Block 6 is older than the gate, and comes after it was opened. The first question is in block 8.
+    scene.reported(5..=7, 50 * MS);
+    scene.reported(8..=8, 70 * MS);
+    scene.learn(&service, 8, 60 * MS);
+    let mut earlier = Scene { seq: 1, ..scene };
+    let user = User {
+        not_after: NOW - 100 * MS + 2 * SECOND,
+        known_block: Some(KnownBlock { height: 6, hash: Bytes::copy_from_slice(&hash(6)), known_us: 40 * MS }),
+        ..earlier.network.salma.clone()
+    };
+    let call = user.set(0, 1, &TWIST);
+    let (transaction, certificate) = (call.encoded(), &user.certificate);
+    let delivered = Delivered { block_time: NOW - 90 * MS, transaction, certificate };
+    assert_eq!(earlier.gate.pass(delivered, earlier.now(80 * MS)).map(drop), Err(Refused::BeforeStop));
+    let new = Command { signed: 75 * MS, block: 8, known: 5 * MS, ordered: 78 * MS };
+    assert_eq!(earlier.arrives(new, 80 * MS), Ok(()));
+}
+
+#[test]
 fn a_message_that_names_a_block_from_before_the_gate_is_judged_by_clocks() {
     let mut scene = Scene::new(0, 0, 0);
     scene.reported(5..=6, 50 * MS);
