@@ -40,8 +40,10 @@ impl CertifiedBranch {
     /// [`Code::Malformed`] if they are none, too many, or do not lead to the certified block.
     pub fn new(headers: Vec<Header>, certificate: Certificate) -> Result<Self, Rejection> {
         let statement = &certificate.statement;
-        let follows = |[one, next]: &[Header; 2]| next.previous == one.hash() && next.height == one.height + 1;
-        let is_chain = headers.array_windows().all(follows);
+        let follows = |(one, next): (&Header, &Header)| {
+            next.previous == one.hash() && next.height == one.height.saturating_add(1)
+        };
+        let is_chain = headers.iter().zip(headers.iter().skip(1)).all(follows);
         let leads = headers.last().is_some_and(|last| {
             (last.height, last.time, last.hash()) == (statement.height, statement.time, statement.block)
         });
