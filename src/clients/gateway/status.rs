@@ -149,13 +149,14 @@ impl Description {
         Ok(status)
     }
 
-    /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out: then the node does not run.
     /// Contradictions of this node's chain, in words; empty if there are none.
     fn divergence(&self) -> String {
         let said = [self.peers.monitor.describe(), self.peers.certificates.two_certificates()];
         said.into_iter().filter(|said| !said.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
+    /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out:
+    /// then the node does not run.
     fn certificates(&self) -> Vec<CertificateStatus> {
         let status = |kind: &str, name: Option<String>, der: &[u8]| {
             let Certificate { subject, not_before, not_after, .. } = Certificate::parse(der).ok()?;
