@@ -324,7 +324,9 @@ async fn a_relay_in_the_operators_domain(bridges: &[(&str, String)]) {
     relay.abort();
     let salma = bridges.remove(0).report()["routes"][0].clone();
     let passed = heard.len() as u64;
-    assert_eq!((&salma["samples_in"], &salma["committed"]), (&50.into(), &passed.into()), "{salma}");
+    // A stop message that the relay passes on late is taken in, because a driver may repeat itself after a pause. Without a grant it
+    // goes no further.
+    assert_eq!(&salma["committed"], passed, "{salma}");
     assert_eq!(passed + expired(&salma), 50, "{salma}");
     assert!(salma["returned"].as_u64().unwrap() >= passed, "{salma}");
     assert_eq!(rover.report()["routes"][0]["published"], passed);
