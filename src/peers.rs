@@ -32,17 +32,18 @@ use attestation::{Attesting, Witness};
 use chain_monitor::{Asking, ChainMonitor};
 use connections::{Connections, Dialer};
 use early_stop::EarlyStops;
+use ledger::network::Genesis;
 use ledger_base::invariant::vital_task;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_raft::{Input, PeerMessage, ReceiptKey};
 use ledger_replica::Executor;
 use ledger_replica::catch_up::Ballot;
 use ledger_replica::certifier::{Certifier, Earlier};
+use ledger_replica::disputes::Disputes;
 use question::Bootstrap;
-use quorum_certificates::{Certificates, Certifying, Keys, OtherBlocks, era};
+use quorum_certificates::{Certificates, Certifying, Keys, era};
 use reachability::Reachability;
 use service::PeerService;
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use sync::{BlockSync, Source};
@@ -117,6 +118,7 @@ impl Peers {
             certificates,
             witness,
         });
+        let founded = Genesis::governance(&ordering.storage.document)?;
         let keys = || Keys::new(me.id, trust.identity.clone(), Arc::clone(ledger));
         let end = ordering.storage.log.store.last_index();
         let earlier = Earlier { end, signed: peers.certificates.recorded()? };
@@ -140,9 +142,7 @@ impl Peers {
             certifying: Certifying {
                 certificates: Arc::clone(&peers.certificates),
                 certifier: Certifier::new(me.id, ledger.network(), keys(), era(ledger)?, earlier),
-                keys: keys(),
-                exchanged: BTreeSet::new(),
-                others: OtherBlocks::default(),
+                disputes: Disputes::new(me.id, Arc::clone(ledger), founded, keys(), peers.certificates.evidence()),
                 ordering: Arc::clone(ordering),
                 connections: Arc::clone(&peers.connections),
                 me: me.id,

@@ -1,11 +1,11 @@
 //! Certificates of blocks: this node signs what executing gave, receives what others signed, and keeps what enough have signed.
 //!
 //! ```text
-//! certificates   the task around the machine of `ledger_replica::certifier`; the view of the rest of the node
+//! certificates   the task around the machines `ledger_replica::certifier` and `disputes`; the view of the rest of the node
 //!   keys         the node's key, and whose certificates are believed
 //!   inbox        statements of peers that wait: a few of each
-//!   branches     certificates of other blocks than this node has
-//!   evidence     proofs of misbehaviour
+//!   branches     the end of a node that a certificate contradicts
+//!   evidence     proofs of misbehaviour, in words
 //!   kept         the files below the data directory
 //!   recent       the newest certificates, for those who ask for a proof
 //!   passed       one in ten seconds of all before, on the disk
@@ -21,7 +21,6 @@ mod keys;
 mod passed;
 mod recent;
 
-pub(crate) use branches::OtherBlocks;
 pub(crate) use kept::{certified_up_to, newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
 
@@ -29,7 +28,6 @@ use crate::ordering::Ordering;
 use crate::ordering::directory::Directory;
 use crate::peers::connections::Connections;
 use crate::storage::files::DIVERGED_FILE;
-use evidence::Evidence;
 use inbox::Inbox;
 use kept::Kept;
 use ledger::branch::CertifiedBranch;
@@ -39,10 +37,10 @@ use ledger_light::fact::Fact;
 use ledger_light::{Certificate, Misbehaviour, Proof, Signed, Statement};
 use ledger_raft::{self as raft, PeerMessage, SignedStatement};
 use ledger_replica::Observer;
-use ledger_replica::certifier::{Certifiable, Certifier, Effect, Era, Event, Signing};
+use ledger_replica::certifier::{Certifiable, Certifier, Effect, Era, Event};
+use ledger_replica::disputes::{self, Disputes, Evidence, View};
 use passed::Passed;
 use recent::Recent;
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -79,7 +77,9 @@ pub(crate) struct Certificates {
     certified: AtomicU64,
     /// Since when a block that is due has no certificate, and none has come.
     lagging: Mutex<Option<Instant>>,
-    evidence: Evidence,
+    evidence: Arc<Evidence>,
+    /// Two strict certificates that contradict each other, in words; empty if there are none.
+    two: Mutex<String>,
     recent: Recent,
     kept: Kept,
     passed: Passed,
@@ -95,13 +95,30 @@ impl Certificates {
         // Bounded by what is executed, which takes longer than signing.
         let (told, events) = mpsc::unbounded_channel();
         let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
-        let evidence = Evidence::new(kept.misbehaviours()?, kept.kept_branch()?.as_ref());
+        let evidence = Arc::new(Evidence::new(kept.misbehaviours()?));
+        let two = Mutex::new(kept.kept_branch()?.as_ref().map(branches::two_certificates).unwrap_or_default());
         let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
         Ok((
-            Arc::new(Self { told, heard, shown, certified, lagging: Mutex::default(), evidence, recent, kept, passed }),
+            Arc::new(Self {
+                told,
+                heard,
+                shown,
+                certified,
+                lagging: Mutex::default(),
+                evidence,
+                two,
+                recent,
+                kept,
+                passed,
+            }),
             events,
         ))
+    }
+
+    /// The proofs of misbehaviour.
+    pub(crate) fn evidence(&self) -> Arc<Evidence> {
+        Arc::clone(&self.evidence)
     }
 
     /// The statements that this node has signed last, as far as its record has them.
@@ -137,12 +154,12 @@ impl Certificates {
 
     /// The members that have lied, in words; empty if none has.
     pub(crate) fn lies(&self, directory: &Directory) -> String {
-        self.evidence.lies(directory)
+        evidence::lies(&self.evidence, directory)
     }
 
     /// The members that have signed different results of one block, in words; empty if there are none.
     pub(crate) fn faults(&self, directory: &Directory) -> String {
-        self.evidence.faults(directory)
+        evidence::faults(&self.evidence, directory)
     }
 
     /// A peer has sent a statement. It waits for the task, or is lost if too many of that peer wait.
@@ -255,18 +272,14 @@ pub(crate) struct Certifying {
     pub certificates: Arc<Certificates>,
     /// Decides.
     pub certifier: Certifier<Keys>,
-    /// Checks the signatures in proofs.
-    pub keys: Keys,
+    /// Judges proofs of misbehaviour, and certificates of other blocks.
+    pub disputes: Disputes<Keys>,
     /// Results of execution, the log whose blocks are signed, and the members of the network.
     pub ordering: Arc<Ordering>,
     /// The other nodes.
     pub connections: Arc<Connections>,
     /// This node's number.
     pub me: u64,
-    /// Heights and nodes for whose statements the signatures of a certificate were sent.
-    pub exchanged: BTreeSet<(u64, u64)>,
-    /// Other blocks than this node has.
-    pub others: OtherBlocks,
     /// Executed blocks and proofs.
     pub told: mpsc::UnboundedReceiver<Told>,
 }
@@ -276,59 +289,72 @@ impl Certifying {
     pub(crate) async fn run(mut self) {
         let started = Instant::now();
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
-        let (mut effects, mut written) = (Vec::new(), None);
+        let (mut effects, mut found, mut written) = (Vec::new(), Vec::new(), None);
         let mut again = interval(EVIDENCE_EVERY);
         again.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             let event = tokio::select! {
                 told = self.told.recv() => match told {
-                    Some(Told::Event(event)) => event,
+                    Some(Told::Event(event)) => Some(event),
                     Some(Told::Misbehaved(proof)) => {
-                        self.misbehaved(&proof, self.me).await;
-                        continue;
+                        self.disputes.found(*proof, &mut found);
+                        None
                     }
                     Some(Told::Branch(branch)) => {
-                        self.judge_branch(*branch).await;
-                        continue;
+                        self.disputes.branch(*branch, self.certificates.certified(), &mut found);
+                        None
                     }
                     None => return,
                 },
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
                     Ok(signed) => {
-                        self.compare(&signed).await;
-                        self.hear_of_branch(from, &signed);
-                        Event::Heard { from, signed }
+                        self.hear(now(), from, &signed, &mut found);
+                        Some(Event::Heard { from, signed })
                     }
                     Err(reason) => {
                         tracing::warn!(node = self.ordering.directory.name(from), code = reason.code.name(), %reason, "a statement cannot be read");
-                        continue;
+                        None
                     }
                 },
                 (from, proof) = self.certificates.shown.next() => {
-                    self.shown(from, &proof).await;
-                    continue;
+                    self.disputes.shown(from, &proof, &mut found);
+                    None
                 }
                 _ = again.tick() => {
-                    // An engine with a full inbox has not taken it before.
-                    self.ordering.slot.exclude(self.certificates.evidence.liars());
-                    for proof in self.certificates.evidence.about_members(&self.ordering.directory) {
-                        self.send_proof(&proof, self.me);
-                    }
-                    continue;
+                    self.disputes.again(&mut found);
+                    None
                 }
-                () = tokio::time::sleep(DISK_PAUSE), if self.certifier.waits_for_disk() => Event::Time,
-                () = until(self.certifier.wait(now())) => Event::Time,
+                () = tokio::time::sleep(DISK_PAUSE), if self.certifier.waits_for_disk() => Some(Event::Time),
+                () = until(self.certifier.wait(now())) => Some(Event::Time),
             };
-            self.certifier.step(now(), event, &mut effects);
-            self.certifier.step(now(), Event::Durable(self.ordering.storage.log.store.durable_index()), &mut effects);
-            for effect in effects.drain(..) {
-                self.act(effect, &mut written).await;
+            if let Some(event) = event {
+                self.certifier.step(now(), event, &mut effects);
+                self.certifier.step(
+                    now(),
+                    Event::Durable(self.ordering.storage.log.store.durable_index()),
+                    &mut effects,
+                );
+                for effect in effects.drain(..) {
+                    self.act(effect, &mut written, &mut found).await;
+                }
+                if let Err(fault) = self.disputes.look(self.certificates.certified(), &mut found) {
+                    tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the blocks of voters");
+                }
             }
-            self.look_at_branches().await;
+            for effect in found.drain(..) {
+                self.follow(effect).await;
+            }
         }
     }
 
-    async fn act(&self, effect: Effect, written: &mut Option<Instant>) {
+    fn hear(&mut self, now: u64, from: u64, signed: &Signed, found: &mut Vec<disputes::Effect>) {
+        let certificates = &self.certificates;
+        let certificate = |height| certificates.recent.of(height);
+        let view = View { certifier: &self.certifier, certified: certificates.certified(), certificate: &certificate };
+        self.disputes.heard(now, from, signed, &view, found);
+    }
+
+    async fn act(&mut self, effect: Effect, written: &mut Option<Instant>, found: &mut Vec<disputes::Effect>) {
         match effect {
             Effect::Record(statement) => self.keep(move |files| files.record(&statement)).await,
             // Lost where a member is not connected; the newest own one is sent again.
@@ -352,7 +378,7 @@ impl Certifying {
                     self.keep_proof(certificate, due, governs, passes).await;
                 }
             }
-            Effect::Misbehaved(proof) => self.misbehaved(&proof, self.me).await,
+            Effect::Misbehaved(proof) => self.disputes.found(*proof, found),
         }
     }
 
@@ -389,35 +415,29 @@ impl Certifying {
         }
     }
 
-    /// A peer has sent a proof. It counts if the organisations that this node knows say so.
-    async fn shown(&self, from: u64, proof: &[u8]) {
-        let ledger = &self.ordering.storage.ledger;
-        let checked = Misbehaviour::from_bytes(proof).and_then(|proof| {
-            if !self.certificates.evidence.has(&proof) {
-                let msps = ledger.msps();
-                proof.verify(&ledger.network(), &ledger.voters()?.nodes, |der, time| {
-                    self.keys.identify(&msps, der, time)
-                })?;
+    /// Does what follows from something that contradicts.
+    async fn follow(&self, effect: disputes::Effect) {
+        match effect {
+            disputes::Effect::Pass(signed) => self.send_statement(&signed),
+            disputes::Effect::Show { proof, except } => self.send_proof(&proof, except),
+            disputes::Effect::Exclude(liars) => self.ordering.slot.exclude(liars),
+            disputes::Effect::Keep(proof) => {
+                self.say(&proof);
+                self.keep(move |files| files.misbehaviour(&proof)).await;
             }
-            Ok(proof)
-        });
-        match checked {
-            Ok(proof) => self.misbehaved(&proof, from).await,
-            Err(reason) => {
+            disputes::Effect::Diverged { height } => self.stop(height).await,
+            disputes::Effect::Contradicted { branch, own } => self.end_contradicted(*branch, own).await,
+            disputes::Effect::TwoCertificates(branch) => self.show_branch(*branch).await,
+            disputes::Effect::Refused { from, reason } => {
                 let node = self.ordering.directory.name(from);
                 tracing::warn!(node, code = reason.code.name(), %reason, "a proof of misbehaviour is not accepted");
             }
         }
     }
 
-    /// Keeps a checked proof, and passes it on once.
-    async fn misbehaved(&self, proof: &Misbehaviour, from: u64) {
-        if !self.certificates.evidence.add(proof) {
-            return;
-        }
-        let (evidence, node) = (&self.certificates.evidence, self.ordering.directory.name(proof.node()));
-        self.send_proof(proof, from);
-        self.ordering.slot.exclude(evidence.liars());
+    /// Says that there is a new proof.
+    fn say(&self, proof: &Misbehaviour) {
+        let node = self.ordering.directory.name(proof.node());
         match proof {
             Misbehaviour::Lie(lie) => {
                 let (height, first, second) =
@@ -446,13 +466,6 @@ impl Certifying {
                     (fault.first.statement.height, fault.first.statement.results, fault.second.statement.results);
                 tracing::error!(node, height, %first, %second, "a node has signed two different results of one block; the proof is kept");
             }
-        }
-        let kept = proof.clone();
-        self.keep(move |files| files.misbehaviour(&kept)).await;
-        if let Misbehaviour::Fault(fault) = proof
-            && proof.node() == self.me
-        {
-            self.stop(fault.first.statement.height).await;
         }
     }
 

@@ -109,6 +109,30 @@ pub enum Mutation {
     ShareWithAnybody,
     /// A stop that a robot was notified of ends with the next answer of the voters, whatever becomes of it.
     ForgetAnOpenStop,
+    /// A strict certificate needs more than half of the voters, however many of them are in one hand.
+    ForgetTheHands,
+    /// A node takes a proof of misbehaviour without looking at its signatures.
+    BelieveAnyProof,
+    /// A node that has a proof of misbehaviour sends it to nobody else.
+    KeepAProofForItself,
+    /// A node goes on following one that it has proved to lie.
+    FollowALiar,
+    /// A node stops for the certificate of another block without counting who has signed it.
+    StopForAnyCertificate,
+    /// A node leaves a block that its own strict certificate covers.
+    DropACertifiedBlock,
+    /// A vote for a handover is given without the signature of the leader.
+    HonourAnyTransfer,
+    /// A voter's complaint deposes a leader alone.
+    BelieveOneComplaint,
+    /// A voter does not complain about a leader that withholds calls.
+    NeverComplain,
+    /// A follower appends to its log whatever the leader sends, although the block before is another one.
+    AppendToAnyLog,
+    /// A leader counts an acknowledgement without looking at which log it is about.
+    CountAnyLog,
+    /// An organisation takes the vote of its own node although certificates are not strict any more then.
+    DemoteFreely,
 }
 
 /// Are the switches in this build?

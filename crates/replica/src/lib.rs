@@ -12,7 +12,7 @@
 //! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
 //! | [`trust`] | whether a snapshot is believed |
 //! | [`certifier`] | what a voter states about its blocks, and when enough voters have signed |
-//! | [`branches`] | statements of voters about other blocks than this node has |
+//! | [`disputes`] | proofs of misbehaviour, and certificates of other blocks: what is believed, and what a node stops for |
 //! | `voting` | [`Voting`]: signs votes in elections, and checks those of others |
 //! | [`witness`] | what a node attests, and when |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
@@ -55,13 +55,13 @@
 
 #![forbid(unsafe_code)]
 
-pub mod branches;
 mod budgets;
 pub mod catch_up;
 pub mod certifier;
 mod clock;
 pub mod company;
 pub mod conductor;
+pub mod disputes;
 mod early;
 mod executor;
 pub mod gateway;

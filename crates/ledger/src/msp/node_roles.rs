@@ -9,6 +9,7 @@ use super::store::{self, NODES, json, node_key};
 use super::{SET_NODE_ROLE, attestations, carriers, certificate_rule, misbehaviour, refusals, rules};
 use crate::chaincode::Context;
 use bytes::Bytes;
+use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 
@@ -44,7 +45,7 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     let ends_strict = certificate_rule::would_end(ctx, &with_role(&nodes, set.role, |other| other.id == node.id))?;
     let needs_approval = |caller: &&Identity| {
         let is_own = node.organisation == caller.organisation && set.role != NodeRole::Voter;
-        node.role != set.role && (!is_own || ends_strict)
+        node.role != set.role && (!is_own || (ends_strict && !active(Mutation::DemoteFreely)))
     };
     let Some(caller) = alone.filter(needs_approval) else {
         if ends_strict {

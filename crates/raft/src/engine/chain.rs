@@ -21,6 +21,7 @@ use crate::interface::{Contradiction, Output};
 use crate::message::{RaftKind, RaftMessage, WireEntry};
 use ledger::block::Header;
 use ledger_base::hash::Hash;
+use ledger_base::mutation::{Mutation, active};
 use ledger_light::BranchLink;
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::entry::{Entry, EntryKind};
@@ -174,8 +175,14 @@ impl Engine {
         out: &mut Vec<Output>,
     ) -> Result<(), &'static str> {
         match RaftKind::try_from(message.kind) {
-            Ok(RaftKind::Append) if message.term >= self.raw.raft.term => self.check_append(from, message, out),
-            Ok(RaftKind::AppendResponse) if !message.reject => self.check_acknowledgement(from, message, out),
+            Ok(RaftKind::Append) if message.term >= self.raw.raft.term => {
+                let checked = self.check_append(from, message, out);
+                if active(Mutation::AppendToAnyLog) { Ok(()) } else { checked }
+            }
+            Ok(RaftKind::AppendResponse) if !message.reject => {
+                let checked = self.check_acknowledgement(from, message, out);
+                if active(Mutation::CountAnyLog) { Ok(()) } else { checked }
+            }
             _ => Ok(()),
         }
     }

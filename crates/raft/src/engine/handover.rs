@@ -12,6 +12,7 @@ use super::Engine;
 use super::mandate::Handover;
 use crate::message::{RaftKind, RaftMessage};
 use bytes::Bytes;
+use ledger_base::mutation::{Mutation, active};
 use raft::CAMPAIGN_TRANSFER;
 
 impl Engine {
@@ -53,7 +54,7 @@ impl Engine {
             && (leader == from
                 || (self.is_leader() && transferee == Some(from))
                 || (leader != raft::INVALID_ID && self.check_handover(leader, from, message).is_ok()));
-        if !honoured {
+        if !honoured && !active(Mutation::HonourAnyTransfer) {
             message.context = Bytes::new();
         }
     }

@@ -6,6 +6,7 @@ use crate::withheld::{Step, URGENT_BYTES_MAX, View};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
+use ledger_base::mutation::{Mutation, active};
 use ledger_raft::{Input, Lane, PeerMessage, UnansweredCall};
 
 impl<W: Waiter> Replica<W> {
@@ -59,7 +60,7 @@ impl<W: Waiter> Replica<W> {
                 Step::Complain(call) if !self.is_admissible(now, &call) => self.withheld.forget(&call),
                 Step::Complain(call) => {
                     let over = self.executor.budgets().owes(self.executor.ledger(), &call, now.clock);
-                    if let Some((term, leader)) = leader.filter(|_| !over) {
+                    if let Some((term, leader)) = leader.filter(|_| !over && !active(Mutation::NeverComplain)) {
                         self.order(now, Input::Complain { term, leader }, out);
                     }
                 }

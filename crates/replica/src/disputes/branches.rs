@@ -17,7 +17,7 @@ const SIGNERS_MIN: usize = 2;
 
 /// The statements of each voter about other blocks.
 #[derive(Default)]
-pub struct Branches {
+pub(super) struct Branches {
     /// By voter and height.
     said: BTreeMap<u64, BTreeMap<u64, Signed>>,
     /// How many signers a certificate had when it was answered last, by its height and block.
@@ -26,7 +26,7 @@ pub struct Branches {
 
 impl Branches {
     /// Keeps a statement of a voter. The caller knows that this voter has signed it, or that it has come from the voter itself.
-    pub fn heard(&mut self, signed: Signed) {
+    pub(super) fn heard(&mut self, signed: Signed) {
         let heights = self.said.entry(signed.signature.node).or_default();
         heights.insert(signed.statement.height, signed);
         while heights.len() > HEIGHTS_MAX {
@@ -40,7 +40,7 @@ impl Branches {
     ///
     /// # Errors
     /// As `own`.
-    pub fn contradicting(
+    pub(super) fn contradicting(
         &mut self,
         tip: u64,
         mut own: impl FnMut(u64) -> Result<Option<Hash>, Rejection>,
