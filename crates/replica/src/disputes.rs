@@ -162,6 +162,9 @@ impl<S: Signing> Disputes<S> {
             return;
         }
         out.push(Effect::Exclude(self.evidence.liars()));
+        if active(Mutation::KeepAProofForItself) {
+            return;
+        }
         let members = self.ledger.members().unwrap_or_default().nodes();
         let about_members = self.evidence.proofs().into_iter().filter(|proof| members.contains(&proof.node()));
         out.extend(about_members.map(|proof| Effect::Show { proof: Box::new(proof), except: self.me }));

@@ -4,12 +4,15 @@
 //! kept          the oldest call of each identity: submitted here, or passed on by another node
 //! given         to the leader, again with each new leader and once a second
 //! passed on     to all voters, if this node has it from a client and it is not executed after half a second
-//! complaint     the leader ordered blocks at least two seconds of its own time later, and this call is in none of them
+//! complaint     the leader ordered blocks at least two seconds of its own time later, and this call is in none of them;
+//!               or for five seconds nothing was executed here but the empty blocks of new terms;
+//!               or it was elected three times in at least five seconds, and nobody else in between
 //! forgotten     with its verdict, after its `not_after`, or if it would be rejected now
 //! ```
-//! **Exceptions.** A leader that orders nothing (idle, cut off, with a slow disk) puts no block behind the call. A
+//! **Exceptions.** A leader that orders nothing for a moment (cut off, with a slow disk) puts no block behind the call. A
 //! voter that lags executes old blocks, which were ordered before. A call that did not reach the leader from here reaches it from
-//! another voter. A creator that is over its budget has to wait.
+//! another voter. A creator that is over its budget has to wait. A leader that is silent for five seconds is no use, whether it
+//! lies or its disk stands still.
 
 use bytes::Bytes;
 use ledger::transaction::Transaction;
@@ -28,6 +31,13 @@ const PASS_ON_AFTER: u64 = 500_000;
 const BOUND: u64 = 2_000_000;
 /// The shortest such time: for calls that end sooner, it is half of the time that they have.
 const BOUND_MIN: u64 = 750_000;
+/// A leader may order nothing at all for this time while a call waits, microseconds. One that has itself elected again and again
+/// has no longer.
+const SILENCE_MAX: u64 = 5_000_000;
+/// A leader that was elected just now is not silent yet, microseconds: nothing was ordered while there was none.
+const SILENCE_MIN: u64 = 1_000_000;
+/// Elections of one leader, without another one in between, that are too many while a call waits.
+const ELECTIONS_MAX: u32 = 3;
 /// A call is given to the leader again after this time, microseconds: messages are lost.
 const GIVE_AGAIN: u64 = 1_000_000;
 /// Pause between two looks at the calls, microseconds.
@@ -46,7 +56,9 @@ pub(crate) struct View {
     pub(crate) clock: u64,
     /// Term and number of the leader, if another node leads.
     pub(crate) leader: Option<(u64, u64)>,
-    /// Term of the newest executed block.
+    /// Height of the newest executed block.
+    pub(crate) height: u64,
+    /// Its term.
     pub(crate) term: u64,
     /// Its block time, microseconds since the UNIX epoch.
     pub(crate) time: u64,
@@ -68,6 +80,10 @@ pub(crate) enum Step {
 pub(crate) struct Withheld {
     calls: BTreeMap<Hash, Call>,
     looked: u64,
+    /// Height and term of the newest executed block.
+    newest: (u64, u64),
+    /// Since when no block with content was executed, in time since the node started.
+    silent_since: u64,
     /// The calls that each node has passed on in the current second.
     passed_on: BTreeMap<u64, (u64, u32)>,
 }
@@ -89,9 +105,15 @@ struct Call {
 
 #[derive(Clone, Copy, Debug)]
 struct Given {
+    /// Term and node.
     leader: (u64, u64),
+    /// When this node had the call for the first time, in time since the node started; and how often it was elected since.
+    first: u64,
+    elections: u32,
+    /// When it had the call in this term, by both clocks.
     elapsed: u64,
     clock: u64,
+    /// When it was given the call last.
     last: u64,
 }
 
@@ -161,33 +183,40 @@ impl Withheld {
             return Vec::new();
         }
         self.looked = view.elapsed;
+        // The first block of a term is empty.
+        let (height, term) = self.newest;
+        if view.height > height + u64::from(view.term != term) {
+            self.silent_since = view.elapsed;
+        }
+        self.newest = (view.height, view.term);
+        let silent_since = self.silent_since;
         self.calls.retain(|_, call| !is_settled(&call.transaction));
         let mut steps = Vec::new();
         for call in self.calls.values_mut() {
-            call.next(view, &mut steps);
+            call.next(view, silent_since, &mut steps);
         }
         steps
     }
 }
 
 impl Call {
-    fn next(&mut self, view: View, steps: &mut Vec<Step>) {
+    fn next(&mut self, view: View, silent_since: u64, steps: &mut Vec<Step>) {
         if !self.passed && view.elapsed.saturating_sub(self.since) >= PASS_ON_AFTER {
             self.passed = true;
             steps.push(Step::PassOn(self.transaction.encoded().clone()));
         }
-        let Some(leader) = view.leader else {
-            self.given = None;
-            return;
-        };
+        let Some(leader) = view.leader else { return };
         let View { elapsed, clock, .. } = view;
-        let given = match self.given.filter(|given| given.leader == leader) {
-            Some(given) => given,
-            None => {
+        let given = match self.given {
+            Some(given) if given.leader == leader => given,
+            before => {
                 if !std::mem::take(&mut self.submitted) {
                     steps.push(Step::Give(self.transaction.encoded().clone()));
                 }
-                *self.given.insert(Given { leader, elapsed, clock, last: elapsed })
+                let same = before.filter(|before| before.leader.1 == leader.1);
+                let (first, elections) =
+                    same.map_or((elapsed, 1), |same| (same.first, same.elections.saturating_add(1)));
+                *self.given.insert(Given { leader, first, elections, elapsed, clock, last: elapsed })
             }
         };
         if elapsed.saturating_sub(given.last) >= GIVE_AGAIN {
@@ -197,7 +226,11 @@ impl Call {
         let left = self.transaction.body().not_after.saturating_sub(given.clock);
         let bound = (left / 2).clamp(BOUND_MIN, BOUND);
         let is_overtaken = view.term == leader.0 && view.time >= given.clock.saturating_add(bound);
-        if is_overtaken && elapsed.saturating_sub(given.elapsed) >= bound {
+        let is_late = is_overtaken && elapsed.saturating_sub(given.elapsed) >= bound;
+        let is_silent = elapsed.saturating_sub(given.first.max(silent_since)) >= SILENCE_MAX
+            && elapsed.saturating_sub(given.elapsed) >= SILENCE_MIN;
+        let is_renewed = given.elections >= ELECTIONS_MAX && elapsed.saturating_sub(given.first) >= SILENCE_MAX;
+        if is_late || is_silent || is_renewed {
             steps.push(Step::Complain(Box::new(self.transaction.clone())));
         }
     }
@@ -238,7 +271,8 @@ mod tests {
 
     /// So long after the call came: node 1 leads in term 5, and blocks are executed at once.
     fn view(after: u64) -> View {
-        View { elapsed: SECOND + after, clock: NOW + after, leader: Some((5, 1)), term: 5, time: NOW + after }
+        let height = after / 100_000;
+        View { elapsed: SECOND + after, clock: NOW + after, leader: Some((5, 1)), height, term: 5, time: NOW + after }
     }
 
     /// When the calls are complained about, in milliseconds after they came.
@@ -261,10 +295,44 @@ mod tests {
     }
 
     #[test]
+    fn a_leader_that_orders_nothing_is_complained_about_after_five_seconds() {
+        let stands = |until: u64| move |after: u64| View { time: NOW, height: after.min(until), ..view(after) };
+        let silent = complaints(&mut kept(&[call(1, 1)], false), stands(0));
+        assert_eq!(silent.first(), Some(&5000));
+        let later = complaints(&mut kept(&[call(1, 1)], false), stands(3 * SECOND));
+        assert_eq!(later.first(), Some(&8000), "five seconds after its last block");
+    }
+
+    #[test]
+    fn a_leader_that_has_itself_elected_again_and_again_is_complained_about_after_five_seconds() {
+        // In each of its terms it orders messages, and then the empty block of the next one.
+        let renews = |by: u64| {
+            move |after: u64| {
+                let terms = after / 600_000;
+                let leader = if terms % 4 == 3 { by } else { 1 };
+                View { leader: Some((5 + terms, leader)), term: 5 + terms, ..view(after) }
+            }
+        };
+        assert_eq!(complaints(&mut kept(&[call(1, 1)], false), renews(1)).first(), Some(&5000));
+        let none: [u64; 0] = [];
+        assert_eq!(complaints(&mut kept(&[call(1, 1)], false), renews(2)), none, "another one led in between");
+        // Nor does the empty block of a term count as ordering.
+        let empty = |after: u64| {
+            let terms = after / 4_500_000;
+            View { leader: Some((5 + terms, 1)), height: terms, term: 5 + terms, time: NOW, ..view(after) }
+        };
+        assert_eq!(
+            complaints(&mut kept(&[call(1, 1)], false), empty).first(),
+            Some(&5500),
+            "and a second after it began"
+        );
+    }
+
+    #[test]
     fn a_leader_that_orders_nothing_behind_the_call_is_not_complained_about() {
         let none: [u64; 0] = [];
         let idle = |after: u64| View { time: NOW + after.min(SECOND), ..view(after) };
-        assert_eq!(complaints(&mut kept(&[call(1, 1)], false), idle), none, "idle, cut off, or with a slow disk");
+        assert_eq!(complaints(&mut kept(&[call(1, 1)], false), idle), none, "blocks of before");
         let lagging = |after: u64| View { time: (NOW + after).saturating_sub(9 * SECOND), ..view(after) };
         assert_eq!(complaints(&mut kept(&[call(1, 1)], false), lagging), none, "this node executes old blocks");
         let before = |after: u64| View { term: 4, ..view(after) };

@@ -28,6 +28,7 @@
 //! | [`robot`] | a robot with the real gate, whose node may lie |
 //! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
 //! | [`run`], [`trace`] | one seed from beginning to end |
+//! | [`twins`] | a smaller network in which organisations lie with all their nodes, also as leaders |
 
 #![expect(
     clippy::unwrap_used,
@@ -52,4 +53,5 @@ pub mod policy;
 pub mod robot;
 pub mod run;
 pub mod trace;
+pub mod twins;
 pub mod world;

@@ -6,6 +6,7 @@ use clap::Parser;
 use ledgerd_sim::coverage::Coverage;
 use ledgerd_sim::people::People;
 use ledgerd_sim::run::{Report, run};
+use ledgerd_sim::twins::{self, Cast};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -34,10 +35,16 @@ struct Arguments {
     /// Print everything that happens.
     #[arg(long)]
     trace: bool,
+    /// Run networks in which organisations lie with all their nodes, also as leaders.
+    #[arg(long)]
+    liars: bool,
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    if arguments.liars {
+        return lie(&arguments);
+    }
     let people = Arc::new(People::new());
     let mut covered = Coverage::default();
     if let Some(seed) = arguments.seed {
@@ -71,6 +78,41 @@ fn main() -> ExitCode {
     }
     if exit == ExitCode::SUCCESS && covered.is_enough() && !missing.is_empty() {
         return ExitCode::from(INCOMPLETE);
+    }
+    exit
+}
+
+/// The same with liars.
+fn lie(arguments: &Arguments) -> ExitCode {
+    let cast = Arc::new(Cast::new());
+    let (mut counts, mut exit) = (twins::Counts::default(), ExitCode::SUCCESS);
+    let until = Duration::from_secs_f64(arguments.hours.unwrap_or(f64::from(u32::MAX)) * 3600.0);
+    let seeds = arguments.seeds.unwrap_or(if arguments.hours.is_some() { u64::MAX } else { 100 });
+    let (first, seeds) = arguments.seed.map_or((arguments.from, seeds), |seed| (seed, 1));
+    let (begun, mut told) = (Instant::now(), Instant::now());
+    for seed in (first..).take(usize::try_from(seeds).unwrap_or(usize::MAX)) {
+        if begun.elapsed() > until {
+            break;
+        }
+        let report = twins::run(seed, &cast, arguments.trace);
+        counts.add(&report.counts);
+        if let Some(text) = &report.trace {
+            println!("{text}");
+        }
+        if let Some(violation) = &report.violation {
+            println!("seed {seed} breaks a promise: {violation}");
+            println!("  repeat it:  cargo run --release --bin simulate -- --liars --seed {seed} --trace");
+            exit = ExitCode::from(BROKEN);
+        }
+        if told.elapsed() > Duration::from_secs(60) {
+            told = Instant::now();
+            eprintln!("{} seeds, {} virtual minutes", counts.seeds, counts.time / 60_000_000);
+        }
+    }
+    println!("{counts}");
+    let missing = counts.missing();
+    if !missing.is_empty() {
+        println!("never happened: {}", missing.join(", "));
     }
     exit
 }

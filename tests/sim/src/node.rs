@@ -370,6 +370,13 @@ impl Node {
         self.results = SimDisk::new(seed);
     }
 
+    /// The same node on another machine, with a copy of its disks. What it had computed is computed again.
+    pub fn copied(&self, disk_seed: u64) -> Self {
+        let disk = self.disk.copy(disk_seed);
+        let node = Self::new(self.id, disk_seed, self.clock.clone());
+        Self { ground: Ground::of(&disk), disk, signed: self.signed.clone(), ..node }
+    }
+
     /// A new machine with empty disks.
     pub fn new(id: u64, disk_seed: u64, clock: Clock) -> Self {
         let disk = SimDisk::new(disk_seed);

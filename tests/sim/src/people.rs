@@ -201,7 +201,7 @@ pub fn organisation_of(id: u64, organisations: usize) -> String {
     format!("Org{}", 1 + (id as usize - 1) % organisations)
 }
 
-fn key(name: &str) -> SigningKey {
+pub(crate) fn key(name: &str) -> SigningKey {
     let seed = Hash::of(&[b"simulated key", name.as_bytes()]);
     let key = SigningKey::from_pkcs8_der(&[ED25519_PKCS8, &seed.0].concat()).unwrap();
     assert_eq!(key.kind(), KeyKind::Ed25519);
@@ -213,7 +213,7 @@ pub fn ca_key(organisation: &str) -> SigningKey {
     key(&format!("{organisation}-ca"))
 }
 
-fn authority(name: &str) -> CertifiedIssuer<'static, KeyPair> {
+pub(crate) fn authority(name: &str) -> CertifiedIssuer<'static, KeyPair> {
     let mut params = params(&format!("{name}-ca"), "ca");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
     params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
@@ -223,7 +223,7 @@ fn authority(name: &str) -> CertifiedIssuer<'static, KeyPair> {
     CertifiedIssuer::self_signed(params, pair).unwrap()
 }
 
-fn params(name: &str, unit: &str) -> CertificateParams {
+pub(crate) fn params(name: &str, unit: &str) -> CertificateParams {
     let mut params = CertificateParams::default();
     params.distinguished_name = DistinguishedName::new();
     params.distinguished_name.push(DnType::CommonName, name);

@@ -3,7 +3,7 @@
 //! ```text
 //! timeout now   from the leader, with its signature over term, leader and transferee
 //! vote          of the transferee, with that signature; context `CampaignTransfer`
-//! voter         honours the context if the leader that it follows has signed, or if it is the leader itself that asks
+//! voter         honours the context if the leader that it follows has signed
 //! ```
 //! Without it the context is removed: the request is one like any other, and the lease of a leader that lives counts. So
 //! no voter takes the leadership at will. A pre-vote never has the context: a transferee asks for votes at once.
@@ -51,8 +51,7 @@ impl Engine {
         let raft = &self.raw.raft;
         let (leader, transferee) = (raft.leader_id, raft.lead_transferee);
         let honoured = message.kind == i32::from(RaftKind::Vote)
-            && (leader == from
-                || (self.is_leader() && transferee == Some(from))
+            && ((self.is_leader() && transferee == Some(from))
                 || (leader != raft::INVALID_ID && self.check_handover(leader, from, message).is_ok()));
         if !honoured && !active(Mutation::HonourAnyTransfer) {
             message.context = Bytes::new();

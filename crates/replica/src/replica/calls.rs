@@ -47,7 +47,8 @@ impl<W: Waiter> Replica<W> {
         }
         let (status, tip) = (self.engine.status(), self.executor.ledger().tip());
         let leader = status.role.leader.filter(|_| !self.leading).map(|leader| (status.role.term, leader));
-        let view = View { elapsed: now.elapsed, clock: now.clock, leader, term: tip.term, time: tip.time };
+        let view =
+            View { elapsed: now.elapsed, clock: now.clock, leader, height: tip.height, term: tip.term, time: tip.time };
         let ledger = self.executor.ledger();
         for step in self.withheld.tend(view, |call| ledger.is_settled(&call.call_ref())) {
             match step {

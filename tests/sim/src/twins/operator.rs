@@ -1,0 +1,394 @@
+//! The people: clients that call, and the operator who does what stopped nodes say.
+
+use super::copy::Copy;
+use super::world::{Happening, World};
+use crate::client::{Call, SERVICES, sign};
+use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
+use crate::invariant::{Check, Violation};
+use crate::node::Node;
+use ledger::Admission;
+use ledger::transaction::Transaction;
+use ledger_base::hash::Hash;
+use ledger_raft::{Input, Lane};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// A call is given to a node of another organisation after this time.
+const AGAIN_AFTER: u64 = SECOND;
+/// A call counts for this long.
+const CALL_TIME: u64 = 28 * SECOND;
+/// In a calm network, a control call is executed within this time for each node that lies, and this once more: a leader that
+/// orders nothing is complained about after five seconds, and then another one is elected.
+const CALM_MAX: u64 = 8 * SECOND;
+/// Time after the liars are gone until it is looked whether the rest serves.
+const REST: u64 = 15 * SECOND;
+
+/// A person that calls.
+pub(super) struct Client {
+    person: String,
+    orders: Vec<Call>,
+    waits: Option<Waits>,
+    nonce: u64,
+}
+
+/// A call that is under way.
+struct Waits {
+    transaction: Transaction,
+    lane: Lane,
+    since: u64,
+    given: u64,
+    /// The node that had it last.
+    node: u64,
+}
+
+impl World {
+    /// The owner sets the robots up, then drivers of two organisations call.
+    pub(super) fn employ(&mut self) {
+        for (client, person) in ["Org1/admin", "Org1/driver", "Org2/driver", "Org2/admin"].into_iter().enumerate() {
+            let orders = if client == 0 { vec![Call::Setup { open: true }] } else { Vec::new() };
+            self.clients.push(Client {
+                person: person.to_owned(),
+                orders,
+                waits: None,
+                nonce: client as u64 * 1_000_000,
+            });
+            let delay = if client == 0 { SECOND } else { 2 * SECOND };
+            self.schedule(delay, Happening::Client { client });
+        }
+    }
+
+    /// A client looks what became of its call, and makes the next one.
+    pub(super) fn work(&mut self, client: usize) -> Check {
+        let now = self.now;
+        if let Some(waits) = self.clients[client].waits.take() {
+            let is_done = self.done.contains(&waits.transaction.id());
+            if !is_done {
+                return self.waits_on(client, waits);
+            }
+        }
+        if self.plan.ends + REST < now {
+            return Ok(());
+        }
+        let service = SERVICES[self.random.below(SERVICES.len() as u64) as usize].to_owned();
+        let next = self.clients[client].orders.pop().unwrap_or_else(|| match self.random.below(8) {
+            0 | 1 => Call::Acquire { service, lease_ms: None },
+            2 => Call::Release { service },
+            3 => Call::Stop { robot: "Turtlebot4" },
+            4 => Call::Resume { robot: "Turtlebot4" },
+            _ => {
+                let (epoch, seq) = (self.random.below(4), self.clients[client].nonce % 1_000_000);
+                Call::Set { service, epoch, seq }
+            }
+        });
+        let person = self.clients[client].person.clone();
+        let transaction = self.signed(client, &person, &next);
+        let lane = if matches!(next, Call::Set { .. }) { Lane::Data } else { Lane::Control };
+        self.note(format_args!("{person} calls {} {}", next.name(), transaction.id()));
+        let waits = Waits { transaction, lane, since: now, given: 0, node: 0 };
+        self.waits_on(client, waits)
+    }
+
+    fn signed(&mut self, client: usize, person: &str, call: &Call) -> Transaction {
+        let nonce = self.clients[client].nonce;
+        self.clients[client].nonce += 1;
+        let cast = Arc::clone(&self.cast);
+        sign(cast.person(person), self.network, nonce, EPOCH + self.now + CALL_TIME, call.transaction(), true)
+    }
+
+    /// Would a node take this call now? What it would reject, nobody has to order.
+    fn is_admissible(&self, call: &Transaction) -> bool {
+        let takes = |at: usize| {
+            let ledger = &self.copies[at].up.as_ref()?.ledger;
+            Some(matches!(ledger.admit_decoded(call.clone(), EPOCH + self.now), Ok(Admission::New(_))))
+        };
+        self.alive().into_iter().filter_map(takes).all(|takes| takes)
+    }
+
+    fn waits_on(&mut self, client: usize, mut waits: Waits) -> Check {
+        let now = self.now;
+        let waited = now - waits.since;
+        let calm = self.plan.calm && self.lying && self.plan.can_depose();
+        let liars = self.copies.iter().filter(|copy| copy.lies).count() as u64;
+        if calm
+            && waits.lane == Lane::Control
+            && waited > CALM_MAX * (liars + 1)
+            && self.is_admissible(&waits.transaction)
+        {
+            let what = format!("{} was called {waited} us ago", waits.transaction.id());
+            return Err(Violation::new("no leader withholds a call for good", what));
+        }
+        // In a calm network, only its end ends a call.
+        if waited > CALL_TIME {
+            let next = self.random.around(self.plan.think);
+            self.schedule(next, Happening::Client { client });
+            return Ok(());
+        }
+        if waits.given == 0 || now - waits.given >= AGAIN_AFTER {
+            let honest = |copy: &(usize, &Copy)| {
+                let is_other = copy.1.node.id != waits.node;
+                !copy.1.lies && copy.1.up.is_some() && is_other
+            };
+            let nodes: Vec<usize> = self.copies.iter().enumerate().filter(honest).map(|(at, _)| at).collect();
+            if let Some(at) = self.random.pick(&nodes).copied() {
+                (waits.given, waits.node) = (now, self.copies[at].node.id);
+                let transaction = waits.transaction.encoded().clone();
+                self.input(at, Input::Submit { lane: waits.lane, transaction })?;
+            }
+        }
+        // Data is not repeated.
+        let pause = if waits.lane == Lane::Data { self.random.around(self.plan.think) } else { 100 * MILLISECOND };
+        if waits.lane == Lane::Control {
+            self.clients[client].waits = Some(waits);
+        }
+        self.schedule(pause, Happening::Client { client });
+        Ok(())
+    }
+
+    /// The liars are gone, and everything that is broken is mended.
+    pub(super) fn end_lies(&mut self) -> Check {
+        self.lying = false;
+        (self.is_cut, self.reign) = (false, None);
+        self.parts.clear();
+        (self.plan.lose_per_mille, self.plan.disk_max) = (0, MILLISECOND);
+        // The story that is certified goes on.
+        let certified =
+            |face: usize| self.copies.iter().filter(|copy| copy.face == face || !copy.lies).map(Copy::certified).max();
+        let of_liars =
+            |face: usize| self.copies.iter().filter(|copy| copy.lies && copy.face == face).map(Copy::certified).max();
+        let story = usize::from((of_liars(1), certified(1)) > (of_liars(0), certified(0)));
+        for at in 0..self.copies.len() {
+            if self.copies[at].lies && (!self.plan.repents || self.copies[at].face != story) {
+                if self.copies[at].up.is_some() {
+                    self.stop(at, false);
+                }
+                self.copies[at].gone = true;
+            } else {
+                self.schedule(MILLISECOND, Happening::Start { at });
+            }
+        }
+        // One story is left, and everybody hears it.
+        for copy in self.copies.iter_mut().filter(|copy| copy.lies && !copy.gone) {
+            copy.face = 0;
+        }
+        self.note(format_args!("the lies are over"));
+        Ok(())
+    }
+
+    /// Looks whether the rest serves, and does what nodes say that have stopped.
+    pub(super) fn is_healed(&mut self) -> Result<bool, Violation> {
+        self.rejoin_all()?;
+        if self.now < self.plan.ends + REST {
+            return Ok(false);
+        }
+        let alive = self.running();
+        let together = self.largest_together(&alive);
+        let voters = self.plan.voters() as usize;
+        if 2 * together.len() > voters {
+            return self.serves(&together);
+        }
+        let what = if together.len() == alive.len() && self.copies.iter().all(|copy| copy.ended.is_none()) {
+            "the rest is too few to order"
+        } else {
+            self.is_shown(&alive)?;
+            "honest nodes have two histories that nobody certifies"
+        };
+        self.judge.counts.count(what);
+        Ok(true)
+    }
+
+    /// The voters that run, liars that have become honest among them.
+    fn running(&self) -> Vec<usize> {
+        (0..self.copies.len()).filter(|at| self.copies[*at].up.is_some()).collect()
+    }
+
+    /// The honest voters that run.
+    fn alive(&self) -> Vec<usize> {
+        (0..self.copies.len()).filter(|at| !self.copies[*at].lies && self.copies[*at].up.is_some()).collect()
+    }
+
+    /// The largest set of nodes of which no two have different entries of one height and term, nor different blocks.
+    fn largest_together(&self, alive: &[usize]) -> Vec<usize> {
+        let parted: BTreeSet<(usize, usize)> = alive
+            .iter()
+            .flat_map(|one| alive.iter().map(|other| (*one, *other)))
+            .filter(|(one, other)| one < other && self.are_parted(*one, *other))
+            .collect();
+        let mut best = Vec::new();
+        for set in 0_u32..1 << alive.len() {
+            let members: Vec<usize> =
+                alive.iter().enumerate().filter(|(place, _)| set >> place & 1 == 1).map(|(_, at)| *at).collect();
+            let fits = |one: &usize| members.iter().all(|other| !parted.contains(&(*one, *other)));
+            if members.len() > best.len() && members.iter().all(fits) {
+                best = members;
+            }
+        }
+        best
+    }
+
+    fn are_parted(&self, one: usize, other: usize) -> bool {
+        let (Some(one), Some(other)) = (&self.copies[one].up, &self.copies[other].up) else { return false };
+        let tips = one.ledger.tip().height.min(other.ledger.tip().height);
+        if one.point(tips).map(|point| point.hash) != other.point(tips).map(|point| point.hash) {
+            return true;
+        }
+        let last = one.store.last_index().min(other.store.last_index());
+        (tips + 1..=last).any(|height| match (one.entry(height), other.entry(height)) {
+            (Some(one), Some(other)) => one.0 == other.0 && one.1 != other.1,
+            _ => false,
+        })
+    }
+
+    /// Where people must decide, a node says so.
+    fn is_shown(&self, alive: &[usize]) -> Check {
+        let shows = |at: &usize| self.copies[*at].up.as_ref().is_some_and(|up| up.is_contradicted);
+        if alive.iter().any(shows) || self.copies.iter().any(|copy| copy.ended.is_some()) {
+            return Ok(());
+        }
+        Err(Violation::new("where people must decide, a node says so", self.describe()))
+    }
+
+    /// Do these nodes, which are most voters, order? And certify, if they are enough? Everybody else that runs must follow.
+    fn serves(&mut self, together: &[usize]) -> Result<bool, Violation> {
+        // A call at any of them, again and again.
+        let at = together[self.random.below(together.len() as u64) as usize];
+        let call = Call::Release { service: SERVICES[0].to_owned() };
+        let transaction = self.signed(0, "Org1/driver", &call);
+        self.input(at, Input::Submit { lane: Lane::Control, transaction: transaction.encoded().clone() })?;
+        let tip = |at: &usize| self.copies[*at].up.as_ref().map(|up| up.ledger.tip());
+        let Some(first) = tip(&at) else { return Ok(false) };
+        let alive = self.running();
+        // The newest block may be on its way.
+        let near = |at: &usize| tip(at).is_some_and(|tip| tip.height + 3 >= first.height);
+        let since = self.copies[at].up.as_ref().and_then(|up| up.headers.get(&first.height)).map_or(0, |tip| tip.time);
+        let is_new = since > EPOCH + self.plan.ends + REST;
+        let certifies = together.len() >= self.judge.quorum();
+        let certified = |at: &usize| {
+            let height = self.copies[*at].certified();
+            let time =
+                self.copies[*at].up.as_ref().and_then(|up| up.headers.get(&height)).map_or(0, |block| block.time);
+            time > EPOCH + self.plan.ends + REST
+        };
+        let all_there = alive.len() == together.len() && self.copies.iter().all(|copy| !copy.is_contradicted());
+        let healed = is_new && all_there && alive.iter().all(near) && (!certifies || alive.iter().all(certified));
+        if healed {
+            self.judge.counts.count("the network serves again");
+        }
+        Ok(healed)
+    }
+
+    /// Nodes that a strict certificate contradicts say `ledgerd rejoin`: their people type it when most voters order.
+    fn rejoin_all(&mut self) -> Check {
+        for at in 0..self.copies.len() {
+            if self.copies[at].is_contradicted() && !self.copies[at].gone {
+                self.rejoin(at)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The node signs that it joins anew; it keeps its vote and gets another number. Its own blocks are put aside.
+    fn rejoin(&mut self, at: usize) -> Check {
+        let name = self.copies[at].name.clone();
+        let before = self.copies[at].node.id;
+        let helper = self.alive().into_iter().find(|other| self.truth_holds(*other));
+        let Some(helper) = helper else { return Ok(()) };
+        let Some(up) = &self.copies[helper].up else { return Ok(()) };
+        let records = ledger::msp::nodes(&**up.ledger.state()).unwrap();
+        let full = |record: &ledger::msp::NodeRecord| format!("{}/{}", record.organisation, record.name);
+        let newest = records.iter().filter(|record| full(record) == name).map(|record| record.id).max();
+        match newest {
+            Some(number) if number > before => {
+                self.note(format_args!("n{before} comes back as n{number}"));
+                self.judge.comes_back(before, number);
+                self.judge.counts.count("a contradicted node is back");
+                let seed = self.random.number();
+                let evidence = Arc::clone(&self.copies[at].evidence);
+                self.copies[at].gone = true;
+                let back = Copy {
+                    node: Node::new(number, seed, Clock::new(0, 0)),
+                    name,
+                    face: 0,
+                    lies: false,
+                    gone: false,
+                    ended: None,
+                    evidence,
+                    certificates: BTreeMap::new(),
+                    up: None,
+                };
+                self.copies.push(back);
+                let at = self.copies.len() - 1;
+                self.schedule(MILLISECOND, Happening::Start { at });
+                Ok(())
+            }
+            _ => {
+                let call = Call::Join { address: format!("127.0.0.1:{}", 8000 + before) };
+                let transaction = self.signed(0, &name, &call);
+                self.input(helper, Input::Submit { lane: Lane::Control, transaction: transaction.encoded().clone() })
+            }
+        }
+    }
+
+    /// Does this node have every certified block that it is as far as?
+    fn truth_holds(&self, at: usize) -> bool {
+        let Some(up) = &self.copies[at].up else { return false };
+        let tip = up.ledger.tip().height;
+        let has = |height: u64, block: &Hash| up.point(height).is_some_and(|point| point.hash == *block);
+        self.judge.truth().range(..=tip).all(|(height, block)| has(*height, block))
+    }
+
+    /// A node starts: what its own certificates cover is there.
+    pub(super) fn look_back_at(&self, at: usize) -> Check {
+        let copy = &self.copies[at];
+        let Some(up) = copy.up.as_ref().filter(|_| !copy.lies) else { return Ok(()) };
+        let tip = up.ledger.tip().height;
+        for (height, certificate) in copy.certificates.range(..=tip) {
+            if up.point(*height).map(|point| point.hash) != Some(certificate.statement.block) {
+                let what = format!("n{} has certified block {height}, and has another one", copy.node.id);
+                return Err(Violation::new("nothing certified is dropped", what));
+            }
+        }
+        Ok(())
+    }
+
+    /// In the end: every chain has what is certified, and every node has what others can prove.
+    pub(super) fn look_back(&mut self) -> Check {
+        // Proofs are sent again now and then.
+        self.run_until(self.now + 6 * SECOND)?;
+        let alive = self.alive();
+        for at in &alive {
+            self.look_back_at(*at)?;
+            if self.judge.is_binding() && !self.truth_holds(*at) {
+                let what = format!("n{} does not have what is certified", self.copies[*at].node.id);
+                return Err(Violation::new("nothing certified is dropped", what));
+            }
+        }
+        let liars = |at: &usize| self.copies[*at].evidence.liars();
+        let all: BTreeSet<u64> = alive.iter().flat_map(liars).collect();
+        for at in &alive {
+            let missing: Vec<_> = all.difference(&liars(at)).copied().collect();
+            if !missing.is_empty() {
+                let what = format!("n{} has no proof against {missing:?}", self.copies[*at].node.id);
+                return Err(Violation::new("evidence travels", what));
+            }
+        }
+        Ok(())
+    }
+
+    /// For people: how the nodes stand.
+    pub(super) fn describe(&self) -> String {
+        let one = |copy: &Copy| {
+            let Some(up) = &copy.up else { return format!("n{} {:?} gone {}", copy.node.id, copy.ended, copy.gone) };
+            let (tip, status) = (up.ledger.tip(), up.replica.status());
+            format!(
+                "n{} height {} {} last {} certified {} {:?}",
+                copy.node.id,
+                tip.height,
+                tip.hash,
+                status.last,
+                copy.certified(),
+                status.role
+            )
+        };
+        self.copies.iter().map(one).collect::<Vec<_>>().join("; ")
+    }
+}
