@@ -24,6 +24,10 @@ pub(crate) const CONTRADICTED_FILE: &str = "contradicted";
 pub(crate) const RESTORED_FILE: &str = "restored.json";
 /// The mark of a rejoin that has begun and not ended.
 pub(crate) const REJOINING_FILE: &str = "rejoining";
+/// The directory of certificates and proofs of misbehaviour, in the data directory.
+pub(crate) const CERTIFICATES_DIRECTORY: &str = "certificates";
+/// The proof of the newest certified block, in that directory.
+pub(crate) const NEWEST_PROOF_FILE: &str = "newest.proof";
 /// Largest manifest of a backup, in bytes.
 const MANIFEST_BYTES_MAX: usize = 1024 * 1024;
 

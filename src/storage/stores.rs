@@ -2,11 +2,14 @@
 
 use crate::process::config::Config;
 use crate::process::random;
-use crate::storage::files::DIVERGED_FILE;
+use crate::storage::files::{CERTIFICATES_DIRECTORY, DIVERGED_FILE, NEWEST_PROOF_FILE};
 use ledger::network::Genesis;
 use ledger::{Ledger, Registry};
+use ledger_base::durable::read;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_light::Proof;
+use ledger_light::proof::PROOF_BYTES_MAX;
 use ledger_replica::opening::{Kept, Opening};
 use ledger_storage::block_store::{BlockStore, Options, StoreError};
 use ledger_storage::disk::RealDisk;
@@ -46,14 +49,27 @@ impl Stores {
         let snapshots = Arc::new(Snapshots::open(Arc::new(snapshots), network)?);
         let mark = config.data.join(DIVERGED_FILE);
         let diverged = mark.exists();
-        let opening =
-            Opening { genesis: genesis_bytes, registry: &registry, store: &store, snapshots: &snapshots, diverged };
+        let opening = Opening {
+            genesis: genesis_bytes,
+            registry: &registry,
+            store: &store,
+            snapshots: &snapshots,
+            diverged,
+            certified: certified(&config.data),
+        };
         let ledger = opening.open(&mut Directories { data: &config.data, network })?;
         if diverged && let Err(error) = std::fs::remove_file(&mark) {
             tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start will rebuild the world state again");
         }
         Ok(Self { genesis, ledger: Arc::new(ledger), store, snapshots })
     }
+}
+
+/// Height and hash of the newest certified block whose proof is kept. One that cannot be read is as good as none.
+fn certified(data: &Path) -> Option<(u64, Hash)> {
+    let path = data.join(CERTIFICATES_DIRECTORY).join(NEWEST_PROOF_FILE);
+    let proof = path.exists().then(|| Proof::from_bytes(&read(&path, PROOF_BYTES_MAX).ok()?).ok())??;
+    Some((proof.certificate.statement.height, proof.certificate.statement.block))
 }
 
 fn open_directory(directory: &Path) -> Result<RealDisk, Rejection> {

@@ -1,8 +1,10 @@
 //! Opening what a node computed: the world state is rebuilt if there is any doubt about it, as the blocks are the truth.
 
 use crate::REJOIN;
+use ledger::block::Header;
 use ledger::{Ledger, Registry};
-use ledger_base::mutation::Mutation;
+use ledger_base::hash::Hash;
+use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::entry::Entry;
@@ -57,6 +59,8 @@ pub struct Opening<'a> {
     pub snapshots: &'a Snapshots,
     /// Most other nodes contradicted this one when it ran last.
     pub diverged: bool,
+    /// Height and hash of the newest block for which the node has a certificate. It is committed, whatever the log says of that.
+    pub certified: Option<(u64, Hash)>,
 }
 
 impl Opening<'_> {
@@ -139,10 +143,30 @@ impl Opening<'_> {
         Ok(())
     }
 
+    /// The height of the newest certified block, if the log has that block and it is not executed yet. The log does not flush how
+    /// far it is committed for its own sake. So after a crash it may not know that of a block that voters have signed; a
+    /// leader that liars have elected could replace it then.
+    fn certified(&self, ledger: &Ledger) -> Result<u64, Rejection> {
+        let tip = ledger.tip();
+        let Some((height, block)) = self.certified.filter(|(height, _)| *height > tip.height) else { return Ok(0) };
+        let (mut hash, mut time, mut next) = (tip.hash, tip.time, tip.height + 1);
+        while next <= height {
+            let entries = self.store.entries(next..height + 1, REPLAY_BYTES)?;
+            if entries.first().is_none_or(|entry| entry.index != next) || active(Mutation::DropACertifiedBlock) {
+                return Ok(0);
+            }
+            for entry in &entries {
+                let header = Header::following(hash, time, entry);
+                (hash, time, next) = (header.hash(), header.time, next + 1);
+            }
+        }
+        Ok(if hash == block { height } else { 0 })
+    }
+
     fn execute_the_rest(&self, ledger: &Ledger, kept: &mut impl Kept) -> Result<(), Rejection> {
-        let committed = self.store.hard_state().commit;
+        let committed = self.store.hard_state().commit.max(self.certified(ledger)?);
         let mut next = ledger.tip().height + 1;
-        if ledger_base::mutation::active(Mutation::ApplyTwiceAfterASnapshot) && self.store.first_index() > 1 {
+        if active(Mutation::ApplyTwiceAfterASnapshot) && self.store.first_index() > 1 {
             next = (next - 1).max(self.store.first_index());
         }
         while next <= committed {

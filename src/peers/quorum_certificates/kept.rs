@@ -1,5 +1,6 @@
 //! The files: the proof of the newest certified block, those of blocks that changed who governs, and the proofs of misbehaviour.
 
+use crate::storage::files::{CERTIFICATES_DIRECTORY, NEWEST_PROOF_FILE};
 use ledger::branch::{BRANCH_BYTES_MAX, CertifiedBranch};
 use ledger_base::durable::{PUBLIC_MODE, create_directory, failed, read, rename, replace};
 use ledger_base::rejection::{Code, Rejection};
@@ -12,10 +13,6 @@ use std::fs::OpenOptions;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// The directory in the data directory.
-const DIRECTORY: &str = "certificates";
-/// The proof of the newest certified block.
-const NEWEST: &str = "newest.proof";
 /// The certified part of another branch that contradicts a block which this node's own certificate covers.
 const OTHER: &str = "other.branch";
 /// The statements that this node has signed last, one after the other; see [`Kept::record`].
@@ -129,7 +126,7 @@ pub(super) struct Kept(PathBuf);
 impl Kept {
     /// Makes the directory if it is not there.
     pub(super) fn open(data: &Path) -> Result<Self, Rejection> {
-        let place = data.join(DIRECTORY);
+        let place = data.join(CERTIFICATES_DIRECTORY);
         create_directory(&place)?;
         Ok(Self(place))
     }
@@ -141,7 +138,7 @@ impl Kept {
 
     /// The newest proof that was kept. One that cannot be read is as good as none: there will be a newer one.
     pub(super) fn newest(&self) -> Result<Option<Proof>, Rejection> {
-        self.read(NEWEST)
+        self.read(NEWEST_PROOF_FILE)
     }
 
     /// The proof of a block that changed who governs.
@@ -165,7 +162,7 @@ impl Kept {
         if governs {
             replace(&self.0.join(of_height(proof.certificate.statement.height)), &bytes, PUBLIC_MODE)?;
         }
-        if newest { replace(&self.0.join(NEWEST), &bytes, PUBLIC_MODE) } else { Ok(()) }
+        if newest { replace(&self.0.join(NEWEST_PROOF_FILE), &bytes, PUBLIC_MODE) } else { Ok(()) }
     }
 
     /// Keeps the certified part of another branch that contradicts an own certificate.
@@ -342,9 +339,14 @@ mod tests {
             assert_eq!(height(again.governing(at).unwrap()), wanted);
         }
         // A damaged one is as good as none.
-        std::fs::write(place.path().join(DIRECTORY).join(NEWEST), b"ledgerd proof v1\0").unwrap();
+        std::fs::write(place.path().join(CERTIFICATES_DIRECTORY).join(NEWEST_PROOF_FILE), b"ledgerd proof v1\0")
+            .unwrap();
         assert_eq!(kept.newest().unwrap(), None);
-        std::fs::write(place.path().join(DIRECTORY).join("00000000000000000007-2.lie"), b"ledgerd lie v1\0").unwrap();
+        std::fs::write(
+            place.path().join(CERTIFICATES_DIRECTORY).join("00000000000000000007-2.lie"),
+            b"ledgerd lie v1\0",
+        )
+        .unwrap();
         assert_eq!(kept.misbehaviours().unwrap(), [lie(3, 1), heads(2, 8), votes(2, 9), fault(3, 9)]);
     }
 

@@ -247,12 +247,15 @@ impl World {
         let mut registry = Registry::new();
         registry.install(Arc::clone(&self.access)).unwrap();
         let snapshots = Arc::new(snapshots);
+        let newest = copy.certificates.values().next_back();
+        let newest = newest.map(|newest| (newest.statement.height, newest.statement.block));
         let opening = Opening {
             genesis: &self.genesis,
             registry: &registry,
             store: &store,
             snapshots: &snapshots,
             diverged: false,
+            certified: newest,
         };
         let mut keeping = Keeping { node: &mut copy.node, network: self.network, replayed: Vec::new() };
         let ledger = Arc::new(opening.open(&mut keeping).unwrap());

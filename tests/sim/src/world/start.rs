@@ -74,6 +74,7 @@ impl World {
             store: &store,
             snapshots: &snapshots,
             diverged: false,
+            certified: None,
         };
         let ledger = match opening.open(&mut keeping) {
             Ok(ledger) => ledger,
