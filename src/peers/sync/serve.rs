@@ -166,7 +166,7 @@ impl Source {
         Ok(DigestResponse { digest: digest.0.to_vec().into(), block_hash: hash.0.to_vec().into() })
     }
 
-    /// The certified part of this node's chain from a height on; empty if there is none.
+    /// The certified part of this node's chain from a height on, or its newest certificate; empty if there is none.
     ///
     /// # Errors
     /// A fault of the store.
@@ -177,7 +177,10 @@ impl Source {
         }
         let covering = self.certificates.covering(ledger, height, u32::MAX).await;
         let Some(proof) = covering.map_err(|fault| to_status(&fault))? else {
-            return Ok(CertifiedResponse::default());
+            // Blocks of the asking node may be higher than all that is certified here, and differ from lower ones.
+            let newest = self.certificates.newest(ledger).map_err(|fault| to_status(&fault))?;
+            let branch = newest.map(|newest| CertifiedBranch::of(newest.certificate).to_bytes());
+            return Ok(CertifiedResponse { branch: branch.unwrap_or_default() });
         };
         let last = proof.certificate.statement.height;
         if last - height >= HEADERS_MAX as u64 {

@@ -6,6 +6,7 @@ use bytes::Bytes;
 use ledger::Ledger;
 use ledger::block::Header;
 use ledger::branch::CertifiedBranch;
+use ledger::transaction::Transaction;
 use ledger_base::rejection::Code;
 use ledger_light::Certificate;
 use ledger_replica::certifier::Certifier;
@@ -34,6 +35,8 @@ pub(super) struct Copy {
     pub(super) evidence: Arc<Evidence>,
     /// The certificates on its disk.
     pub(super) certificates: BTreeMap<u64, Certificate>,
+    /// Contradicted, it has signed that it joins anew.
+    pub(super) joins: Option<Transaction>,
     /// The process.
     pub(super) up: Option<Up>,
 }
@@ -89,9 +92,11 @@ impl Up {
         Some(Point { height, hash: block.hash, digest: block.digest })
     }
 
-    /// The certified part of the chain from a height on.
+    /// The certified part of the chain from a height on, or the newest certificate (`src/peers/sync/serve.rs`).
     pub(super) fn branch(&self, height: u64, certificates: &BTreeMap<u64, Certificate>) -> Option<CertifiedBranch> {
-        let (last, certificate) = certificates.range(height..).next()?;
+        let Some((last, certificate)) = certificates.range(height..).next() else {
+            return Some(CertifiedBranch::of(certificates.values().next_back()?.clone()));
+        };
         let headers: Option<Vec<Header>> = (height..=*last).map(|height| self.headers.get(&height).cloned()).collect();
         CertifiedBranch::new(headers?, certificate.clone()).ok()
     }

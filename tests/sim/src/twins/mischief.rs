@@ -41,6 +41,7 @@ impl World {
                 ended: None,
                 evidence: Default::default(),
                 certificates: copy.certificates.clone(),
+                joins: None,
                 up: None,
             };
             self.copies.push(twin);
@@ -178,13 +179,29 @@ impl World {
             return Ok(());
         };
         self.judge.counts.count("something forged is sent");
-        if self.random.below(8) == 0 {
-            return self.show_forged_branch(liar, victim);
+        match self.random.below(16) {
+            0 | 1 => return self.show_forged_branch(liar, victim),
+            2 => return self.demote(victim),
+            _ => {}
         }
         let Some(message) = self.forged(liar, victim) else { return Ok(()) };
         let (label, to) = (self.label(liar), self.copies[victim].node.id);
         self.note(format_args!("{label} sends n{to} {message:?}"));
         self.send_forged(liar, to, &message)
+    }
+
+    /// The admin of a liar takes the vote of an own node, so that certificates would not be strict any more.
+    fn demote(&mut self, at: usize) -> Check {
+        let liar = self.plan.liars.first().copied().unwrap_or_default();
+        let own = self.copies.iter().find(|copy| copy.name.starts_with(&format!("Org{}/", liar + 1)));
+        let Some(node) = own.map(|copy| copy.node.id).filter(|_| self.plan.ends_strict_without_one_of(liar)) else {
+            return Ok(());
+        };
+        let wish = format!(r#"{{"id":{node},"role":"learner"}}"#);
+        let call = ("msp", "set_node_role", vec![wish.into()]);
+        let transaction = self.sign_as(0, &format!("Org{}/admin", liar + 1), call);
+        self.judge.counts.count("a liar would end strict certificates");
+        self.input(at, Input::Submit { lane: Lane::Control, transaction: transaction.encoded().clone() })
     }
 
     fn send_forged(&mut self, liar: usize, to: u64, message: &PeerMessage) -> Check {

@@ -68,7 +68,7 @@ impl Plan {
             crashes: !calm && random.percent(40),
             begins,
             ends: begins + if calm { 30 } else { random.between(10, 20) } * SECOND,
-            repents: !calm && random.percent(50),
+            repents: !calm && second.is_none() && random.percent(50),
             between_parts: random.between(500 * MILLISECOND, 5 * SECOND),
             between_forged: random.between(50, 500) * MILLISECOND,
             delay_max: random.between(500, 20 * MILLISECOND),
@@ -97,6 +97,14 @@ impl Plan {
         let of = |place: usize| self.shape.get(place).copied().unwrap_or_default();
         let honest: usize = (0..self.shape.len()).filter(honest).map(of).sum();
         honest > self.shape.iter().copied().max().unwrap_or_default()
+    }
+
+    /// Would certificates be strict no more with a voter less of this organisation? Then it needs the others for that.
+    pub fn ends_strict_without_one_of(&self, organisation: usize) -> bool {
+        let without = |(place, voters): (usize, &usize)| voters - usize::from(place == organisation);
+        let shape: Vec<usize> = self.shape.iter().enumerate().map(without).collect();
+        let (voters, largest) = (shape.iter().sum::<usize>(), shape.iter().copied().max().unwrap_or_default());
+        (voters + largest) / 2 + 1 >= voters
     }
 
     /// Does this organisation lie?

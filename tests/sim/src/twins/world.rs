@@ -137,6 +137,7 @@ impl World {
                 ended: None,
                 evidence: Arc::default(),
                 certificates: BTreeMap::new(),
+                joins: None,
                 up: None,
             });
         }

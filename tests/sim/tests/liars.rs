@@ -1,0 +1,125 @@
+//! Organisations that lie with all their nodes, also as leaders: no two truths, no stop that is voided, no lie that is hidden. And
+//! deliberate bugs in the rules that this rests on.
+
+#![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
+
+use crate::mutations::caught_with_liars as caught;
+use ledger_base::mutation::Mutation;
+use ledgerd_sim::twins::{Cast, Counts, run};
+use std::num::NonZero;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Seeds of one test run; `LEDGER_LIAR_SEEDS` runs more.
+const SEEDS: u64 = 200;
+/// Seeds of `./test --long`.
+const SEEDS_LONG: u64 = 5000;
+
+/// Runs so many seeds, one on each processor at a time.
+fn all(seeds: u64, cast: &Arc<Cast>) -> Counts {
+    let next = AtomicU64::new(0);
+    let worker = || {
+        let mut counts = Counts::default();
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= seeds {
+                return counts;
+            }
+            let report = run(seed, cast, false);
+            if let Some(violation) = report.violation {
+                panic!(
+                    "{violation}\n  repeat it:  cargo run --release --bin simulate -- --liars --seed {seed} --trace"
+                );
+            }
+            counts.add(&report.counts);
+        }
+    };
+    let mut counts = Counts::default();
+    std::thread::scope(|scope| {
+        let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
+        let workers: Vec<_> = (0..processors).map(|_| scope.spawn(worker)).collect();
+        for worker in workers {
+            counts.add(&worker.join().unwrap_or_else(|panicked| std::panic::resume_unwind(panicked)));
+        }
+    });
+    counts
+}
+
+#[test]
+fn organisations_that_lie_break_no_promise_and_every_kind_of_lie_has_happened() {
+    let cast = Arc::new(Cast::new());
+    let seeds = std::env::var("LEDGER_LIAR_SEEDS").ok().and_then(|seeds| seeds.parse().ok());
+    let seeds = seeds.unwrap_or(if std::env::var_os("LEDGERD_TEST_LONG").is_some() { SEEDS_LONG } else { SEEDS });
+    let counts = all(seeds, &cast);
+    eprintln!("{counts}");
+    let missing = counts.missing();
+    assert!(missing.is_empty() || seeds < SEEDS, "in {seeds} seeds never happened: {missing:?}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_lies_byte_for_byte() {
+    let cast = Arc::new(Cast::new());
+    let (one, other) = (run(3, &cast, true).trace, run(3, &Arc::new(Cast::new()), true).trace);
+    assert!(one == other, "two traces");
+    assert!(one.is_some_and(|text| text.len() > 10_000));
+}
+
+#[test]
+fn certificates_that_one_hand_completes_twice_are_noticed() {
+    caught(Mutation::ForgetTheHands, 1, &["no two certificates for one height", "certificates are true"]);
+}
+
+#[test]
+fn a_proof_that_is_believed_unread_is_noticed() {
+    caught(Mutation::BelieveAnyProof, 1, &["evidence names only liars"]);
+}
+
+#[test]
+fn a_proof_that_a_node_keeps_for_itself_is_noticed() {
+    caught(Mutation::KeepAProofForItself, 1, &["evidence travels"]);
+}
+
+#[test]
+fn a_liar_that_is_followed_is_noticed() {
+    caught(Mutation::FollowALiar, 1, &["nobody follows a liar of whom it has the proof"]);
+}
+
+#[test]
+fn a_node_that_stops_for_any_certificate_is_noticed() {
+    caught(Mutation::StopForAnyCertificate, 1, &["a node stops only for a strict certificate"]);
+}
+
+#[test]
+fn a_certified_block_that_a_node_leaves_is_noticed() {
+    caught(Mutation::DropACertifiedBlock, 1, &["nothing certified is dropped"]);
+}
+
+#[test]
+fn a_transfer_that_no_leader_has_signed_is_noticed() {
+    caught(Mutation::HonourAnyTransfer, 1, &["nobody deposes an honest leader that others reach"]);
+}
+
+#[test]
+fn a_leader_that_one_organisation_deposes_is_noticed() {
+    caught(Mutation::BelieveOneComplaint, 1, &["nobody deposes an honest leader that others reach"]);
+}
+
+#[test]
+fn voters_that_never_complain_are_noticed() {
+    caught(Mutation::NeverComplain, 1, &["no leader withholds a call for good"]);
+}
+
+#[test]
+fn a_block_that_follows_another_one_than_its_leader_has_is_noticed() {
+    caught(Mutation::AppendToAnyLog, 1, &["an entry follows the one that its leader has before it"]);
+}
+
+#[test]
+fn an_acknowledgement_of_another_log_that_counts_is_noticed() {
+    caught(Mutation::CountAnyLog, 1, &["a leader counts only those who have its log"]);
+}
+
+#[test]
+fn an_organisation_that_ends_strict_certificates_alone_is_noticed() {
+    caught(Mutation::DemoteFreely, 1, &["strict never ends without its proposal"]);
+}
