@@ -93,7 +93,7 @@ impl<W: Waiter> Replica<W> {
         mut forwarded: Transactions,
         out: &mut Vec<Effect>,
     ) -> Transactions {
-        let excess = self.executor.budgets().take_excess(self.executor.ledger(), &mut forwarded, now.clock);
+        let excess = self.executor.budgets().take_excess(self.executor.ledger(), from, &mut forwarded, now.clock);
         if !(excess.control.is_empty() && excess.data.is_empty()) {
             out.push(Effect::Send { to: from, message: PeerMessage::Returned(excess) });
         }
