@@ -468,7 +468,7 @@ impl Certifying {
     }
 }
 
-/// Waits so many microseconds, or for ever.
+/// Waits for this number of microseconds, or permanently.
 async fn until(microseconds: Option<u64>) {
     match microseconds {
         Some(wait) => tokio::time::sleep(Duration::from_micros(wait)).await,

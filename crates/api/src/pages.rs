@@ -10,7 +10,7 @@ const ITEMS_MAX: usize = 100_000;
 /// Most pages without an element.
 const EMPTY_MAX: usize = 1000;
 
-/// Bounds the pages of one list, so that a node that always has another page keeps nobody busy without end.
+/// Bounds the pages of one list, so that a node that always has another page does not keep a client busy without end.
 #[derive(Clone, Debug, Default)]
 pub struct PageBound {
     items: usize,

@@ -27,7 +27,7 @@ pub(crate) struct Described<'a> {
     pub(crate) robot: Option<&'a str>,
 }
 
-/// Calls it again and again until it is in force; `attempt` signs it anew each time.
+/// Calls it again and again until it is in force; `attempt` signs it again each time.
 ///
 /// # Errors
 /// A final rejection; [`Code::Timeout`] if it is not in force when the timeout is over or on Ctrl-C.
@@ -120,7 +120,7 @@ impl Progress {
     }
 }
 
-/// Does the call have to be signed anew and sent again?
+/// Must the call be signed and sent again?
 fn is_no_end(code: Code) -> bool {
     code.class() == Class::Unreachable || matches!(code, Code::Expired | Code::NotAfterTooFar | Code::Duplicate)
 }

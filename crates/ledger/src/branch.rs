@@ -20,7 +20,7 @@ pub const BRANCH_BYTES_MAX: usize = DOMAIN.len() + HEADERS_BYTES_MAX + 4 + CERTI
 /// Headers of a branch up to a certified block.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CertifiedBranch {
-    /// Each follows the one before; the last one is that of the certified block. Empty where nobody needs them, because the
+    /// Each follows the one before; the last one is that of the certified block. Empty where they are not needed, because the
     /// reader has a block at the height of the certificate itself.
     headers: Vec<Header>,
     certificate: Certificate,

@@ -428,7 +428,7 @@ fn record(event: Event, (index, transaction): (u32, Bytes), certificate: Bytes) 
     EventRecord { chaincode, name, subject, payload, index, transaction, certificate }
 }
 
-/// The next call that is told before it is ordered; none if some were missed. Waits for ever where nobody asked for them. Cancelling
+/// The next call that is told before it is ordered; none if some were missed. Waits permanently where they were not asked for. Cancelling
 /// it loses nothing.
 async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Option<Arc<Foreseen>> {
     let Some(calls) = early else { return pending().await };

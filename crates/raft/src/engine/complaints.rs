@@ -10,7 +10,7 @@
 //! gets no vote for [`BAN_TIMEOUTS`], which doubles with each further deposition. An honest leader that counts them steps down.
 //!
 //! One hand cannot complete the count. So one honest voter at least has found that the leader withholds something. If
-//! nobody else is elected in the meantime, the voters follow the deposed leader again: a bad leader is better than none.
+//! no other node is elected in the meantime, the voters follow the deposed leader again: a bad leader is better than none.
 
 use super::Engine;
 use super::mandate::Grievance;
@@ -21,15 +21,15 @@ use bytes::Bytes;
 use raft::INVALID_ID;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Nothing more is taken from a deposed leader for so many of the shortest election timeouts: two of the longest.
+/// Nothing more is taken from a deposed leader for this number of the shortest election timeouts: two of the longest.
 pub(super) const DEPOSED_TIMEOUTS: u64 = 4;
-/// A deposed leader gets no vote for so many election timeouts: ten seconds by default.
+/// A deposed leader gets no vote for this number of election timeouts: ten seconds by default.
 pub(super) const BAN_TIMEOUTS: u64 = 50;
 /// Most doublings of that.
 const DOUBLINGS_MAX: u32 = 6;
-/// A deposition is forgotten after so many election timeouts without another one: an hour by default.
+/// A deposition is forgotten after this number of election timeouts without another one: an hour by default.
 pub(super) const FORGET_TIMEOUTS: u64 = 18_000;
-/// The own complaint is sent once in so many election timeouts, for as long as the leader withholds.
+/// The own complaint is sent once in this number of election timeouts, for as long as the leader withholds.
 const REPEAT_TIMEOUTS: u64 = 2;
 
 /// A leader that was deposed.

@@ -17,7 +17,7 @@ const RATE: Rate = Rate { bytes: 1 << 20, messages: 1000 };
 /// The nodes that forward, as the leader sees them.
 #[derive(Default)]
 pub(super) struct Forwarders {
-    /// Keyed with randomness of this process: nobody makes up two transactions of one number.
+    /// Keyed with randomness of this process, so that two transactions of one number cannot be made up.
     state: RandomState,
     from: HashMap<u64, u64>,
     order: VecDeque<u64>,

@@ -77,7 +77,7 @@ impl<W: Waiter> Replica<W> {
         }
     }
 
-    /// Two votes of one voter, for anybody to check.
+    /// Two votes of one voter, for any reader to check.
     fn proof(&self, now: Now, found: &VotedTwice) -> Result<DoubleVote, Rejection> {
         let [(one, first), (other, second)] = &found.votes;
         let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
@@ -100,7 +100,7 @@ impl<W: Waiter> Replica<W> {
         forwarded
     }
 
-    /// Two logs of one leader, for anybody to check.
+    /// Two logs of one leader, for any reader to check.
     fn proof_of_heads(&self, now: Now, found: &ledger_raft::DoubleHead) -> Result<DoubleHead, Rejection> {
         let branch = |branch: &HeadBranch| -> Result<Branch, Rejection> {
             let HeadBranch { base, links, vote, signature } = branch;
