@@ -111,15 +111,13 @@ fn written() -> impl Strategy<Value = Bytes> {
 
 /// The bytes again, from each kind that they are read as.
 fn read(bytes: &[u8]) -> Vec<Bytes> {
-    let again: [Result<Bytes, Rejection>; 10] = [
+    let again: [Result<Bytes, Rejection>; 8] = [
         Fact::from_bytes(bytes).map(|fact| fact.to_bytes().into()),
         Path::from_bytes(bytes).map(|path| path.to_bytes().into()),
         Statement::from_bytes(bytes).map(|statement| statement.to_bytes().into()),
         Signed::from_bytes(bytes).map(|signed| signed.to_bytes()),
         Certificate::from_bytes(bytes).map(|certificate| certificate.to_bytes()),
         Misbehaviour::from_bytes(bytes).map(|proof| proof.to_bytes()),
-        DoubleVote::from_bytes(bytes).map(|lie| lie.to_bytes()),
-        DoubleHead::from_bytes(bytes).map(|lie| lie.to_bytes()),
         Proof::from_bytes(bytes).map(|proof| proof.to_bytes()),
         Change::from_bytes(1, bytes).map(|change| change.to_bytes()),
     ];
