@@ -1,4 +1,4 @@
-//! A proof of misbehaviour is refused, or written as it was read; that of a lie proves nothing of a node that told none.
+//! A proof of misbehaviour is refused, or written as it was read; that of a lie proves nothing of a node that has not lied.
 #![no_main]
 
 use ledger_fuzz::{MSPS, TOLD};
