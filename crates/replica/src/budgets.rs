@@ -7,7 +7,7 @@
 //!
 //! The leader looks at what other gateways forward, and returns the data of those that are far beyond a limit. An honest
 //! gateway forwards none of it. A gateway that lies may get more ordered before the count has it: that is a debt, which is paid in time.
-//! Bytes without a valid signature are a debt of the node that has forwarded them.
+//! Bytes without a valid signature, and repetitions, are a debt of the node that has forwarded them.
 
 mod account;
 mod forwarders;
@@ -68,7 +68,8 @@ struct Named {
 }
 
 impl Budgets {
-    /// Counts an executed block. Transactions without a valid signature count for the node that has forwarded them to this one.
+    /// Counts an executed block. Transactions without a valid signature, and repetitions,
+    /// count for the node that has forwarded them to this one.
     pub fn executed(&self, outcome: &Outcome, ledger: &Ledger) {
         let time = outcome.header.time;
         let mut accounts = self.lock();
@@ -90,7 +91,7 @@ impl Budgets {
             }
             let authentic = result.not_after.is_some();
             if !authentic {
-                accounts.forwarders.not_valid(transaction, time);
+                accounts.forwarders.not_counted(transaction, result.code, time);
             }
             let creator = claimed_creator(transaction).filter(|_| authentic);
             if let Some(identity) = creator.and_then(|creator| ledger.counted_for(&creator)) {
@@ -161,7 +162,7 @@ impl Budgets {
     }
 
     /// Takes out of what the node `from` forwards what is far beyond the budgets of identities, and of data beyond those of
-    /// organisations. It takes out all if that node has forwarded too much without a valid signature. Nothing is counted: a
+    /// organisations. It takes out all if that node has forwarded too much that counts for no identity. Nothing is counted: a
     /// block does that, once the signature was verified.
     pub fn take_excess(&self, ledger: &Ledger, from: u64, forwarded: &mut Transactions, clock: u64) -> Transactions {
         let mut accounts = self.lock();
