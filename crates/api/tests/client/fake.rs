@@ -115,6 +115,8 @@ pub(crate) struct Node {
     pub(crate) steps: Mutex<Vec<v1::GovernanceStep>>,
     /// Makes proofs of a block, with the id of the newest transaction.
     pub(crate) prover: Mutex<Arc<Prover>>,
+    /// Does the way that it shows never end? Then its last step comes again and again.
+    pub(crate) endless: AtomicBool,
     /// What it says about transactions.
     pub(crate) records: Mutex<Records>,
     /// How often it was asked about one.
@@ -164,6 +166,7 @@ impl Fake {
             carries: Mutex::new(vec!["Org1".into()]),
             steps: Mutex::default(),
             prover: Mutex::new(Arc::new(|_, _| Bytes::new())),
+            endless: AtomicBool::new(false),
             records: Mutex::new(Records::Known),
             asked: AtomicU64::new(0),
         });
@@ -457,7 +460,10 @@ impl Gateway for Shared {
 
     async fn governance(&self, _request: Request<v1::GovernanceRequest>) -> Result<Response<Steps>, Status> {
         let steps: Vec<_> = self.0.steps.lock().unwrap().iter().cloned().map(Ok).collect();
-        Ok(Response::new(Box::pin(tokio_stream::iter(steps))))
+        let last = self.0.endless.load(Ordering::Relaxed).then(|| steps.last().cloned()).flatten();
+        Ok(Response::new(Box::pin(tokio_stream::iter(
+            steps.into_iter().chain(std::iter::from_fn(move || last.clone())),
+        ))))
     }
 
     async fn prove(&self, request: Request<v1::ProveRequest>) -> Result<Response<v1::ProveResponse>, Status> {
