@@ -29,7 +29,7 @@ from ledgerd import certificate, events, link, tls, transaction
 from ledgerd.context import Known, key_pem
 from ledgerd.events import Deliveries, Wanted
 from ledgerd.link import Link
-from ledgerd.refusal import of_status, refusal
+from ledgerd.refusal import of_status
 from ledgerd.renewal import renew_if_due
 from ledgerd.senders import Senders
 from ledgerd.v1 import gateway_pb2 as api
@@ -272,25 +272,6 @@ class Enemies(unittest.TestCase):
                         heard = asyncio.ensure_future(anext(stream))
                     heard.cancel()
                     await stream.aclose()
-
-        asyncio.run(run())
-
-    def test_a_call_on_a_branch_that_the_network_does_not_have_says_so_and_what_to_do(self) -> None:
-        async def run() -> None:
-            async with await ledgerd.aio.connect("Salma", home=self.network.home) as robot:
-                # Its node has stopped, because a certificate of another branch contradicts it: the next node has no such transaction.
-                unknown = refusal("NOT_FOUND", "the transaction is unknown to this node")
-                with mock.patch.object(robot, "certified", side_effect=unknown), self.assertRaises(ledgerd.Refusal) as raised:
-                    await robot.call("abac", "acquire", SERVICE.encode(), b"600000")
-                found = raised.exception
-                self.assertEqual((found.code, found.name), ("LGR-5009", "CONTRADICTED"))
-                self.assertIn("the network does not have it", found.message)
-                self.assertIn("call again what is still wanted", found.next)
-                # A node that cannot answer now has said nothing about the branch.
-                silent = refusal("UNREACHABLE", "no node answers")
-                with mock.patch.object(robot, "certified", side_effect=silent):
-                    done = await robot.call("abac", "release", SERVICE.encode())
-                    self.assertFalse(done.certified)
 
         asyncio.run(run())
 

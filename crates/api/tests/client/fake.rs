@@ -117,7 +117,7 @@ pub(crate) struct Node {
     pub(crate) prover: Mutex<Arc<Prover>>,
     /// Does the way that it shows never end? Then its last step comes again and again.
     pub(crate) endless: AtomicBool,
-    /// What it says about transactions.
+    /// The answers to questions about transactions.
     pub(crate) records: Mutex<Records>,
     /// How often it was asked about one.
     pub(crate) asked: AtomicU64,
