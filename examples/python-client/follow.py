@@ -83,6 +83,8 @@ def main(context):
         if step.proof:
             known = known.follow(changes, read_proof(step.proof))
     print(f"block {known.height} of network {known.network.hex()}:")
+    since = json.loads(known.records.get(b"msp\0certificates", b"{}")).get("strict_since")
+    print("  certificates are not strict" if since is None else f"  certificates are strict since block {since}")
     for key, value in known.records.items():
         print(f"  {key!r} {value.decode()}")
 

@@ -8,7 +8,7 @@ pub mod messages;
 
 use ledger_base::hash::Hash;
 use ledger_identity::msp::{Msp, Msps};
-use ledger_light::{Change, Governance, Lie, Proof, Statement};
+use ledger_light::{Change, Governance, Misbehaviour, Proof, Statement};
 use serde_json::Value;
 use std::sync::LazyLock;
 
@@ -44,7 +44,10 @@ pub static MSPS: LazyLock<Msps> = LazyLock::new(|| {
 /// All that was signed in the proofs of a lie.
 pub static TOLD: LazyLock<Vec<Statement>> = LazyLock::new(|| {
     let lies = list("lies").filter(|lie| lie["refused"] != "BAD_SIGNATURE");
-    let lies = lies.filter_map(|lie| Lie::from_bytes(&bytes(&lie["lie"])).ok());
+    let lies = lies.filter_map(|lie| match Misbehaviour::from_bytes(&bytes(&lie["lie"])) {
+        Ok(Misbehaviour::Lie(lie)) => Some(lie),
+        _ => None,
+    });
     lies.flat_map(|lie| [lie.first.statement, lie.second.statement]).collect()
 });
 

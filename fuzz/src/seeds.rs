@@ -3,12 +3,14 @@
 #![expect(clippy::indexing_slicing, reason = "vectors that are shorter end the program")]
 
 use bytes::Bytes;
-use ledger::block::Payload;
+use ledger::block::{Header, Payload};
+use ledger::branch::CertifiedBranch;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_base::hash::Hash;
 use ledger_contract::Envelope;
 use ledger_fuzz::files::File;
 use ledger_fuzz::{BEGINNINGS, bytes, evidence, list, messages, vectors};
+use ledger_light::{Certificate, Statement};
 use mcap::WriteOptions;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -88,12 +90,25 @@ fn certified(corpus: &Corpus) -> Done {
     list("ways").try_for_each(|way| items(&way["steps"]).try_for_each(|step| steps(corpus, way, step)))
 }
 
+/// The certificate alone, and behind two headers.
+fn branches(corpus: &Corpus, mut certificate: Certificate) -> Done {
+    corpus.seed("branch", &CertifiedBranch::of(certificate.clone()).to_bytes())?;
+    let first = Header { height: 7, term: 1, time: 1, previous: Hash::ZERO, root: Hash::ZERO };
+    let last = Header { height: 8, previous: first.hash(), ..first };
+    let Statement { height, time, block, .. } = &mut certificate.statement;
+    (*height, *time, *block) = (last.height, last.time, last.hash());
+    corpus.seed("branch", &CertifiedBranch::new(vec![first, last], certificate)?.to_bytes())
+}
+
 fn steps(corpus: &Corpus, way: &Value, step: &Value) -> Done {
     let proof = bytes(&step["proof"]);
     corpus.seed("proof", &proof)?;
     // Some of them are cut off.
     if let Some(certificate) = certificate(&proof) {
         corpus.seed("certificate", certificate)?;
+        if let Ok(certificate) = Certificate::from_bytes(certificate) {
+            branches(corpus, certificate)?;
+        }
         if let Some((statement, signature)) = certificate.get(STATEMENT).zip(certificate.get(SIGNATURE..)) {
             corpus.seed("statement", statement)?;
             corpus.seed("signed", &[statement, signature].concat())?;

@@ -108,7 +108,12 @@ fn uncertified(status: &StatusResponse) -> Option<(String, String)> {
 
 fn leader(status: &StatusResponse) -> Option<Attention> {
     let next = "wait for the election; if none ends, start the voters that ledgerctl network status calls unreachable";
-    if status.leader_id != 0 { None } else { critical("leader", "no leader is known".to_owned(), next) }
+    if status.leader_id == 0 {
+        return critical("leader", "no leader is known".to_owned(), next);
+    }
+    let next = "ask the organisation of that node: it ordered messages and left out control calls \
+                (docs/security.md, \"A node that lies, with a vote\")";
+    if status.deposed.is_empty() { None } else { warning("leader", status.deposed.clone(), next) }
 }
 
 /// The certificates of the node and its CA, and the revocation lists of the network.
@@ -299,6 +304,7 @@ mod tests {
             "1 of 3 voters are connected; 2 are needed to order",
         );
         only(&found(|s| s.leader_id = 0), "leader", CRITICAL, "no leader is known");
+        only(&found(|s| s.deposed = "voters deposed Org2/node2 12 s ago".into()), "leader", WARNING, "voters deposed");
         let ended = found(|s| s.wall_clock = 501 * DAY);
         only(&ended, "certificate", CRITICAL, "the certificate of Org1/node1 has ended");
         only(&found(|s| s.certificates.clear()), "certificate", CRITICAL, "no certificate that can be read");

@@ -102,7 +102,7 @@ impl ChainMonitor {
         self.machine().withholds(from, message)
     }
 
-    /// The nodes that contradict this one or have lost blocks, in words; empty if nobody does.
+    /// The nodes that contradict this one or have lost blocks, in words; empty if there are none.
     pub(crate) fn describe(&self) -> String {
         self.machine().describe()
     }
@@ -272,7 +272,7 @@ impl ChainMonitor {
     }
 }
 
-/// Most voters have another history, and nobody shows a certificate of it.
+/// Most voters have another history, and no certificate of it was shown.
 fn uncertified(reason: &Rejection) -> Rejection {
     Rejection::new(Code::Forked, "most voters have another history than this node, and neither is certified")
         .found(reason.found.clone())

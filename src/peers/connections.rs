@@ -112,7 +112,7 @@ impl Connections {
         })
     }
 
-    /// Sends a message to everybody who keeps up.
+    /// Sends a message to all peers that keep up.
     pub(crate) fn send_to_all(&self, message: &PeerMessage) {
         let (links, bytes) = (self.links.read().unwrap_or_else(PoisonError::into_inner), message.to_bytes());
         for link in links.values().filter(|link| link.connected.load(Ordering::Relaxed)) {
@@ -138,7 +138,7 @@ impl Connections {
 
 impl Drop for Link {
     fn drop(&mut self) {
-        // The task notices that nobody sends any more.
+        // The task notices that there is no sender any more.
         self.wake.notify_one();
     }
 }

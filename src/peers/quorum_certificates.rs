@@ -7,6 +7,7 @@
 //!   branches     the end of a node that a certificate contradicts
 //!   evidence     proofs of misbehaviour, in words
 //!   kept         the files below the data directory
+//!   lag          how long a block that is due has had no certificate; waiting for one
 //!   recent       the newest certificates, for those who ask for a proof
 //!   passed       one in ten seconds of all before, on the disk
 //! ```
@@ -18,6 +19,7 @@ mod evidence;
 mod inbox;
 mod kept;
 mod keys;
+mod lag;
 mod passed;
 mod recent;
 
@@ -30,6 +32,7 @@ use crate::peers::connections::Connections;
 use crate::storage::files::DIVERGED_FILE;
 use inbox::Inbox;
 use kept::Kept;
+use lag::Lag;
 use ledger::branch::CertifiedBranch;
 use ledger::{Ledger, Outcome};
 use ledger_base::rejection::{Code, Rejection};
@@ -44,7 +47,7 @@ use recent::Recent;
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -56,8 +59,6 @@ const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// Time until the proofs of misbehaviour are sent to every member again: a member may have been away.
 const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
 
-/// Without a certificate for so long, a network does not certify now: nobody waits for one.
-const LAG_MAX: Duration = Duration::from_secs(2);
 /// The node tells the task.
 pub(crate) enum Told {
     /// A step of the machine.
@@ -75,8 +76,7 @@ pub(crate) struct Certificates {
     /// Proofs that peers have sent.
     shown: Inbox,
     certified: AtomicU64,
-    /// Since when a block that is due has no certificate, and none has come.
-    lagging: Mutex<Option<Instant>>,
+    lag: Lag,
     evidence: Arc<Evidence>,
     /// Two strict certificates that contradict each other, in words; empty if there are none.
     two: Mutex<String>,
@@ -100,18 +100,7 @@ impl Certificates {
         let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
         Ok((
-            Arc::new(Self {
-                told,
-                heard,
-                shown,
-                certified,
-                lagging: Mutex::default(),
-                evidence,
-                two,
-                recent,
-                kept,
-                passed,
-            }),
+            Arc::new(Self { told, heard, shown, certified, lag: Lag::default(), evidence, two, recent, kept, passed }),
             events,
         ))
     }
@@ -132,24 +121,6 @@ impl Certificates {
     /// The newest height for which this node has a certificate; 0 if there is none.
     pub(crate) fn certified(&self) -> u64 {
         self.certified.load(Relaxed)
-    }
-
-    /// Waits so long until a block is certified, itself or with a later one; is it? It does not wait while the network certifies
-    /// nothing.
-    pub(crate) async fn reaches(&self, height: u64, patience: Duration) -> bool {
-        let is_reached = || self.certified() >= height;
-        let lags = self.lagging().is_some_and(|since| since.elapsed() > LAG_MAX);
-        if is_reached() || lags || patience.is_zero() {
-            return is_reached();
-        }
-        let mut added = self.recent.added();
-        let reached = async { while !is_reached() && added.changed().await.is_ok() {} };
-        let _perhaps_not = tokio::time::timeout(patience, reached).await;
-        is_reached()
-    }
-
-    fn lagging(&self) -> MutexGuard<'_, Option<Instant>> {
-        self.lagging.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The members that have lied, in words; empty if none has.
@@ -234,7 +205,7 @@ impl Observer for Certificates {
         if let Some(roots) = outcome.certifiable {
             let (height, time, block) = (header.height, header.time, outcome.hash);
             let block = Certifiable { height, time, block, results: roots.results };
-            self.lagging().get_or_insert_with(Instant::now);
+            self.lag.executed(Instant::now());
             let _stopping = self.told.send(Told::Event(Event::Executed { block, governs }));
         }
         if governs {
@@ -368,7 +339,7 @@ impl Certifying {
                 let height = certificate.statement.height;
                 self.certificates.certified.fetch_max(height, Relaxed);
                 let is_newest = height >= self.certifier.executed_height();
-                *self.certificates.lagging() = (!is_newest).then(Instant::now);
+                self.certificates.lag.certified(is_newest, Instant::now());
                 let newest = height == self.certificates.certified();
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());
@@ -499,7 +470,7 @@ impl Certifying {
     }
 }
 
-/// Waits so many microseconds, or for ever.
+/// Waits for this number of microseconds, or permanently.
 async fn until(microseconds: Option<u64>) {
     match microseconds {
         Some(wait) => tokio::time::sleep(Duration::from_micros(wait)).await,

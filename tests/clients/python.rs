@@ -57,6 +57,11 @@ fn a_machine_that_is_short_of_files_or_space_ends_no_client() {
 }
 
 #[test]
+fn a_call_that_the_network_does_not_have_is_reported_with_what_to_do() {
+    tested("test_branches.py");
+}
+
+#[test]
 fn ros2_ledger_is_found_and_does_what_it_says() {
     tested("test_ros2.py");
 }

@@ -8,10 +8,11 @@ use crate::support::process::Process;
 use crate::support::{Ctl, Fleet, connect, programs, until};
 use crate::twice::{Side, Twice, runtime};
 use bytes::Bytes;
+use ledger::branch::CertifiedBranch;
 use ledger_api::Context;
 use ledger_base::hash::Hash;
 use ledger_identity::Role;
-use ledger_light::Statement;
+use ledger_light::{Proof, Statement};
 use serde_json::Value;
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -167,6 +168,17 @@ fn a_node_that_a_strict_certificate_contradicts_stops_and_comes_back_by_the_comm
         assert!(again.contains("LGR-5009") && again.contains("ledgerd rejoin"), "{again}");
         assert!(!again.contains("ready after"), "{again}");
 
+        // A client of that node goes to the others, of which it knows from the ledger. One that knows this node alone reaches none.
+        let (code, _, refused) = scene.certified.run(&scene.salma, &["tx", &lost]).await;
+        assert!(code != 0 && refused.contains("LGR-1013"), "the certified branch does not have it: {code} {refused}");
+        let nima = scene.fleet.issue("Org1", "Nima", Role::Member, &["Turtlebot4"]);
+        Context { nodes: vec![scene.b1().address.clone()], ..nima }.save(&scene.fleet.home()).unwrap();
+        let nima = scene.fleet.ctl().as_("Nima");
+        let (code, _, refused) = scene.certified.run(&nima, &["robot", "list"]).await;
+        assert!(code == 4 && refused.contains("LGR-4001"), "{code} {refused}");
+        let (_, shown, _) = scene.certified.run(&scene.salma, &["light", "Turtlebot4"]).await;
+        assert!(shown.contains("since block 0, on the whole way from the genesis"), "{shown}");
+
         let back = programs::said(&scene.rejoin().output().unwrap());
         assert!(back.contains(&lost) && back.contains("dead-branch-1"), "{back}");
         scene.is_back(&lost).await;
@@ -252,6 +264,75 @@ fn where_no_history_is_certified_any_more_recover_takes_the_people_through_it() 
             shown.contains("Org1/Salma").then_some(())
         })
         .await;
+    });
+}
+
+/// Waits until a node has kept the proof of a block that was ordered after the parts were separated.
+async fn proof_after(place: &NodePlace, side: &Side, user: &Ctl, height: u64) -> Proof {
+    until("the newest proof is kept", || async {
+        side.light(user).await.ok()?;
+        let kept = Proof::from_bytes(&std::fs::read(place.data.join("certificates/newest.proof")).ok()?).ok()?;
+        (kept.certificate.statement.height > height).then_some(kept)
+    })
+    .await
+}
+
+#[test]
+fn a_rejoin_drops_nothing_that_a_strict_certificate_of_its_node_covers() {
+    if !isolated(&|| ()) {
+        return;
+    }
+    runtime().block_on(async {
+        let wish = |number: usize| NodeWish {
+            name: format!("node{number}"),
+            organisation: format!("Org{number}"),
+            voter: true,
+            address: free_address(),
+        };
+        let fleet = Fleet::found_with(&[1, 2, 3, 4].map(wish), now());
+        let user = |name: &str, node: usize| {
+            let context = fleet.issue("Org1", name, Role::Member, &["Turtlebot4"]);
+            Context { nodes: vec![fleet.nodes[node].address.clone()], ..context }.save(&fleet.home()).unwrap();
+            fleet.ctl().as_(name)
+        };
+        let (salma, farhad) = (user("Salma", 3), user("Farhad", 0));
+        let mut nodes: Vec<Process> = fleet.nodes.iter().map(NodePlace::start).collect();
+        let owner = connect(&fleet.owner()).await;
+        register_robots(&owner, "exclusive").await;
+        let height = owner.status().await.unwrap().height;
+        nodes.iter_mut().for_each(Process::interrupt);
+
+        // Three organisations lie together: they run their voters twice, once with the fourth one and once without it.
+        let twins = [0, 1, 2].map(|liar| {
+            let twin = fleet.path().join(format!("twin{liar}"));
+            copy(&fleet.nodes[liar].data, &twin);
+            fleet.nodes[liar].beside(&format!("twin{liar}"), twin)
+        });
+        let (mut first, mut second) = (Side::new(&fleet, "first"), Side::new(&fleet, "second"));
+        fleet.nodes.iter().for_each(|node| first.start(node));
+        twins.iter().for_each(|twin| second.start(twin));
+        let acquire = ["acquire", "Turtlebot4/cmd_vel", "--for", "10m"];
+        first.does(&salma, &acquire).await;
+        second.does(&farhad, &acquire).await;
+        let node4 = &fleet.nodes[3];
+        let own = proof_after(node4, &first, &salma, height).await;
+        let other = proof_after(&twins[0], &second, &farhad, height).await;
+        first.nodes.iter_mut().for_each(Process::kill);
+
+        // As if the node had met the other certificate before its own one.
+        let mark = node4.data.join("contradicted");
+        std::fs::write(&mark, CertifiedBranch::of(other.certificate).to_bytes()).unwrap();
+        let mut command = programs::node();
+        command.args(["rejoin", "--config"]).arg(&node4.config);
+        let refused = programs::refused(
+            &second.within(&command).output().unwrap(),
+            &["LGR-5009", "two strict certificates contradict each other; nothing was changed", "people decide"],
+        );
+        let certified = own.certificate.statement;
+        assert!(refused.contains(&format!("block {} at height {}", certified.block, certified.height)), "{refused}");
+        assert!(mark.exists() && node4.data.join("blocks").exists() && !node4.data.join("dead-branch-1").exists());
+        let verified = programs::node().arg("verify").arg(&node4.data).output().unwrap();
+        assert!(verified.status.success(), "{}", String::from_utf8_lossy(&verified.stderr));
     });
 }
 

@@ -104,6 +104,17 @@ async fn a_leader_that_withholds_a_stop_and_a_revocation_is_deposed_and_both_are
     let status = owner.status().await.unwrap();
     assert!(status.leader_id != 1 && status.term > term, "node {} leads in term {}", status.leader_id, status.term);
     assert!((1..3).any(|node| scene.says(node, "voters have deposed the leader")));
+    // Each voter that has counted the complaints shows it.
+    let shown = until("a voter shows the deposition", || async {
+        let mut statuses = Vec::new();
+        for node in 1..3 {
+            statuses.push(scene.client(&scene.owner, node).await.status().await.ok()?);
+        }
+        statuses.into_iter().find(|status| status.depositions > 0)
+    })
+    .await;
+    let warned = shown.attention.iter().find(|item| item.check == "leader").unwrap();
+    assert!(warned.severity == "warning" && warned.message.contains("voters deposed Org1/a"), "{warned:?}");
     ends.store(true, Ordering::Relaxed);
     traffic.await.unwrap();
     scene.end();

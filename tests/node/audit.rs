@@ -193,6 +193,7 @@ async fn a_file_proves_a_transaction_on_a_machine_without_a_network() {
     for (file, id) in [(&file, &granted), (&late, &command)] {
         let checked = alone.json(&["prove", "--check", file, "--genesis", &genesis]);
         assert_eq!((&checked["transaction"], &checked["signer"]), (&id.as_str().into(), &"Org1/Salma".into()));
+        assert!(checked["strict_since"].is_null() && checked["began_at"] == 0, "{checked}");
     }
     let other = path("other.json");
     std::fs::write(&other, std::fs::read_to_string(&genesis).unwrap().replace("\"test\"", "\"tost\"")).unwrap();

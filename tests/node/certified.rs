@@ -114,9 +114,11 @@ async fn a_reader_follows_who_governs_from_the_genesis_and_shows_how_a_robot_sta
     ] {
         let shown = ctl(&arguments).ok().json();
         assert_eq!((&shown["voters"], &shown["began_at"]), (&json!(2), &began), "{shown}");
+        assert!(shown["strict_since"].is_null(), "two organisations cannot have strict certificates: {shown}");
     }
     let text = ctl(&["light", "Turtlebot4"]).ok().stdout;
     assert!(text.contains("(2 of 2 voters)") && text.contains("the genesis of network"), "{text}");
+    assert!(text.contains("no: one organisation that lies can have another block certified"), "{text}");
     assert_eq!(ctl(&["light", "Turtlebot5"]).code, 3);
 
     // A stop is part of what voters sign, and so is its end.

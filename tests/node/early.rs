@@ -125,7 +125,7 @@ async fn a_stop_that_nobody_waits_for_is_kept_over_a_restart_told_again_and_orde
 
     let ctl = fleet.ctl().as_("Admin");
     let refused = ctl.run(&["stop", ROBOT, "--timeout", "5s"]);
-    refused.refused(4, &["the stop of Turtlebot4 is not in force: repeat it", "told to the robots", "ledgerctl stop"]);
+    refused.refused(4, &["the stop of Turtlebot4 is not in force: repeat it", "sent to the robots", "ledgerctl stop"]);
     assert!(heard(&mut told).await.early);
     // It fails, as nobody leads.
     let status: serde_json::Value = serde_json::from_str(&ctl.run(&["status", "-o", "json"]).stdout).unwrap();
@@ -163,6 +163,6 @@ async fn ledgerctl_signs_and_sends_a_stop_again_until_it_is_in_force() {
     let _voter = fleet.nodes[0].start();
     let ran = stopping.await.unwrap().ok();
     assert!(ran.stdout.contains("in force"), "{}", ran.stdout);
-    assert!(ran.stderr.contains("told to the robots, not in force yet"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("sent to the robots, not in force yet"), "{}", ran.stderr);
     assert!(is_stopped(&client).await.is_some());
 }

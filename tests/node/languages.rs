@@ -96,6 +96,7 @@ fn the_readers_in_python_believe_voters_and_not_the_node_that_answers() {
     let context = dev.home.path().join("contexts/Salma");
     let followed = printed(Command::new(python()).arg(examples.join("follow.py")).arg(context));
     assert!(followed.contains(dev.fact("network")) && followed.contains("node/00000000000000000001"), "{followed}");
+    assert!(followed.contains("  certificates are not strict\n"), "there is one voter: {followed}");
 }
 
 #[test]

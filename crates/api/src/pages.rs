@@ -1,8 +1,10 @@
-//! Lists that come in pages, from a node that may never end them.
+//! Lists that come in pages, and ways that come in steps, from a node that may never end them.
 
+use crate::v1;
 use bytes::Bytes;
 use ledger::{Page, Paging};
 use ledger_base::rejection::{Code, Rejection};
+use prost::Message;
 use serde::de::DeserializeOwned;
 
 /// Most elements of a list that are taken.
@@ -10,7 +12,7 @@ const ITEMS_MAX: usize = 100_000;
 /// Most pages without an element.
 const EMPTY_MAX: usize = 1000;
 
-/// Bounds the pages of one list, so that a node that always has another page keeps nobody busy without end.
+/// Bounds the pages of one list, so that a node that always has another page does not keep a client busy without end.
 #[derive(Clone, Debug, Default)]
 pub struct PageBound {
     items: usize,
@@ -32,6 +34,41 @@ impl PageBound {
             .found(format!("{} so far, {} pages without any", self.items, self.empty))
             .wanted(format!("at most {ITEMS_MAX}, and {EMPTY_MAX} pages without any"))
             .next("ask another node, or for less"))
+    }
+}
+
+/// Most steps of a way without content. An honest node sends one at most.
+const EMPTY_STEPS_MAX: usize = 16;
+
+/// Bounds the steps of one way, so that a node that always shows another one does not keep a client busy without end.
+#[derive(Clone, Debug)]
+pub(crate) struct WayBound {
+    bytes: usize,
+    bytes_max: usize,
+    empty: usize,
+}
+
+impl WayBound {
+    /// At most this number of bytes.
+    pub(crate) fn new(bytes_max: usize) -> Self {
+        Self { bytes: 0, bytes_max, empty: 0 }
+    }
+
+    /// Counts a step.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`] if the way has too many bytes, or too many steps without content.
+    pub(crate) fn count(&mut self, step: &v1::GovernanceStep) -> Result<(), Rejection> {
+        let bytes = step.encoded_len();
+        self.bytes = self.bytes.saturating_add(bytes);
+        self.empty += usize::from(bytes == 0);
+        if self.bytes <= self.bytes_max && self.empty <= EMPTY_STEPS_MAX {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::TooLarge, "the steps of this node to those who govern do not end")
+            .found(format!("{} bytes so far, {} steps without content", self.bytes, self.empty))
+            .wanted(format!("at most {} bytes, and {EMPTY_STEPS_MAX} steps without content", self.bytes_max))
+            .next("ask another node, or begin at a checkpoint"))
     }
 }
 
@@ -99,5 +136,17 @@ mod tests {
             let refused = follow::<u64, _>("robots", endless).await.unwrap_err();
             assert!(refused.code == Code::TooLarge && refused.message.contains("robots"), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_way_that_never_ends_is_refused_whatever_its_steps_hold() {
+        let with = |genesis: Vec<u8>| v1::GovernanceStep { genesis: genesis.into(), ..Default::default() };
+        let taken = |step: &v1::GovernanceStep| {
+            let mut bound = WayBound::new(1 << 20);
+            (0..1_000_000).find(|_| bound.count(step).is_err_and(|refused| refused.code == Code::TooLarge))
+        };
+        assert_eq!(taken(&with(Vec::new())), Some(EMPTY_STEPS_MAX));
+        assert!(taken(&with(vec![0; 1000])).is_some_and(|steps| (900..1100).contains(&steps)));
+        assert!(taken(&with(vec![0; 1])).is_some());
     }
 }

@@ -27,7 +27,7 @@ pub(crate) struct Described<'a> {
     pub(crate) robot: Option<&'a str>,
 }
 
-/// Calls it again and again until it is in force; `attempt` signs it anew each time.
+/// Calls it again and again until it is in force; `attempt` signs it again each time.
 ///
 /// # Errors
 /// A final rejection; [`Code::Timeout`] if it is not in force when the timeout is over or on Ctrl-C.
@@ -56,7 +56,7 @@ pub(crate) async fn until_in_force<T, F: Future<Output = Result<T, Rejection>>>(
 
 impl Described<'_> {
     fn not_in_force(&self, found: &str, progress: &Progress) -> Rejection {
-        let state = if progress.is_told { "told to the robots, not in force" } else { "not in force" };
+        let state = if progress.is_told { "sent to the robots, not in force" } else { "not in force" };
         let last = progress.last.as_ref().map(|last| format!("; the last answer: {} [{}]", last.message, last.code));
         Rejection::new(Code::Timeout, format!("{} is not in force: repeat it", self.what))
             .found(format!("{state}: {found}{}", last.unwrap_or_default()))
@@ -112,7 +112,7 @@ impl Progress {
     fn note(&mut self, is_told: bool, described: &Described<'_>, output: &Output) {
         let what = &described.what;
         if is_told && !self.is_told {
-            output.note(&format!("{what} is told to the robots, not in force yet; it is sent again until it is"));
+            output.note(&format!("{what} is sent to the robots, not in force yet; it is sent again until it is"));
         } else if !self.is_told && !self.is_noted {
             output.note(&format!("{what} is not in force yet; it is sent again until it is"));
         }
@@ -120,7 +120,7 @@ impl Progress {
     }
 }
 
-/// Does the call have to be signed anew and sent again?
+/// Must the call be signed and sent again?
 fn is_no_end(code: Code) -> bool {
     code.class() == Class::Unreachable || matches!(code, Code::Expired | Code::NotAfterTooFar | Code::Duplicate)
 }
@@ -157,7 +157,7 @@ mod tests {
         let progress = Progress { is_told: true, ..Progress::default() };
         let refused = described.not_in_force("it was interrupted", &progress);
         assert_eq!(refused.message, "the stop of Turtlebot4 is not in force: repeat it");
-        assert_eq!(refused.found, "told to the robots, not in force: it was interrupted");
+        assert_eq!(refused.found, "sent to the robots, not in force: it was interrupted");
         assert_eq!((refused.code.class().exit_code(), refused.advice()), (4, "ledgerctl stop Turtlebot4"));
     }
 }

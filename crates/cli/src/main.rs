@@ -20,6 +20,7 @@ mod output;
 mod printable;
 mod recording;
 mod session;
+mod strictness;
 mod time;
 mod upkeep;
 mod words;

@@ -5,7 +5,7 @@
 //! certificate by the voters that it knows ([`Governance::check_strict`](ledger_light::Governance::check_strict)).
 
 use crate::block::Header;
-use crate::evidence::HEADERS_MAX;
+use crate::headers::{HEADERS_BYTES_MAX, HEADERS_MAX, read_headers, write_headers};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -14,15 +14,13 @@ use ledger_light::certificate::CERTIFICATE_BYTES_MAX;
 use ledger_light::codec::{Reader, put};
 
 const DOMAIN: &[u8] = b"ledgerd branch v1\0";
-/// Bytes of one header: term, time and root.
-const HEADER_BYTES: usize = 8 + 8 + 32;
 /// Longest encoding.
-pub const BRANCH_BYTES_MAX: usize = DOMAIN.len() + 8 + 32 + 4 + HEADERS_MAX * HEADER_BYTES + 4 + CERTIFICATE_BYTES_MAX;
+pub const BRANCH_BYTES_MAX: usize = DOMAIN.len() + HEADERS_BYTES_MAX + 4 + CERTIFICATE_BYTES_MAX;
 
 /// Headers of a branch up to a certified block.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CertifiedBranch {
-    /// Each follows the one before; the last one is that of the certified block. Empty where nobody needs them, because the
+    /// Each follows the one before; the last one is that of the certified block. Empty where they are not needed, because the
     /// reader has a block at the height of the certificate itself.
     headers: Vec<Header>,
     certificate: Certificate,
@@ -73,14 +71,7 @@ impl CertifiedBranch {
     /// Its bytes.
     pub fn to_bytes(&self) -> Bytes {
         let mut bytes = DOMAIN.to_vec();
-        let (height, previous) = self.headers.first().map_or((0, Hash::ZERO), |first| (first.height, first.previous));
-        bytes.extend_from_slice(&height.to_be_bytes());
-        bytes.extend_from_slice(&previous.0);
-        bytes.extend_from_slice(&(self.headers.len() as u32).to_be_bytes());
-        for Header { term, time, root, .. } in &self.headers {
-            [term, time].iter().for_each(|number| bytes.extend_from_slice(&number.to_be_bytes()));
-            bytes.extend_from_slice(&root.0);
-        }
+        write_headers(&mut bytes, &self.headers);
         put(&mut bytes, &self.certificate.to_bytes());
         bytes.into()
     }
@@ -91,19 +82,7 @@ impl CertifiedBranch {
     /// [`Code::TooLarge`], [`Code::Malformed`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
         let mut reader = Reader::new("the certified part of a branch", BRANCH_BYTES_MAX, DOMAIN, bytes)?;
-        let (mut height, mut previous, count) = (reader.u64()?, reader.hash()?, reader.u32()? as usize);
-        if count > HEADERS_MAX {
-            return Err(reader.malformed(&format!("{count} headers"), &format!("at most {HEADERS_MAX}")));
-        }
-        if count == 0 && (height, previous) != (0, Hash::ZERO) {
-            return Err(reader.malformed("a place without headers", "height 0 and a hash of zeros"));
-        }
-        let mut headers = Vec::new();
-        for _ in 0..count {
-            let header = Header { height, term: reader.u64()?, time: reader.u64()?, previous, root: reader.hash()? };
-            (height, previous) = (height.saturating_add(1), header.hash());
-            headers.push(header);
-        }
+        let headers = read_headers(&mut reader)?;
         let certificate = Certificate::from_bytes(reader.part(CERTIFICATE_BYTES_MAX)?)?;
         reader.end()?;
         if headers.is_empty() { Ok(Self::of(certificate)) } else { Self::new(headers, certificate) }

@@ -11,6 +11,7 @@ mod check;
 pub use check::{Proved, Verdict};
 
 use crate::block::Header;
+use crate::headers::{HEADERS_BYTES_MAX, HEADERS_MAX, read_headers, write_headers};
 use crate::transaction::TRANSACTION_BYTES_MAX;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -26,20 +27,13 @@ const DOMAIN: &[u8] = b"ledgerd evidence v1\0";
 const LINK_DOMAIN: &[u8] = b"ledgerd evidence link v1\0";
 /// Longest file.
 pub const EVIDENCE_BYTES_MAX: usize = 64 * 1024 * 1024;
-/// Most headers from the block of the transaction to the certified one, both counted.
-pub const HEADERS_MAX: usize = 16 * 1024;
-/// Bytes of one header.
-const HEADER_BYTES: usize = 8 + 8 + 32;
 /// Longest link.
 pub const LINK_BYTES_MAX: usize = LINK_DOMAIN.len()
     + 4 * 4
     + TRANSACTION_BYTES_MAX
     + CERTIFICATE_BYTES_MAX
-    + 8
-    + 32
     + PATH_BYTES_MAX
-    + 4
-    + HEADERS_MAX * HEADER_BYTES
+    + HEADERS_BYTES_MAX
     + PROOF_BYTES_MAX;
 
 /// The content of the file.
@@ -82,14 +76,7 @@ impl Link {
         put(&mut bytes, &self.transaction);
         put(&mut bytes, &self.certificate);
         put(&mut bytes, &self.path.to_bytes());
-        let (height, previous) = self.headers.first().map_or((0, Hash::ZERO), |first| (first.height, first.previous));
-        bytes.extend_from_slice(&height.to_be_bytes());
-        bytes.extend_from_slice(&previous.0);
-        bytes.extend_from_slice(&(self.headers.len() as u32).to_be_bytes());
-        for Header { term, time, root, .. } in &self.headers {
-            [term, time].iter().for_each(|number| bytes.extend_from_slice(&number.to_be_bytes()));
-            bytes.extend_from_slice(&root.0);
-        }
+        write_headers(&mut bytes, &self.headers);
         put(&mut bytes, &self.proof.to_bytes());
         bytes.into()
     }
@@ -103,15 +90,9 @@ impl Link {
         let transaction = reader.part_owned(TRANSACTION_BYTES_MAX)?;
         let certificate = reader.part_owned(CERTIFICATE_BYTES_MAX)?;
         let path = Path::from_bytes(reader.part(PATH_BYTES_MAX)?)?;
-        let (mut height, mut previous, count) = (reader.u64()?, reader.hash()?, reader.u32()? as usize);
-        if count == 0 || count > HEADERS_MAX {
-            return Err(reader.malformed(&format!("{count} headers"), &format!("1 to {HEADERS_MAX}")));
-        }
-        let mut headers = Vec::new();
-        for _ in 0..count {
-            let header = Header { height, term: reader.u64()?, time: reader.u64()?, previous, root: reader.hash()? };
-            (height, previous) = (height.saturating_add(1), header.hash());
-            headers.push(header);
+        let headers = read_headers(&mut reader)?;
+        if headers.is_empty() {
+            return Err(reader.malformed("no headers", &format!("1 to {HEADERS_MAX}")));
         }
         let proof = Proof::from_bytes(reader.part(PROOF_BYTES_MAX)?)?;
         reader.end()?;

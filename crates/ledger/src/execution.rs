@@ -146,7 +146,7 @@ impl Executor<'_> {
         let mut writes = overlay.finish()?;
         let control = ControlWrites::of(&writes, self.registry);
         let governs = control.govern();
-        // Nobody signs a change of members. So voters sign none that the ledger does not want, nor one by force: a leader that
+        // A change of members is not signed. So voters sign none that the ledger does not want, nor one by force: a leader that
         // lies could leave itself as the only voter.
         if !is_wanted {
             tracing::error!(

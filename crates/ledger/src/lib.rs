@@ -12,7 +12,7 @@
 //! | [`msp`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
 //! | [`network`], [`Rules`] | the genesis; the numbers of the rules by which blocks are executed |
 //! | [`evidence`] | one file that proves a transaction to somebody without a network |
-//! | [`branch`] | headers of another branch up to a block that voters have certified |
+//! | [`branch`], [`headers`] | headers of another branch up to a block that voters have certified; bytes of headers |
 //! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
 //! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
 //!
@@ -53,6 +53,7 @@ mod execution;
 mod facts;
 mod foretold;
 mod founding;
+pub mod headers;
 mod identities;
 mod large;
 pub mod members;

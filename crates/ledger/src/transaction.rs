@@ -65,7 +65,7 @@ pub struct Body {
     pub known_block: Option<KnownBlock>,
 }
 
-/// The newest block that a signer knew when it signed. Nobody can predict its hash, so it was signed after that block was made.
+/// The newest block that a signer knew when it signed. Its hash cannot be predicted, so it was signed after that block was made.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct KnownBlock {
     /// Its height.

@@ -14,8 +14,7 @@ const DOMAIN: &[u8] = b"ledgerd head v1\0";
 pub(crate) const DOUBLE_DOMAIN: &[u8] = b"ledgerd double head v1\0";
 /// Most links of a branch: the entries of one message between nodes.
 pub const LINKS_MAX: usize = 1024;
-const LINK_BYTES: usize = 8 + 8 + 32;
-const BRANCH_BYTES_MAX: usize = 32 + 4 + LINKS_MAX * LINK_BYTES + 4 + ENCLOSED_BYTES_MAX;
+const BRANCH_BYTES_MAX: usize = 32 + 4 + LINKS_MAX * BranchLink::BYTES + 4 + ENCLOSED_BYTES_MAX;
 /// Longest encoding of a [`DoubleHead`].
 pub const DOUBLE_HEAD_BYTES_MAX: usize = DOUBLE_DOMAIN.len() + 32 + 5 * 8 + 2 * BRANCH_BYTES_MAX;
 
@@ -99,6 +98,26 @@ pub fn block_hash(height: u64, link: &BranchLink, previous: Hash) -> Hash {
     Hash::of(&[b"ledgerd block v1\0", &height, &term, &time, &previous.0, &link.root.0])
 }
 
+impl BranchLink {
+    /// Length of its encoding, in bytes.
+    pub const BYTES: usize = 8 + 8 + 32;
+
+    /// Appends its bytes.
+    pub fn write(&self, bytes: &mut Vec<u8>) {
+        bytes.extend_from_slice(&self.term.to_be_bytes());
+        bytes.extend_from_slice(&self.time.to_be_bytes());
+        bytes.extend_from_slice(&self.root.0);
+    }
+
+    /// Reads its bytes.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if there are too few.
+    pub fn read(reader: &mut Reader<'_>) -> Result<Self, Rejection> {
+        Ok(Self { term: reader.u64()?, time: reader.u64()?, root: reader.hash()? })
+    }
+}
+
 impl Branch {
     /// The head that its signature is for.
     fn head(&self, of: &DoubleHead) -> Head {
@@ -114,11 +133,7 @@ impl Branch {
     fn write(&self, bytes: &mut Vec<u8>) {
         bytes.extend_from_slice(&self.base.0);
         bytes.extend_from_slice(&(self.links.len() as u32).to_be_bytes());
-        for BranchLink { term, time, root } in &self.links {
-            bytes.extend_from_slice(&term.to_be_bytes());
-            bytes.extend_from_slice(&time.to_be_bytes());
-            bytes.extend_from_slice(&root.0);
-        }
+        self.links.iter().for_each(|link| link.write(bytes));
         put(bytes, &self.signature.to_bytes());
     }
 
@@ -127,10 +142,7 @@ impl Branch {
         if count > LINKS_MAX {
             return Err(reader.malformed(&format!("{count} blocks"), &format!("at most {LINKS_MAX}")));
         }
-        let link = |reader: &mut Reader<'_>| -> Result<BranchLink, Rejection> {
-            Ok(BranchLink { term: reader.u64()?, time: reader.u64()?, root: reader.hash()? })
-        };
-        let links = (0..count).map(|_| link(reader)).collect::<Result<_, _>>()?;
+        let links = (0..count).map(|_| BranchLink::read(reader)).collect::<Result<_, _>>()?;
         Ok(Self { base, links, signature: Signature::from_bytes(reader.part(ENCLOSED_BYTES_MAX)?)? })
     }
 }

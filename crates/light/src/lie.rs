@@ -24,9 +24,9 @@ use std::collections::BTreeMap;
 const LIE_DOMAIN: &[u8] = b"ledgerd lie v1\0";
 const FAULT_DOMAIN: &[u8] = b"ledgerd fault v1\0";
 const VOTES_DOMAIN: &[u8] = b"ledgerd double vote v1\0";
-/// Longest encoding of a [`Lie`].
+/// Longest encoding of a [`Misbehaviour::Lie`].
 pub const LIE_BYTES_MAX: usize = LIE_DOMAIN.len() + 2 * (4 + SIGNED_BYTES_MAX);
-/// Longest encoding of a [`Fault`].
+/// Longest encoding of a [`Misbehaviour::Fault`].
 pub const FAULT_BYTES_MAX: usize = FAULT_DOMAIN.len() + 2 * (4 + SIGNED_BYTES_MAX);
 /// Longest encoding of a [`DoubleVote`].
 pub const DOUBLE_VOTE_BYTES_MAX: usize = VOTES_DOMAIN.len() + 32 + 3 * 8 + 2 * (8 + 4 + ENCLOSED_BYTES_MAX);
@@ -87,21 +87,6 @@ pub enum Misbehaviour {
 }
 
 impl Lie {
-    /// Its bytes.
-    pub fn to_bytes(&self) -> Bytes {
-        pair_bytes(LIE_DOMAIN, &self.first, &self.second)
-    }
-
-    /// Reads its bytes. No signature is checked.
-    ///
-    /// # Errors
-    /// [`Code::TooLarge`], [`Code::Malformed`].
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
-        let reader = Reader::new("the proof of a lie", LIE_BYTES_MAX, LIE_DOMAIN, bytes)?;
-        let (first, second) = read_pair(reader)?;
-        Ok(Self { first, second })
-    }
-
     /// Does it prove that one node has lied? Both statements name the same place and different blocks, and a node of one
     /// organisation, name and number has signed both. `identify` as for [`Certificate::verify`](crate::Certificate::verify).
     ///
@@ -120,21 +105,6 @@ impl Lie {
 }
 
 impl Fault {
-    /// Its bytes.
-    pub fn to_bytes(&self) -> Bytes {
-        pair_bytes(FAULT_DOMAIN, &self.first, &self.second)
-    }
-
-    /// Reads its bytes. No signature is checked.
-    ///
-    /// # Errors
-    /// [`Code::TooLarge`], [`Code::Malformed`].
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
-        let reader = Reader::new("the proof of a fault", FAULT_BYTES_MAX, FAULT_DOMAIN, bytes)?;
-        let (first, second) = read_pair(reader)?;
-        Ok(Self { first, second })
-    }
-
     /// Does it prove that one node has computed one block twice, with different results? As [`Lie::verify`], with the same
     /// block in both statements.
     ///
@@ -239,10 +209,10 @@ impl Misbehaviour {
     /// Its bytes: those of the proof, which begin with its kind.
     pub fn to_bytes(&self) -> Bytes {
         match self {
-            Self::Lie(lie) => lie.to_bytes(),
+            Self::Lie(Lie { first, second }) => pair_bytes(LIE_DOMAIN, first, second),
             Self::DoubleVote(votes) => votes.to_bytes(),
             Self::DoubleHead(heads) => heads.to_bytes(),
-            Self::Fault(fault) => fault.to_bytes(),
+            Self::Fault(Fault { first, second }) => pair_bytes(FAULT_DOMAIN, first, second),
         }
     }
 
@@ -252,7 +222,8 @@ impl Misbehaviour {
     /// [`Code::TooLarge`], [`Code::Malformed`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
         if bytes.starts_with(FAULT_DOMAIN) {
-            return Fault::from_bytes(bytes).map(Self::Fault);
+            let reader = Reader::new("the proof of a fault", FAULT_BYTES_MAX, FAULT_DOMAIN, bytes)?;
+            return read_pair(reader).map(|(first, second)| Self::Fault(Fault { first, second }));
         }
         if bytes.starts_with(VOTES_DOMAIN) {
             return DoubleVote::from_bytes(bytes).map(Self::DoubleVote);
@@ -260,7 +231,24 @@ impl Misbehaviour {
         if bytes.starts_with(DOUBLE_DOMAIN) {
             return DoubleHead::from_bytes(bytes).map(Self::DoubleHead);
         }
-        Lie::from_bytes(bytes).map(Self::Lie)
+        let reader = Reader::new("the proof of a lie", LIE_BYTES_MAX, LIE_DOMAIN, bytes)?;
+        read_pair(reader).map(|(first, second)| Self::Lie(Lie { first, second }))
+    }
+
+    /// The node whose misbehaviour it proves, in any network. `identify` as for [`Lie::verify`].
+    ///
+    /// # Errors
+    /// As [`Lie::verify`].
+    pub fn signer(
+        &self,
+        identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>,
+    ) -> Result<Identity, Rejection> {
+        match self {
+            Self::Lie(lie) => lie.verify(identify),
+            Self::DoubleVote(votes) => votes.verify(identify),
+            Self::DoubleHead(heads) => heads.verify(identify),
+            Self::Fault(fault) => fault.verify(identify),
+        }
     }
 
     /// Does it prove misbehaviour of a node of this network? `nodes` are those that the ledger knows, former ones among them;
@@ -274,11 +262,11 @@ impl Misbehaviour {
         nodes: &BTreeMap<u64, Voter>,
         identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>,
     ) -> Result<Identity, Rejection> {
-        let (of, identity) = match self {
-            Self::Lie(lie) => (lie.first.statement.network, lie.verify(identify)?),
-            Self::DoubleVote(votes) => (votes.network, votes.verify(identify)?),
-            Self::DoubleHead(heads) => (heads.network, heads.verify(identify)?),
-            Self::Fault(fault) => (fault.first.statement.network, fault.verify(identify)?),
+        let identity = self.signer(identify)?;
+        let of = match self {
+            Self::Lie(Lie { first, .. }) | Self::Fault(Fault { first, .. }) => first.statement.network,
+            Self::DoubleVote(votes) => votes.network,
+            Self::DoubleHead(heads) => heads.network,
         };
         if of != *network {
             return Err(Rejection::new(Code::WrongNetwork, "the proof is about a node of another network")

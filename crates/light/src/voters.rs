@@ -48,9 +48,9 @@ pub struct CertificateRule {
 /// other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Survives {
-    /// So many voters may crash at once, whichever they are.
+    /// How many voters may crash at once, whichever they are.
     pub crashes: usize,
-    /// One hand may lie with all its voters: nobody can complete two certificates for one height.
+    /// One hand may lie with all its voters: two certificates for one height cannot be completed.
     pub lie: bool,
     /// One hand may be silent with all its voters, whichever it is.
     pub silence: bool,
@@ -283,7 +283,7 @@ impl Voters {
         let is_strict = self.rule.strict_since.is_some();
         // Without strict certificates the rest must be of two hands, too: more than the largest one has.
         let needed = if is_strict || largest == all { quorum } else { quorum.max(largest + 1) };
-        // Two certificates by the hand that lies need so many honest voters each, and those are not the same ones.
+        // Two certificates by the hand that lies need this number of honest voters each, and those are not the same ones.
         let others = usize::from(largest < all);
         let goes_on_without = |hand: &str| {
             let rest: BTreeSet<u64> = voters.iter().copied().filter(|node| self.hand_of(*node) != Some(hand)).collect();

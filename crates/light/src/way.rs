@@ -45,7 +45,8 @@ impl Way {
     pub fn follow(&mut self, proof: Proof) {
         self.reached = Some(self.governance.follow(&self.changes, &proof).map(|after| {
             self.changes.retain(|change| change.height > after.height());
-            self.bytes = 0;
+            // What a later proof must cover still counts.
+            self.bytes = self.changes.iter().map(|change| change.to_bytes().len()).sum();
             self.governance = after;
             proof
         }));

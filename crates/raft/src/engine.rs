@@ -26,7 +26,7 @@ pub use config::{EngineConfig, EngineError};
 pub use doubt::ClockDoubt;
 pub use mandate::{Ballot, Ballots, Grievance, Handover, LogHead};
 pub use receipt::{Receipt, ReceiptKey, Secret};
-pub use status::{PeerStatus, Replication, Status};
+pub use status::{Deposition, PeerStatus, Replication, Status};
 pub use time::TIME_AHEAD_MAX;
 
 use crate::interface::{Input, Output, Role, RoleChange};

@@ -38,8 +38,8 @@ mod queue;
 mod reconcile;
 
 pub use engine::{
-    Ballot, Ballots, ClockDoubt, Engine, EngineConfig, EngineError, ExecutedBlocks, Grievance, Handover, Link, LogHead,
-    PeerStatus, Receipt, ReceiptKey, Replication, Secret, Status, TIME_AHEAD_MAX,
+    Ballot, Ballots, ClockDoubt, Deposition, Engine, EngineConfig, EngineError, ExecutedBlocks, Grievance, Handover,
+    Link, LogHead, PeerStatus, Receipt, ReceiptKey, Replication, Secret, Status, TIME_AHEAD_MAX,
 };
 pub use interface::{Contradiction, DoubleHead, HeadBranch, Input, Lane, Output, Role, RoleChange, VotedTwice};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};

@@ -7,11 +7,14 @@
 //!
 //! The leader looks at what other gateways forward, and returns the data of those that are far beyond a limit. An honest
 //! gateway forwards none of it. A gateway that lies may get more ordered before the count has it: that is a debt, which is paid in time.
+//! Bytes without a valid signature, and repetitions, are a debt of the node that has forwarded them.
 
 mod account;
+mod forwarders;
 
 use account::{Account, Counted, Rate};
 use bytes::Bytes;
+use forwarders::Forwarders;
 use ledger::msp::{QUOTAS, Quotas, quotas_of};
 use ledger::transaction::{Transaction, claimed_creator};
 use ledger::{Ledger, Outcome, ServiceBudget};
@@ -49,6 +52,7 @@ struct Accounts {
     services: HashMap<String, Account>,
     /// The budgets of services, by chaincode and the name that a call has for it.
     named: HashMap<(String, String), Named>,
+    forwarders: Forwarders,
 }
 
 struct Organisation {
@@ -64,7 +68,8 @@ struct Named {
 }
 
 impl Budgets {
-    /// Counts an executed block. Transactions without a valid signature are not counted.
+    /// Counts an executed block. Transactions without a valid signature, and repetitions,
+    /// count for the node that has forwarded them to this one.
     pub fn executed(&self, outcome: &Outcome, ledger: &Ledger) {
         let time = outcome.header.time;
         let mut accounts = self.lock();
@@ -85,6 +90,9 @@ impl Budgets {
                 }
             }
             let authentic = result.not_after.is_some();
+            if !authentic {
+                accounts.forwarders.not_counted(transaction, result.code, time);
+            }
             let creator = claimed_creator(transaction).filter(|_| authentic);
             if let Some(identity) = creator.and_then(|creator| ledger.counted_for(&creator)) {
                 accounts.count(ledger, &identity, time, Counted { bytes, messages });
@@ -153,17 +161,21 @@ impl Budgets {
         Ok(())
     }
 
-    /// Takes out of what another gateway forwards what is far beyond the budgets of identities, and of data beyond those of
-    /// organisations. Nothing is counted: a block does that, once the signature was verified.
-    pub fn take_excess(&self, ledger: &Ledger, forwarded: &mut Transactions, clock: u64) -> Transactions {
-        let accounts = self.lock();
+    /// Takes out of what the node `from` forwards what is far beyond the budgets of identities, and of data beyond those of
+    /// organisations. It takes out all if that node has forwarded too much that counts for no identity. Nothing is counted: a
+    /// block does that, once the signature was verified.
+    pub fn take_excess(&self, ledger: &Ledger, from: u64, forwarded: &mut Transactions, clock: u64) -> Transactions {
+        let mut accounts = self.lock();
+        let owed = accounts.forwarders.wait(from, clock);
         let mut excess = |lane| {
             let transactions = match lane {
                 Lane::Control => &mut forwarded.control,
                 Lane::Data => &mut forwarded.data,
             };
-            let over = |transaction: &Bytes| accounts.is_over(ledger, lane, transaction, clock);
-            let (over, within) = std::mem::take(transactions).into_iter().partition(over);
+            let owes = owed > if lane == Lane::Control { FORWARDED_CONTROL } else { FORWARDED };
+            let over = |transaction: &Bytes| owes || accounts.is_over(ledger, lane, transaction, clock);
+            let (over, within): (Vec<_>, Vec<_>) = std::mem::take(transactions).into_iter().partition(over);
+            within.iter().for_each(|transaction| accounts.forwarders.forwarded(from, transaction));
             *transactions = within;
             over
         };

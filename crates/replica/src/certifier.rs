@@ -8,7 +8,7 @@
 //! **Disputes.** Where a voter has signed another statement than this node about a block, this node passes on all signed
 //! statements that it has about that height, once each. So a voter that signs one block for one node and another block for
 //! another node is seen by both. A peer may pass on statements of others: their signatures are checked at once, and only
-//! so many a second.
+//! a bounded number a second.
 //!
 //! **Restarts.** A node signs one block for each place, whatever disk it finds. So about a block that its log held when it
 //! started, it signs only the statement that its own record has. Without a record it signs nothing about these blocks; the
@@ -330,7 +330,7 @@ impl<S: Signing> Certifier<S> {
         if before.is_some_and(|before| before.signed.statement == signed.statement) {
             return;
         }
-        // Nobody fills the room of another: of what a peer passes on, only what its signer has signed counts.
+        // No peer fills the room of another one: of what a peer passes on, only what its signer has signed counts.
         let is_passed_on = node != from;
         if is_passed_on && !(self.may_pass(now, from) && self.is_good(&signed)) {
             return;

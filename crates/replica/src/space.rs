@@ -23,10 +23,10 @@ pub const MESSAGES_FREE_BYTES_MIN: u64 = 16 << 20;
 pub const ENDS_FREE_BYTES_MIN: u64 = 1 << 20;
 /// Size of the reserve: the largest block fits twice, with what follows it.
 pub const RESERVE_BYTES: u64 = 16 << 20;
-/// An organisation has one part in so many of what is free for messages written in a second. It has less the fuller the disk
+/// An organisation has 1/N of what is free for messages written in a second. It has less the fuller the disk
 /// is, and needs 12 minutes for half of what is left.
 const ORGANISATION_PART: u64 = 1024;
-/// It has so many bytes a second in any case, while messages are accepted: robots are driven and report with less.
+/// It has this number of bytes a second in any case, while messages are accepted: robots are driven and report with less.
 const ORGANISATION_BYTES_MIN: u64 = 1 << 20;
 /// The warning begins below one part in so many of the disk.
 const LOW_PART: u64 = 10;

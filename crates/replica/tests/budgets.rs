@@ -124,3 +124,29 @@ fn a_leader_gives_back_what_a_gateway_forwards_far_beyond_a_budget_and_takes_con
     assert_eq!(cluster.nodes[&other].dropped, [("more".to_owned(), Code::Overloaded)]);
     assert!(!cluster.has_executed(leader, "more"));
 }
+
+#[test]
+fn a_leader_gives_back_all_of_a_node_that_forwards_bytes_without_a_valid_signature() {
+    let mut cluster = Cluster::with_segments(42, &[1, 2, 3], &[], SEGMENT);
+    let leader = cluster.elect();
+    let [liar, honest] = if leader == 1 { [2, 3] } else { [1, 5 - leader] };
+    let forward = |cluster: &mut Cluster, from: u64, data: Vec<Bytes>| {
+        let sent = Transactions { control: Vec::new(), data, code: 0 };
+        cluster.input(leader, Input::Message { from, message: PeerMessage::Forward(sent) });
+    };
+    // A mebibyte a second is allowed, eight seconds of it at once: three times that much is not.
+    for part in 0..24_u8 {
+        let garbage = (0..4).map(|number| Bytes::from([vec![part, number], vec![7; 256 * 1024]].concat()));
+        forward(&mut cluster, liar, garbage.collect());
+        let mark = format!("behind {part}");
+        cluster.submit(leader, Lane::Data, &mark);
+        cluster.until("a part is executed", 100, |cluster| cluster.has_executed(leader, &mark));
+    }
+    let of = |cluster: &mut Cluster, node: u64, text: &str| cluster.awaited(node, Lane::Data, text).unwrap();
+    let (bad, good) = (of(&mut cluster, liar, "of the liar"), of(&mut cluster, honest, "of the other"));
+    forward(&mut cluster, liar, vec![bad]);
+    forward(&mut cluster, honest, vec![good]);
+    cluster.until("the other node's is executed", 100, |cluster| cluster.has_executed(leader, "of the other"));
+    assert_eq!(cluster.nodes[&liar].dropped.last(), Some(&("of the liar".to_owned(), Code::Overloaded)));
+    assert!(!cluster.has_executed(leader, "of the liar"));
+}

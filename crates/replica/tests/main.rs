@@ -10,6 +10,7 @@ mod clocks;
 mod cluster;
 mod driver;
 mod members;
+mod opening;
 mod ordering;
 mod reads;
 mod trust;

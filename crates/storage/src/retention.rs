@@ -17,7 +17,7 @@ pub const KEPT_MIN_US: u64 = 4 * 60 * 1_000_000;
 
 const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
 
-/// However new blocks are, no more of them are kept than so many times the size that is set: a flood fills a disk in seconds.
+/// However new blocks are, no more of them are kept than N times the size that is set: a flood fills a disk in seconds.
 pub const SIZE_PARTS_MAX: u64 = 2;
 
 /// Smallest limit of the size, bytes: several segments at their default size.
@@ -67,7 +67,7 @@ impl Retention {
         keep_from
     }
 
-    /// Is a segment dropped, with this newest block, if so many bytes are kept with it? The time of the block is read from
+    /// Is a segment dropped, with this newest block, if this number of bytes is kept with it? The time of the block is read from
     /// disk, so it is asked for only where it matters.
     fn drops(&self, newest: u64, bytes: u64, kept: &Kept<'_>) -> bool {
         let beyond = |times: u64| self.size.is_some_and(|size| bytes > size.saturating_mul(times));

@@ -3,7 +3,8 @@
 use super::Proofs;
 use crate::storage::blocks::Blocks;
 use bytes::Bytes;
-use ledger::evidence::{HEADERS_MAX, Link};
+use ledger::evidence::Link;
+use ledger::headers::HEADERS_MAX;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Outcome, TransactionRecord};
 use ledger_api::v1::ProveTransactionResponse;

@@ -11,9 +11,10 @@ use ledger::msp;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::v1::{CertificateRule, CertificateStatus, PeerStatus, StatusResponse};
 use ledger_base::rejection::Rejection;
+use ledger_base::units::span;
 use ledger_identity::certificate::Certificate;
 use ledger_light::Survives;
-use ledger_raft::{ClockDoubt, Role};
+use ledger_raft::{ClockDoubt, Deposition, Role};
 use ledger_replica::gateway::Shares;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -139,6 +140,8 @@ impl Description {
             disk_accepts: self.ordering.storage.space.accepts().word().into(),
             certificates: self.certificates(),
             open_stops: self.peers.early_stops.status(),
+            depositions: ordering.as_ref().map_or(0, |ordering| ordering.depositions),
+            deposed: ordering.as_ref().map_or_else(String::new, |ordering| self.deposed(&ordering.deposed, now.clock)),
             console: self.console.get().cloned().unwrap_or_default(),
             voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
             voters_connected: u32::try_from(voters().filter(|id| self.peers.reachability.is_connected(*id)).count())
@@ -153,6 +156,19 @@ impl Description {
     fn divergence(&self) -> String {
         let said = [self.peers.monitor.describe(), self.peers.certificates.two_certificates()];
         said.into_iter().filter(|said| !said.is_empty()).collect::<Vec<_>>().join(", ")
+    }
+
+    /// The leaders that voters have deposed, in words; empty if there are none.
+    fn deposed(&self, deposed: &[Deposition], now: u64) -> String {
+        let words = |deposition: &Deposition| {
+            let ago = span(now.saturating_sub(deposition.time));
+            let name = self.ordering.directory.name(deposition.leader);
+            match deposition.times {
+                1 => format!("voters deposed {name} {ago} ago"),
+                times => format!("voters deposed {name} {times} times, most recently {ago} ago"),
+            }
+        };
+        deposed.iter().map(words).collect::<Vec<_>>().join(", ")
     }
 
     /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out:

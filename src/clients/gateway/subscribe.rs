@@ -173,7 +173,7 @@ struct Subscription {
     early: Option<broadcast::Receiver<Arc<Foreseen>>>,
     /// It wants proofs.
     proofs: bool,
-    /// The height up to which it was told the hashes of blocks, if it wants them.
+    /// The height up to which it has received the hashes of blocks, if it wants them.
     heads: Option<u64>,
     /// The next height to look at.
     next: u64,
@@ -428,7 +428,7 @@ fn record(event: Event, (index, transaction): (u32, Bytes), certificate: Bytes) 
     EventRecord { chaincode, name, subject, payload, index, transaction, certificate }
 }
 
-/// The next call that is told before it is ordered; none if some were missed. Waits for ever where nobody asked for them. Cancelling
+/// The next call that is sent before it is ordered; none if some were missed. Waits permanently where they were not asked for. Cancelling
 /// it loses nothing.
 async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Option<Arc<Foreseen>> {
     let Some(calls) = early else { return pending().await };

@@ -1,4 +1,4 @@
-//! Bodies of requests: of one type, with at most so many bytes, read within a time.
+//! Bodies of requests: of one type, of a bounded size, read within a time.
 
 use axum::body::Body;
 use axum::extract::Request;

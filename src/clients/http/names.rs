@@ -1,6 +1,6 @@
 //! The names by which this machine is reached, and the pages that requests come from.
 //!
-//! A page of somebody else can make a browser send requests here: these say so in `Origin`. And its owner can let its own name
+//! A page of another origin can make a browser send requests here: these say so in `Origin`. And its owner can let its own name
 //! point to this machine (DNS rebinding): these requests have that name in `Host`.
 
 use super::rejections::Rejected;
@@ -61,7 +61,7 @@ impl Names {
         self.scheme
     }
 
-    /// Is this, `HOST` or `HOST:PORT`, one of them? An address belongs to no name that somebody could let point elsewhere.
+    /// Is this, `HOST` or `HOST:PORT`, one of them? An address belongs to no name that could point elsewhere.
     pub(super) fn has(&self, authority: &str) -> bool {
         let host = host_of(authority).to_ascii_lowercase();
         host.parse::<IpAddr>().is_ok() || self.hosts.contains(&host)

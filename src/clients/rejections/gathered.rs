@@ -71,7 +71,7 @@ impl Gathered {
     fn fold(&mut self, refused: Refused) {
         let Refused { who, chaincode, subject, function, code, .. } = &refused;
         let key = (who.clone(), chaincode.clone(), subject.clone(), function.clone(), *code);
-        // Nobody has signed these, so that they are nobody's share.
+        // These are not signed, so they are in no identity's share.
         if who.is_empty() && *code == 0 {
             return self.add_others(refused);
         }
@@ -143,7 +143,7 @@ impl Gathered {
         most.map_or_else(Default::default, |(name, lines)| (name.to_owned(), lines))
     }
 
-    /// Folds so many lines of a group into its own one, those with the fewest refusals first.
+    /// Folds N lines of a group into its own one, those with the fewest refusals first.
     fn fold_lines(&mut self, group: &Group, count: usize) {
         let line = group.line();
         let rest_key = rest_key(&line);

@@ -9,7 +9,7 @@ use crate::peers::receipt;
 use crate::process::clock::wall;
 use crate::storage::Storage;
 use ledger::branch::CertifiedBranch;
-use ledger::evidence::HEADERS_MAX;
+use ledger::headers::HEADERS_MAX;
 use ledger_api::to_status;
 use ledger_api::v1::{
     self, Attested, BlockEntries, CertifiedResponse, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk,

@@ -39,7 +39,7 @@ impl RestoreOptions {
     /// The text of the backup's configuration, if there is none here and the operator agrees to it.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if the backup has none; [`Code::LastOne`] if it is not agreed to, or nobody can be asked.
+    /// [`Code::BadFile`] if the backup has none; [`Code::LastOne`] if it is not agreed to, or there is no terminal to ask at.
     pub(crate) fn config_of_backup(&self) -> Result<Option<String>, Rejection> {
         if fs::symlink_metadata(&self.config).is_ok() {
             return Ok(None);

@@ -167,7 +167,7 @@ pub(crate) async fn rejoin(
     unmark(data)?;
     let kept = match is_dead {
         true => branches::told(lost.as_ref(), &aside),
-        false => format!("set aside  {}, for whoever looks into the damage; of no use to the node\n", aside.display()),
+        false => format!("set aside  {}, for an investigation of the damage; of no use to the node\n", aside.display()),
     };
     Ok(format!(
         "node {0} is node {id} of network {1:?} now, a learner\n\

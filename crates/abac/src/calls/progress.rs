@@ -11,7 +11,7 @@ use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{Task, TaskState};
 
-/// `progress ID REACHED`: so many points of a running task were reached. It uses the grant. With the last point the task is
+/// `progress ID REACHED`: the number of points of a running task that were reached. It uses the grant. With the last point the task is
 /// done.
 pub(crate) fn progress(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("progress ID REACHED", args, 2, 2)?;

@@ -20,7 +20,7 @@ use ledger_contract::{Ask, Can, PolicyText};
 /// Longest question, in bytes: with it come policies.
 pub(crate) const ASK_BYTES_MAX: usize = 1024 * 1024;
 
-/// An explained decision takes the steps of so many others.
+/// An explained decision takes the steps of N others.
 const EXPLAINED_STEPS: u64 = 8;
 
 /// Actions on services, as policies name them.

@@ -12,7 +12,7 @@ use ledger::Context;
 use ledger_base::rejection::Rejection;
 use ledger_contract::EmergencyAnswer;
 
-/// `resume ROBOT|* [REASON [CALL...]]`: it may be commanded again. Nobody has it then but whose turn it is in line. The stops that it
+/// `resume ROBOT|* [REASON [CALL...]]`: it may be commanded again. Only the next contender in the queue gets it then. The stops that it
 /// names (`ID:NOT_AFTER`) have no effect on these robots if they are ordered later.
 pub(crate) fn resume(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("resume ROBOT|* [REASON [CALL...]]", args, 1, 2 + emergency::NAMED_MAX)?;

@@ -1,4 +1,4 @@
-//! `stop`: a robot is commanded by nobody until it is resumed.
+//! `stop`: no one commands a robot until it is resumed.
 
 use crate::arguments::Arguments;
 use crate::calls::emergency;
@@ -35,7 +35,7 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
                 grant::live(ctx, &target.id)?.into_iter().map(|holding| Ending::of_many(holding, Reason::Stopped)),
             );
         }
-        // So many robots that there is no room to tell of them are stopped all the same.
+        // Robots beyond the room in the event are stopped all the same.
         if !capacity::is_full(ctx) {
             let told = emergency::told(&robot, &by, &reason)?;
             ctx.emit("stopped", &robot.name, told);

@@ -2,7 +2,7 @@
 //!
 //! An action that ends a grant, or may change whose turn it is, notes that the service is to be
 //! [looked at](crate::records::line::look_by). The start of the next block [resumes](resume) it: no caller pays for the turns of
-//! others, and nobody's release can fail because of who waits. The work of a block is bounded: services that are looked at, turns,
+//! others, and no release can fail because of the contenders that wait. The work of a block is bounded: services that are looked at, turns,
 //! and steps of policies.
 
 use super::follow_up::Ending;

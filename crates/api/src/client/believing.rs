@@ -6,10 +6,11 @@
 use super::uplink::Uplink;
 use super::{Call, Client};
 use crate::connect::unreachable;
+use crate::pages::WayBound;
 use crate::report::from_status;
 use crate::v1;
 use bytes::Bytes;
-use ledger::evidence::{Evidence, Link, Proved, Step};
+use ledger::evidence::{EVIDENCE_BYTES_MAX, Evidence, Link, Proved, Step};
 use ledger::network::Genesis;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -22,6 +23,10 @@ use tonic::Streaming;
 
 /// How long one step of the way may take.
 const STEP_MAX: Duration = Duration::from_secs(10);
+/// Most bytes of a way that is followed. It is not kept: its proofs replace what they cover.
+const WAY_BYTES_MAX: usize = 1 << 30;
+/// Most bytes of a way that is kept for evidence, which has as few of its proofs as there can be.
+const KEPT_WAY_BYTES_MAX: usize = 4 * EVIDENCE_BYTES_MAX;
 
 /// The answer to a call, and why it is to be believed.
 #[derive(Clone, Debug)]
@@ -127,8 +132,9 @@ impl Client {
         let after = known.map_or(0, Governance::height);
         let ask = |up: Uplink| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
-        let mut way = Vec::new();
+        let (mut way, mut bound) = (Vec::new(), WayBound::new(KEPT_WAY_BYTES_MAX));
         while let Some(step) = self.next_step(&mut steps).await? {
+            bound.count(&step)?;
             let changes = step.changes.into_iter().filter(|change| change.height <= to);
             let changes = changes.map(|change| Change::from_bytes(change.height, &change.writes));
             let proof = Some(step.proof).filter(|proof| !proof.is_empty());
@@ -151,8 +157,9 @@ impl Client {
         let after = known.map_or(0, Governance::height);
         let ask = |up: Uplink| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
-        let mut way = known.cloned().map(Way::from);
+        let (mut way, mut bound) = (known.cloned().map(Way::from), WayBound::new(WAY_BYTES_MAX));
         while let Some(step) = self.next_step(&mut steps).await? {
+            bound.count(&step)?;
             take(&mut way, &self.credentials.network, step, to)?;
         }
         let mut way = way.ok_or_else(no_way)?;

@@ -131,3 +131,15 @@ async fn another_genesis_and_changes_that_nobody_has_signed_are_refused() {
     put(Vec::new());
     assert_eq!(network.client.governance(None).await.unwrap_err().code, Code::NotFound);
 }
+
+#[tokio::test]
+async fn a_node_whose_way_to_those_who_govern_never_ends_is_refused() {
+    let network = Network::new().await;
+    network.proves(None, 1, None);
+    let first = v1::GovernanceStep { genesis: network.genesis.clone(), ..Default::default() };
+    *network.fake.node.steps.lock().unwrap() = vec![first, v1::GovernanceStep::default()];
+    network.client.invoke("abac", "setup", Vec::new()).await.unwrap();
+    network.fake.node.endless.store(true, std::sync::atomic::Ordering::Relaxed);
+    assert_eq!(network.ask().await, Code::TooLarge);
+    assert_eq!(network.client.governance(None).await.unwrap_err().code, Code::TooLarge);
+}

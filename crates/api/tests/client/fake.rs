@@ -42,6 +42,17 @@ pub(crate) enum Reaction {
     Ignore,
 }
 
+/// The node's answer about a transaction that it is asked for.
+#[derive(Clone, Copy)]
+pub(crate) enum Records {
+    /// It has it.
+    Known,
+    /// It has no such transaction.
+    Unknown,
+    /// Says nothing, ever.
+    Silent,
+}
+
 type Script = dyn Fn(&Transaction, usize) -> Reaction + Send + Sync;
 type Prover = dyn Fn(u64, Hash) -> Bytes + Send + Sync;
 type Answers = Pin<Box<dyn Stream<Item = Result<v1::SubmitResponse, Status>> + Send>>;
@@ -104,6 +115,12 @@ pub(crate) struct Node {
     pub(crate) steps: Mutex<Vec<v1::GovernanceStep>>,
     /// Makes proofs of a block, with the id of the newest transaction.
     pub(crate) prover: Mutex<Arc<Prover>>,
+    /// Does the way that it shows never end? Then its last step comes again and again.
+    pub(crate) endless: AtomicBool,
+    /// The answers to questions about transactions.
+    pub(crate) records: Mutex<Records>,
+    /// How often it was asked about one.
+    pub(crate) asked: AtomicU64,
 }
 
 pub(crate) fn wall_clock() -> u64 {
@@ -149,6 +166,9 @@ impl Fake {
             carries: Mutex::new(vec!["Org1".into()]),
             steps: Mutex::default(),
             prover: Mutex::new(Arc::new(|_, _| Bytes::new())),
+            endless: AtomicBool::new(false),
+            records: Mutex::new(Records::Known),
+            asked: AtomicU64::new(0),
         });
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -425,14 +445,25 @@ impl Gateway for Shared {
         &self,
         request: Request<v1::GetTransactionRequest>,
     ) -> Result<Response<v1::TransactionRecord>, Status> {
-        Ok(Response::new(v1::TransactionRecord { id: request.into_inner().id, ..Default::default() }))
+        self.0.asked.fetch_add(1, Ordering::Relaxed);
+        let records = *self.0.records.lock().unwrap();
+        match records {
+            Records::Known => {
+                Ok(Response::new(v1::TransactionRecord { id: request.into_inner().id, ..Default::default() }))
+            }
+            Records::Unknown => Err(to_status(&Rejection::new(Code::NotFound, "this node has no such transaction"))),
+            Records::Silent => std::future::pending().await,
+        }
     }
 
     type GovernanceStream = Steps;
 
     async fn governance(&self, _request: Request<v1::GovernanceRequest>) -> Result<Response<Steps>, Status> {
         let steps: Vec<_> = self.0.steps.lock().unwrap().iter().cloned().map(Ok).collect();
-        Ok(Response::new(Box::pin(tokio_stream::iter(steps))))
+        let last = self.0.endless.load(Ordering::Relaxed).then(|| steps.last().cloned()).flatten();
+        Ok(Response::new(Box::pin(tokio_stream::iter(
+            steps.into_iter().chain(std::iter::from_fn(move || last.clone())),
+        ))))
     }
 
     async fn prove(&self, request: Request<v1::ProveRequest>) -> Result<Response<v1::ProveResponse>, Status> {

@@ -1,7 +1,7 @@
 //! Transactions: executed once whatever happens to connections, and never silently lost.
 
 use crate::authority::Authority;
-use crate::fake::{Chain, Fake, Reaction, until};
+use crate::fake::{Chain, Fake, Reaction, Records, until};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_api::{Call, Client, Context, Options, v1};
@@ -436,4 +436,30 @@ async fn a_closed_port_is_unreachable_and_the_next_node_is_used() {
     assert!(refused.message.contains(&down.address()), "{refused}");
     let client = Client::connect(&authority.context(&[&down, &up])).await.unwrap();
     assert_eq!(*client.node(), *up.address());
+}
+
+#[tokio::test]
+async fn a_call_that_a_node_executed_on_a_branch_of_its_own_is_reported_by_the_next_node_with_what_to_do() {
+    let authority = Arc::new(Authority::new());
+    // The second node has another branch.
+    let (first, second) = (Fake::start(&authority).await, Fake::start(&authority).await);
+    *first.node.records.lock().unwrap() = Records::Silent;
+    *second.node.records.lock().unwrap() = Records::Unknown;
+    let client = Client::connect(&authority.context(&[&first, &second])).await.unwrap();
+    let calls = client.invoke("abac", "acquire", vec!["Turtlebot4".into()]);
+    let (refused, ()) = tokio::join!(calls, async {
+        until("the client asks whether the call is certified", || first.node.asked.load(Ordering::Relaxed) > 0).await;
+        // A certificate contradicts the first node, and it stops.
+        first.stop().await;
+    });
+    let (refused, id) = (refused.unwrap_err(), ids(&first.received()).pop().unwrap());
+    assert_eq!(refused.code, Code::Contradicted, "{refused}");
+    assert!(refused.message.contains(&id.to_string()), "{refused}");
+    assert!(refused.advice().contains("call again what is still wanted"), "{refused}");
+    assert!(second.received().is_empty(), "it is not signed or sent again by itself");
+    // The client goes on with the other node.
+    assert_eq!(client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap_err().code, Code::Contradicted);
+    *second.node.records.lock().unwrap() = Records::Known;
+    client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap();
+    assert_eq!(*client.node(), *second.address());
 }

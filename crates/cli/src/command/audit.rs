@@ -19,7 +19,7 @@ use std::time::Duration;
 
 /// Rows of one question.
 const ROWS_AT_ONCE: u32 = 1000;
-/// Most rows that are shown where nobody has said how many. A node could go on without end.
+/// Most rows that are shown without `--limit`. A node could go on without end.
 const ROWS_MAX: u64 = 10_000;
 /// Pause between two questions while new rows are waited for.
 const FOLLOW_PAUSE: Duration = Duration::from_millis(500);
@@ -47,7 +47,7 @@ pub(crate) struct Audit {
     /// Up to this moment
     #[arg(long, value_name = "MOMENT", conflicts_with = "follow")]
     until: Option<Moment>,
-    /// At most so many rows; without it 10000, unless --follow is given
+    /// At most N rows; without it 10000, unless --follow is given
     #[arg(long, value_name = "N", value_parser = number::count)]
     limit: Option<u64>,
     /// Go on with what happens, until Ctrl-C

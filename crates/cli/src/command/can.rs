@@ -11,6 +11,7 @@ use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger::Page;
+use ledger_api::pages::PageBound;
 use ledger_base::rejection::{Class, Rejection};
 use ledger_contract::{Ask, Can as Answer, Could, Direction, RobotAsset};
 use serde::Serialize;
@@ -101,16 +102,19 @@ pub(super) async fn asked(session: &Session, ask: &Ask) -> Result<Answer, Reject
 async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
     let ask = session::argument(ask)?;
     let (mut all, mut after): (Vec<Could>, Option<String>) = (Vec::new(), None);
+    let mut bound = PageBound::default();
     loop {
         let page = serde_json::json!({"after": after, "most": PAGE});
         let args: Vec<Bytes> = vec![ask.clone(), session::argument(&page)?];
         let response = session.ask(ABAC, "could", args).await.map_err(|refused| WORDS.told(refused))?;
         let page: Page<Could> = answer::parse(&response, "who may")?;
+        let count = page.items.len();
         all.extend(page.items);
         after = page.next;
         if after.is_none() {
             return Ok(all);
         }
+        bound.count("those who may", count)?;
     }
 }
 

@@ -40,7 +40,7 @@ pub(crate) struct Stop {
 
 /// Let a stopped robot be commanded again; for admins of its owner and those whom policies permit `resume`.
 ///
-/// The next one in line gets it, if anybody waits. Stops of the robot that have no verdict yet are cancelled.
+/// The next contender in the queue gets it, if there is one. Stops of the robot that have no verdict yet are cancelled.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl resume Turtlebot4 --reason 'cell is empty'")]
 pub(crate) struct Resume {

@@ -4,6 +4,7 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
+use crate::strictness::{beginning, strictness};
 use crate::time;
 use ledger_api::{Call, Certified, read_checkpoint};
 use ledger_base::hash::Hash;
@@ -21,7 +22,8 @@ const TTL: Duration = Duration::from_secs(30);
 /// Show who holds a robot, and whether it is stopped, without trusting the node that answers.
 ///
 /// The answer is executed as a transaction. It is shown only if enough voters have signed it: a majority of two organisations at
-/// least, and more where certificates are strict. The command follows from the genesis which nodes vote; the context pins the genesis by its hash.
+/// least, and more where certificates are strict. The command follows from the genesis which nodes vote; the context pins the
+/// genesis by its hash. `strict` says from which block on this way was strict.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  ledgerctl light Turtlebot4\n  ledgerctl light Turtlebot4 --checkpoint fleet.checkpoint"
@@ -145,13 +147,8 @@ impl Facts for Shown {
             "signed by",
             format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters),
         );
-        let strict = match self.strict_since {
-            Some(since) => format!("since block {since}: no organisation alone can certify something else since then"),
-            None => "no: one organisation that lies can have something else certified, too".to_owned(),
-        };
-        table.pair("strict", strict);
-        let began = if self.began_at == 0 { "the genesis".to_owned() } else { format!("block {}", self.began_at) };
-        table.pair("followed from", format!("{began} of network {}", self.network));
+        table.pair("strict", strictness(self.strict_since, self.began_at));
+        table.pair("followed from", format!("{} of network {}", beginning(self.began_at), self.network));
         table.write(out, 0)
     }
 }

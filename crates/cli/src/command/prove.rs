@@ -4,6 +4,7 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
+use crate::strictness::{beginning, strictness};
 use crate::time;
 use ledger::evidence::{EVIDENCE_BYTES_MAX, Evidence, Proved};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
@@ -110,6 +111,9 @@ struct Shown {
     certified_block: Hash,
     signed_by: Vec<String>,
     voters: usize,
+    /// Height of the block that made certificates strict; none if they are not.
+    strict_since: Option<u64>,
+    began_at: u64,
 }
 
 impl Shown {
@@ -135,6 +139,8 @@ impl Shown {
             certified_block,
             signed_by: proved.signed_by.clone(),
             voters: proved.voters,
+            strict_since: proved.strict_since,
+            began_at: proved.began_at,
         }
     }
 }
@@ -159,6 +165,8 @@ impl Facts for Shown {
         let nodes = format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters);
         table.pair("certified", format!("block {}, {}", self.certified_height, time::rfc3339(self.certified_time)));
         table.pair("certified by", nodes);
+        table.pair("strict", strictness(self.strict_since, self.began_at));
+        table.pair("followed from", beginning(self.began_at));
         table.write(out, 0)
     }
 }

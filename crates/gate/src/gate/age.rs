@@ -1,8 +1,8 @@
 //! How old a message is, and whether it is from before a stop.
 //!
 //! A signer names the newest block that it knew, and for how long it had known that block. The gate knows since when it has known the
-//! block and the next one itself. Both read clocks that nobody sets, so no wrong clock of any machine makes a message older or
-//! younger. Nobody can name a block before it is made.
+//! block and the next one itself. Both read clocks that cannot be set, so no wrong clock of any machine makes a message older or
+//! younger. A block cannot be named before it is made.
 //!
 //! A robot at rest asks nothing. The blocks of a node that was cut off may come late then, and no question shows by how much. Until a
 //! question is older than the block that a command names, certified block time limits its age.

@@ -36,7 +36,7 @@ impl Sequences {
         self.last.get(publisher).map(|last| (last.epoch, last.seq))
     }
 
-    /// Takes note of a message that passed now, by the steady clock in microseconds, and that can pass for so many microseconds more. False if there is no room: then it must not pass.
+    /// Takes note of a message that passed now, by the steady clock in microseconds, and for how many microseconds more it can pass. False if there is no room: then it must not pass.
     pub(super) fn note(&mut self, publisher: &str, (epoch, seq): (u64, u64), expires_in: u64, now: u64) -> bool {
         let until = now.saturating_add(expires_in).saturating_add(LONGER_US);
         if let Some(last) = self.last.get_mut(publisher) {

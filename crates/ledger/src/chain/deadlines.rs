@@ -1,4 +1,4 @@
-//! Questions to chaincodes that nobody asks: when something is due, and which budget a service has.
+//! Questions to chaincodes that no client asks: when something is due, and which budget a service has.
 
 use super::{Context, Ledger, Meter};
 use crate::chaincode::ServiceBudget;

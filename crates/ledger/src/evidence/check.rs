@@ -33,6 +33,10 @@ pub struct Proved {
     pub signed_by: Vec<String>,
     /// How many voters there were.
     pub voters: usize,
+    /// Height of the block that made certificates strict, as of the certified one; none if they are not.
+    pub strict_since: Option<u64>,
+    /// Where the way begins: 0 is the genesis.
+    pub began_at: u64,
 }
 
 /// The verdict on a transaction.
@@ -70,9 +74,8 @@ impl Evidence {
         }
         let changes = self.changes(&founded, &certified)?;
         let (transaction, signer) = self.link.transaction(&network, &founded.before(first.height, &changes)?)?;
-        let (before, voters) = (founded.before(statement.height, &changes)?, certified.voters()?);
-        let known = before.voters()?.nodes;
-        let signers = proof.certificate.signatures.iter().filter_map(|signature| known.get(&signature.node));
+        let before = founded.before(statement.height, &changes)?.voters()?;
+        let signers = proof.certificate.signatures.iter().filter_map(|signature| before.nodes.get(&signature.node));
         Ok(Proved {
             network,
             label: document.label,
@@ -83,7 +86,9 @@ impl Evidence {
             index: self.link.path.index,
             certified: (statement.height, statement.time, statement.block),
             signed_by: signers.map(|voter| format!("{}/{}", voter.organisation, voter.name)).collect(),
-            voters: voters.voters.len(),
+            voters: certified.voters()?.voters.len(),
+            strict_since: before.rule.strict_since,
+            began_at: founded.height(),
         })
     }
 

@@ -16,7 +16,7 @@ use ledger_identity::msp::Msps;
 use lost::lost;
 use serde::{Deserialize, Serialize};
 
-/// Writes an organisation with other authorities. The rights end of those for whom nobody vouches any more.
+/// Writes an organisation with other authorities. The rights end of those for whom no authority vouches any more.
 pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) -> Result<Bytes, Rejection> {
     let before = find(ctx, &organisation.name)?;
     store::write(ctx, &organisation_key(&organisation.name), organisation)?;

@@ -140,7 +140,7 @@ pub(super) fn end(ctx: &mut Context<'_>) -> Result<(), Rejection> {
     write(ctx, &CertificateRule { strict_since: None, ..rule })
 }
 
-/// An organisation that leaves is under nobody's hand.
+/// An organisation that leaves is under no hand.
 pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
     let mut rule = of(ctx)?;
     for hand in &mut rule.hands {

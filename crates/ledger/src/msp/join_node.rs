@@ -61,7 +61,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         None => check_room(ctx, caller, live())?,
     }
     joins::count(ctx, &caller.organisation)?;
-    // While certificates are strict, a vote stays with the node that comes back under another number: one joint change, and never
+    // While certificates are strict, a vote stays with the node that rejoins under another number: one joint change, and never
     // a voter less in between.
     let is_strict = certificate_rule(ctx)?.strict_since.is_some();
     let role = before.filter(|_| is_strict).map_or(NodeRole::Learner, |before| before.role);

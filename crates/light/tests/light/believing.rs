@@ -87,7 +87,8 @@ fn two_blocks_that_one_node_has_signed_for_one_place_prove_a_lie_and_nothing_els
     let other = Statement { block: Hash([3; 32]), ..statement(5) };
     let lie = |first: &Statement, by: u64, second: &Statement, and: u64| {
         let lie = Lie { first: world.sign(first, by), second: world.sign(second, and) };
-        assert_eq!(Lie::from_bytes(&lie.to_bytes()).unwrap(), lie);
+        let proof = Misbehaviour::Lie(lie.clone());
+        assert_eq!(Misbehaviour::from_bytes(&proof.to_bytes()).unwrap(), proof);
         lie.verify(|der, time| world.identify(der, time)).map(|liar| liar.id()).map_err(|refused| refused.code)
     };
     assert_eq!(lie(&statement(5), 3, &other, 3).unwrap(), "Org2/node3");
@@ -115,7 +116,8 @@ fn two_results_of_one_block_that_one_node_has_signed_prove_a_fault_and_no_lie() 
     let other = Statement { results: Hash([3; 32]), ..statement(5) };
     let fault = |first: &Statement, second: &Statement| {
         let fault = Fault { first: world.sign(first, 3), second: world.sign(second, 3) };
-        assert_eq!(Fault::from_bytes(&fault.to_bytes()).unwrap(), fault);
+        let proof = Misbehaviour::Fault(fault.clone());
+        assert_eq!(Misbehaviour::from_bytes(&proof.to_bytes()).unwrap(), proof);
         fault.verify(|der, time| world.identify(der, time)).map(|node| node.id()).map_err(|refused| refused.code)
     };
     assert_eq!(fault(&statement(5), &other).unwrap(), "Org2/node3");

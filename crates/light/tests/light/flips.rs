@@ -4,7 +4,7 @@ use crate::vectors::{bytes, hash, members, number, text, vectors};
 use crate::ways::{begun, stepped};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
-use ledger_light::{Certificate, Change, Checkpoint, Governance, Lie, Proof, Signature, Vote};
+use ledger_light::{Certificate, Change, Checkpoint, Governance, Misbehaviour, Proof, Signature, Vote};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -108,8 +108,8 @@ fn a_lie_with_one_bit_turned_proves_nothing() {
     let (_, msps) = members(vectors());
     let good = bytes(&vectors()["lies"][0], "lie");
     let proves = |lie: &[u8]| {
-        let lie = Lie::from_bytes(lie)?;
-        lie.verify(|der, time| msps.verify(der, &[], time).map_err(Rejection::from))
+        let lie = Misbehaviour::from_bytes(lie)?;
+        lie.signer(|der, time| msps.verify(der, &[], time).map_err(Rejection::from))
     };
     assert!(proves(&good).is_ok());
     for (bit, flipped) in flips(&good) {

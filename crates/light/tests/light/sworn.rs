@@ -5,7 +5,7 @@ use crate::world::{NETWORK, NOW, World};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::KeyKind;
-use ledger_light::{Fault, Lie, Signature, Statement, Vote};
+use ledger_light::{Fault, Lie, Misbehaviour, Signature, Statement, Vote};
 use serde_json::{Value, json};
 
 fn outcome(found: Result<String, Rejection>, vector: &Value) {
@@ -44,9 +44,9 @@ fn lies_are_proved_and_not_proved_as_the_vectors_say() {
     let lies = vectors["lies"].as_array().unwrap();
     assert!(lies.len() > 6 && lies.iter().any(|lie| lie["refused"].is_null()));
     for vector in lies {
-        let found = Lie::from_bytes(&bytes(vector, "lie")).and_then(|lie| {
+        let found = Misbehaviour::from_bytes(&bytes(vector, "lie")).and_then(|lie| {
             assert_eq!(hex::encode(lie.to_bytes()), text(vector, "lie"));
-            lie.verify(|der, time| msps.verify(der, &[], time).map_err(Rejection::from)).map(|liar| liar.id())
+            lie.signer(|der, time| msps.verify(der, &[], time).map_err(Rejection::from)).map(|liar| liar.id())
         });
         outcome(found, vector);
     }
@@ -59,9 +59,9 @@ fn faults_are_proved_and_not_proved_as_the_vectors_say() {
     let faults = vectors["faults"].as_array().unwrap();
     assert!(faults.len() > 2 && faults.iter().any(|fault| fault["refused"].is_null()));
     for vector in faults {
-        let found = Fault::from_bytes(&bytes(vector, "fault")).and_then(|fault| {
+        let found = Misbehaviour::from_bytes(&bytes(vector, "fault")).and_then(|fault| {
             assert_eq!(hex::encode(fault.to_bytes()), text(vector, "fault"));
-            fault.verify(|der, time| msps.verify(der, &[], time).map_err(Rejection::from)).map(|node| node.id())
+            fault.signer(|der, time| msps.verify(der, &[], time).map_err(Rejection::from)).map(|node| node.id())
         });
         outcome(found, vector);
     }
@@ -134,11 +134,14 @@ pub(crate) fn votes(world: &World) -> Vec<Value> {
 /// The vectors of proofs of a lie.
 pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
     let other = Statement { block: Hash([9; 32]), ..said };
-    let lie = |first: &Statement, by: u64, second: &Statement, and: u64| {
-        Lie { first: world.sign(first, by), second: world.sign(second, and) }.to_bytes()
+    let pair = |first: &Statement, by: u64, second: &Statement, and: u64| Lie {
+        first: world.sign(first, by),
+        second: world.sign(second, and),
     };
+    let lie_bytes = |lie: Lie| Misbehaviour::Lie(lie).to_bytes();
+    let lie = |first: &Statement, by: u64, second: &Statement, and: u64| lie_bytes(pair(first, by, second, and));
     let good = lie(&said, 3, &other, 3);
-    let mut forged = Lie::from_bytes(&good).unwrap();
+    let mut forged = pair(&said, 3, &other, 3);
     forged.second.statement.results = Hash([8; 32]);
     let member = world.cas[1].user("node3", "member", KeyKind::P256);
     let by_member = |said: &Statement| said.sign(3, member.certificate.clone(), &member.key).unwrap();
@@ -148,7 +151,7 @@ pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
     let elsewhere = Statement { network: Hash::ZERO, ..other };
     let recovered = Statement { recoveries: 1, ..other };
     let results = Statement { results: Hash([9; 32]), ..said };
-    let mut renumbered = Lie::from_bytes(&good).unwrap();
+    let mut renumbered = pair(&said, 3, &other, 3);
     (renumbered.first.signature.node, renumbered.second.signature.node) = (4, 4);
     let refused = [
         ("the same twice", lie(&said, 3, &said, 3), Code::Malformed, same),
@@ -157,14 +160,14 @@ pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
         ("two networks", lie(&said, 3, &elsewhere, 3), Code::Malformed, same),
         ("before and after a forced recovery", lie(&said, 3, &recovered, 3), Code::Malformed, same),
         ("two results of one block", lie(&said, 3, &results, 3), Code::Malformed, "that is a fault and no lie"),
-        ("another number of the node", renumbered.to_bytes(), Code::BadSignature, "the number of the node is signed"),
+        ("another number of the node", lie_bytes(renumbered), Code::BadSignature, "the number of the node is signed"),
         (
             "a statement that was not signed",
-            forged.to_bytes(),
+            lie_bytes(forged),
             Code::BadSignature,
             "the second signature is of another one",
         ),
-        ("a member of the name of a node", by_member.to_bytes(), Code::Untrusted, "only nodes make statements"),
+        ("a member of the name of a node", lie_bytes(by_member), Code::Untrusted, "only nodes make statements"),
     ];
     let mut lies = vec![json!({"name": "a lie", "lie": hex::encode(&good), "signer": "Org2/node3"})];
     lies.extend(refused.into_iter().map(
@@ -180,7 +183,8 @@ pub(crate) fn lies(world: &World, said: Statement) -> Vec<Value> {
 pub(crate) fn faults(world: &World, said: Statement) -> Vec<Value> {
     let other = Statement { results: Hash([9; 32]), ..said };
     let fault = |first: &Statement, by: u64, second: &Statement, and: u64| {
-        hex::encode(Fault { first: world.sign(first, by), second: world.sign(second, and) }.to_bytes())
+        let fault = Fault { first: world.sign(first, by), second: world.sign(second, and) };
+        hex::encode(Misbehaviour::Fault(fault).to_bytes())
     };
     let block = Statement { block: Hash([9; 32]), ..other };
     let mut faults = vec![json!({"name": "a fault", "fault": fault(&said, 3, &other, 3), "signer": "Org2/node3"})];

@@ -2,8 +2,8 @@
 //! code with which it refuses the last one of them.
 
 use crate::vectors::{bytes, fact_json, hash, number, text};
-use ledger_base::rejection::Rejection;
-use ledger_light::{Change, Checkpoint, Governance, Proof};
+use ledger_base::rejection::{Code, Rejection};
+use ledger_light::{Change, Checkpoint, Governance, Proof, Way};
 use serde_json::{Value, json};
 
 /// Where a way begins. A checkpoint is of use to its reader only if enough voters in it have signed its proof.
@@ -57,4 +57,30 @@ fn readers_end_where_the_vectors_say_and_refuse_as_they_say() {
             }
         }
     }
+}
+
+#[test]
+fn changes_that_no_proof_covers_are_bounded_however_often_a_true_proof_is_shown_between_them() {
+    let vectors = crate::vectors::vectors();
+    let ways = vectors["ways"].as_array().unwrap();
+    let good = ways.iter().find(|way| !way["gives"].is_null() && way["steps"].as_array().unwrap().len() == 1).unwrap();
+    let step = &good["steps"][0];
+    let mut way = Way::from(begun(&vectors["beginnings"][text(good, "begin")]).unwrap());
+    for change in step["changes"].as_array().unwrap() {
+        way.change(number(change, "height"), &bytes(change, "writes")).unwrap();
+    }
+    let proof = Proof::from_bytes(&bytes(step, "proof")).unwrap();
+    way.follow(proof.clone());
+    let large = Change {
+        height: u64::MAX,
+        writes: (0..12_u8).map(|key| (vec![key].into(), Some(vec![0; 1 << 20].into()))).collect(),
+    };
+    let mut shown = || {
+        way.change(large.height, &large.to_bytes())?;
+        way.follow(proof.clone());
+        Ok::<_, Rejection>(())
+    };
+    let refused = (0..16).find_map(|_| shown().err()).unwrap();
+    assert_eq!(refused.code, Code::TooLarge, "{refused}");
+    assert!(way.end().is_ok(), "the proof was followed each time");
 }

@@ -32,7 +32,7 @@ use std::sync::Arc;
 /// Links of executed blocks that stay in memory: followers that lag a little need no disk.
 const LINKS_KEPT: usize = 4096;
 
-/// The contradiction of a node is reported once in so many election timeouts: a second by default.
+/// The contradiction of a node is reported once in this number of election timeouts: a second by default.
 const REPORT_TIMEOUTS: usize = 5;
 
 /// The end of a chain.
@@ -193,7 +193,7 @@ impl Engine {
         // What is not in this log is refused by the crate, or was dropped here as it is committed.
         let Some(own) = self.chain.link(message.index) else { return Ok(()) };
         if own.hash != named {
-            // Otherwise entries that nobody has committed, as after every election.
+            // Otherwise entries that are not committed, as after every election.
             if !self.must_be_equal(message.index, message.log_term) {
                 return Ok(());
             }

@@ -10,10 +10,11 @@
 //! gets no vote for [`BAN_TIMEOUTS`], which doubles with each further deposition. An honest leader that counts them steps down.
 //!
 //! One hand cannot complete the count. So one honest voter at least has found that the leader withholds something. If
-//! nobody else is elected in the meantime, the voters follow the deposed leader again: a bad leader is better than none.
+//! no other node is elected in the meantime, the voters follow the deposed leader again: a bad leader is better than none.
 
 use super::Engine;
 use super::mandate::Grievance;
+use super::status::Deposition;
 use crate::interface::Output;
 use crate::message::{PeerMessage, RaftKind, SignedComplaint};
 use bytes::Bytes;
@@ -21,22 +22,25 @@ use ledger_base::mutation::{Mutation, active};
 use raft::INVALID_ID;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Nothing more is taken from a deposed leader for so many of the shortest election timeouts: two of the longest.
+/// Nothing more is taken from a deposed leader for this number of the shortest election timeouts: two of the longest.
 pub(super) const DEPOSED_TIMEOUTS: u64 = 4;
-/// A deposed leader gets no vote for so many election timeouts: ten seconds by default.
+/// A deposed leader gets no vote for this number of election timeouts: ten seconds by default.
 pub(super) const BAN_TIMEOUTS: u64 = 50;
 /// Most doublings of that.
 const DOUBLINGS_MAX: u32 = 6;
-/// A deposition is forgotten after so many election timeouts without another one: an hour by default.
-const FORGET_TIMEOUTS: u64 = 18_000;
-/// The own complaint is sent once in so many election timeouts, for as long as the leader withholds.
+/// A deposition is forgotten after this number of election timeouts without another one: an hour by default.
+pub(super) const FORGET_TIMEOUTS: u64 = 18_000;
+/// The own complaint is sent once in this number of election timeouts, for as long as the leader withholds.
 const REPEAT_TIMEOUTS: u64 = 2;
 
 /// A leader that was deposed.
 #[derive(Clone, Copy)]
 struct Deposed {
     times: u32,
+    /// In ticks.
     at: u64,
+    /// By the clock that goes with inputs, microseconds.
+    time: u64,
 }
 
 /// The complaints about the leader of this term, and the leaders that were deposed.
@@ -48,6 +52,8 @@ pub(super) struct Complaints {
     /// The own complaint, and when it was sent last, in ticks.
     own: Option<(Bytes, u64)>,
     deposed: BTreeMap<u64, Deposed>,
+    /// All depositions since the start.
+    total: u64,
 }
 
 impl Complaints {
@@ -57,11 +63,12 @@ impl Complaints {
         }
     }
 
-    fn depose(&mut self, leader: u64, ticks: u64, timeout: u64) {
+    fn depose(&mut self, leader: u64, (ticks, time): (u64, u64), timeout: u64) {
         self.by.clear();
         self.deposed.retain(|_, deposed| ticks - deposed.at < FORGET_TIMEOUTS * timeout);
-        let deposed = self.deposed.entry(leader).or_insert(Deposed { times: 0, at: ticks });
-        *deposed = Deposed { times: deposed.times + 1, at: ticks };
+        let times = self.deposed.get(&leader).map_or(0, |deposed| deposed.times) + 1;
+        self.deposed.insert(leader, Deposed { times, at: ticks, time });
+        self.total += 1;
     }
 
     /// Is nothing taken from this node that a leader sends?
@@ -149,7 +156,7 @@ impl Engine {
         let by = self.complaints.by.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
         tracing::warn!(term, leader, by, "voters have deposed the leader: it withholds control calls");
         let (ticks, timeout) = (self.ticks, self.timeout());
-        self.complaints.depose(leader, ticks, timeout);
+        self.complaints.depose(leader, (ticks, self.now), timeout);
         self.raw.raft.become_follower(term, INVALID_ID);
     }
 
@@ -169,6 +176,18 @@ impl Engine {
             }
             _ => false,
         }
+    }
+
+    /// All depositions since the start, and those that are not forgotten, in order of leader.
+    pub(super) fn depositions(&self) -> (u64, Vec<Deposition>) {
+        let (ticks, forget) = (self.ticks, FORGET_TIMEOUTS * self.timeout());
+        let known = self.complaints.deposed.iter().filter(|(_, deposed)| ticks - deposed.at < forget);
+        let recent = known.map(|(leader, Deposed { times, time, .. })| Deposition {
+            leader: *leader,
+            times: *times,
+            time: *time,
+        });
+        (self.complaints.total, recent.collect())
     }
 
     /// This node was deposed, and no voter would elect it.

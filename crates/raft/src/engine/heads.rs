@@ -31,7 +31,7 @@ use std::collections::VecDeque;
 const SIGNED_KEPT: usize = 16;
 /// Terms whose newest head is kept: a head of an earlier leader may be shown late.
 const TERMS_KEPT: usize = 8;
-/// The newest head is shown once in so many election timeouts: a second by default.
+/// The newest head is shown once in this number of election timeouts: a second by default.
 const SHOW_TIMEOUTS: u64 = 5;
 /// Most blocks between two heads of which a proof is made.
 const BRANCH_BLOCKS_MAX: u64 = ledger_light::head::LINKS_MAX as u64;
@@ -91,7 +91,7 @@ impl Heads {
         self.certificate = (term, certificate);
     }
 
-    /// No head of the leader could be checked for so many ticks. Counted again from then on.
+    /// The number of ticks for which no head of the leader could be checked. Counted again from then on.
     pub(super) fn take_unchecked(&mut self, now: u64, ticks: usize) -> bool {
         self.unchecked_since.take_if(|since| now.saturating_sub(*since) >= ticks as u64).is_some()
     }
@@ -129,7 +129,7 @@ impl Engine {
                     self.heads.signed.truncate(SIGNED_KEPT);
                 }
                 Err(reason) => {
-                    tracing::warn!(code = reason.code.name(), %reason, "a head is not signed, so nobody takes what it ends")
+                    tracing::warn!(code = reason.code.name(), %reason, "a head is not signed, so followers do not take what it ends")
                 }
             }
         }

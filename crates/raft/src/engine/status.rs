@@ -32,6 +32,7 @@ impl Engine {
             _ => Vec::new(),
         };
         peers.sort_by_key(|peer| peer.node);
+        let (depositions, deposed) = self.depositions();
         Status {
             id: self.config.id,
             role: self.told,
@@ -48,6 +49,8 @@ impl Engine {
             peers,
             control: self.queues.control.status(),
             data: self.queues.data.status(),
+            depositions,
+            deposed,
         }
     }
 }
@@ -85,6 +88,21 @@ pub struct Status {
     pub control: QueueStatus,
     /// The data lane.
     pub data: QueueStatus,
+    /// How often complaints of voters have deposed a leader since the start of this engine.
+    pub depositions: u64,
+    /// The leaders that were deposed within the last 18000 election timeouts (an hour by default).
+    pub deposed: Vec<Deposition>,
+}
+
+/// A leader that voters have deposed by their complaints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Deposition {
+    /// The leader.
+    pub leader: u64,
+    /// How often, with less than an hour between two times.
+    pub times: u32,
+    /// When the last one was, by the clock that goes with inputs, microseconds.
+    pub time: u64,
 }
 
 /// One peer as the leader sees it.

@@ -36,6 +36,8 @@ fn leader(voters: &[u64], learners: &[u64]) -> Status {
         peers,
         control: QueueStatus::default(),
         data: QueueStatus::default(),
+        depositions: 0,
+        deposed: Vec::new(),
     }
 }
 

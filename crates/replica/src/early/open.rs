@@ -129,7 +129,7 @@ impl Open {
             self.keep(&transaction, &organisation(&transaction), 0);
             rest = after;
         }
-        // Nobody else may have it: it is due at once.
+        // No other node may have it: it is due at once.
         self.calls.iter_mut().for_each(|kept| kept.due = 0);
         self.changed = false;
         if rest.is_empty() { Ok(()) } else { Err(corrupt()) }

@@ -22,7 +22,7 @@ const IN_FLIGHT_BYTES_MAX: usize = 128 * 1024 * 1024;
 /// renews hundreds of leases. Calls beyond that wait with the data, so that nobody can have everything done first.
 const URGENT_PER_SECOND: u64 = 512;
 const URGENT_AT_ONCE: u64 = 1024;
-/// The identities of an organisation together have so many times the urgent calls of one.
+/// The identities of an organisation together have N times the urgent calls of one.
 const URGENT_OF_ORGANISATION: u64 = 4;
 
 /// The places of a node and the identities that share them.
@@ -76,7 +76,7 @@ struct Allowance {
 }
 
 impl Allowance {
-    /// That of so many identities.
+    /// That of N identities.
     fn full(of: u64) -> Mutex<Self> {
         Mutex::new(Self { left: of * URGENT_AT_ONCE * 1_000_000, of, since: 0 })
     }

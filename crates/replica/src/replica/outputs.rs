@@ -77,7 +77,7 @@ impl<W: Waiter> Replica<W> {
         }
     }
 
-    /// Two votes of one voter, for anybody to check.
+    /// Two votes of one voter, for any reader to check.
     fn proof(&self, now: Now, found: &VotedTwice) -> Result<DoubleVote, Rejection> {
         let [(one, first), (other, second)] = &found.votes;
         let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
@@ -93,14 +93,14 @@ impl<W: Waiter> Replica<W> {
         mut forwarded: Transactions,
         out: &mut Vec<Effect>,
     ) -> Transactions {
-        let excess = self.executor.budgets().take_excess(self.executor.ledger(), &mut forwarded, now.clock);
+        let excess = self.executor.budgets().take_excess(self.executor.ledger(), from, &mut forwarded, now.clock);
         if !(excess.control.is_empty() && excess.data.is_empty()) {
             out.push(Effect::Send { to: from, message: PeerMessage::Returned(excess) });
         }
         forwarded
     }
 
-    /// Two logs of one leader, for anybody to check.
+    /// Two logs of one leader, for any reader to check.
     fn proof_of_heads(&self, now: Now, found: &ledger_raft::DoubleHead) -> Result<DoubleHead, Rejection> {
         let branch = |branch: &HeadBranch| -> Result<Branch, Rejection> {
             let HeadBranch { base, links, vote, signature } = branch;

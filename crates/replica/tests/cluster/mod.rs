@@ -32,8 +32,7 @@ use ledger_base::hash::Hash;
 use ledger_raft::{Desired, Input, Lane, Membership, PeerMessage, Status};
 use ledger_replica::{self as replica, Effect, Timing};
 use ledger_storage::entry::{Entry, EntryKind};
-use node::Node;
-pub use node::{ALARM, BOARD_BYTES};
+pub use node::{ALARM, BOARD_BYTES, Node, genesis};
 pub use people::{ORGANISATION, PEOPLE, call};
 use std::collections::{BTreeMap, BTreeSet};
 use testkit::Random;
@@ -149,7 +148,7 @@ impl Cluster {
             timing: Timing { tick: TICK * UNIT, election_ticks: 20, data_wait },
             segment_bytes,
             asked: BTreeMap::new(),
-            genesis: node::genesis(&founders, EPOCH),
+            genesis: genesis(&founders, EPOCH),
             current: founders.clone(),
             founders,
             events: BTreeMap::new(),

@@ -162,6 +162,8 @@ pub struct Node {
     pub stalled: bool,
     /// Why the node has stopped for good.
     pub failed: Option<Rejection>,
+    /// Height and hash of the newest block that it has a certificate for.
+    pub certified: Option<(u64, Hash)>,
 }
 
 struct Disks {
@@ -222,6 +224,7 @@ impl Node {
             held: None,
             stalled: false,
             failed: None,
+            certified: None,
         }
     }
 
@@ -235,7 +238,14 @@ impl Node {
         let snapshots = Arc::new(Snapshots::open(Arc::new(self.disks.snapshots.clone()), *network).unwrap());
         let mut registry = Registry::new();
         registry.install(Arc::new(Notes)).unwrap();
-        let opening = Opening { genesis, registry: &registry, store: &store, snapshots: &snapshots, diverged: false };
+        let opening = Opening {
+            genesis,
+            registry: &registry,
+            store: &store,
+            snapshots: &snapshots,
+            diverged: false,
+            certified: self.certified,
+        };
         let ledger = Arc::new(opening.open(&mut Keeping { disks: &mut self.disks, network: *network }).unwrap());
         self.members = ledger.members().unwrap();
         let waiters = Arc::new(Waiters::default());

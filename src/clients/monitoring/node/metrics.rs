@@ -4,6 +4,7 @@ use crate::clients::monitoring::figures::{Labels, Several, bytes, counts, number
 use crate::process::meters::Meters;
 use ledger_api::v1::StatusResponse;
 use ledger_base::rejection::Code;
+use prometheus_client::metrics::counter::ConstCounter;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
@@ -63,6 +64,8 @@ fn order(registry: &mut Registry, status: &StatusResponse) {
     number(registry, "is_leader", "1 while this node leads, 0 otherwise", u64::from(status.role == "leader"));
     number(registry, "has_leader", "1 while a leader is known, 0 otherwise", u64::from(status.leader_id != 0));
     number(registry, "term", "Term of the ordering; it grows with every election", status.term);
+    let help = "Times that voters have deposed a leader by complaints, since the start of the node";
+    registry.register("depositions", help, ConstCounter::new(status.depositions));
     number(registry, "voters", "Nodes that vote", u64::from(status.voters));
     let help = "Nodes that vote and are connected to this one, itself counted";
     number(registry, "voters_connected", help, u64::from(status.voters_connected));

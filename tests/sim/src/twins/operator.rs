@@ -335,7 +335,7 @@ impl World {
                 Ok(())
             }
             _ => {
-                if self.now % SECOND != 0 {
+                if !self.now.is_multiple_of(SECOND) {
                     return Ok(());
                 }
                 // The same one again, so that it gets one number.

@@ -715,7 +715,7 @@ impl World {
         self.certify(at, certifier::Event::Time)?;
         let Some(up) = self.up(at) else { return Ok(()) };
         up.beats += 1;
-        if up.beats % BEATS_AGAIN != 0 {
+        if !up.beats.is_multiple_of(BEATS_AGAIN) {
             return Ok(());
         }
         let mut found = Vec::new();

@@ -22,7 +22,7 @@ pub(crate) fn approve(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     if theirs >= ADMINS_PER_ORGANISATION_MAX {
         return Err(Rejection::new(
             Code::LimitExceeded,
-            format!("so many admins of {organisation} approve this already"),
+            format!("too many admins of {organisation} approve this already"),
         )
         .found(format!("{theirs} approvals"))
         .wanted(format!("at most {ADMINS_PER_ORGANISATION_MAX} of each organisation")));

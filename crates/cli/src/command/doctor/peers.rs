@@ -109,7 +109,7 @@ fn judge(overview: &Overview, now: u64, findings: &mut Vec<Finding>) {
     findings.extend(well.map(|found| Finding::ok("certificate", certificate_text(found, now))));
 }
 
-/// The faults that the voters survive. Where one organisation has all of them, its lie is nobody else's loss.
+/// The faults that the voters survive. Where one organisation has all of them, its lie harms no other one.
 fn survived(rule: &CertificateRuleFacts, nodes: &[Node]) -> Option<Finding> {
     if rule.signatures_needed == 0 {
         return None;

@@ -14,9 +14,10 @@ use std::io::{self, Write};
 
 /// Show how many signatures make a certificate, and what the voters survive; for admins, change it.
 ///
-/// Strict certificates need so many signatures that one organisation cannot have two different blocks certified, even if it
-/// lies with all its voters. They become strict by themselves once any one voter can be lost and still enough remain: with
-/// four organisations that have a voter each, for example. A change needs the approval of the organisations.
+/// Strict certificates need more than (N + m) / 2 signatures of N voters, of which the largest organisation has m. So one
+/// organisation cannot have two different blocks certified, even if it lies with all its voters. They become strict by
+/// themselves once any one voter can be lost and still enough remain: with four organisations that have a voter each, for
+/// example. A change needs the approval of the organisations.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -57,7 +58,7 @@ fn read(text: &str) -> Result<bool, Rejection> {
     }
 }
 
-/// The sets that somebody types; `none` is no set.
+/// The sets of `--one-hand`; `none` is no set.
 fn hands(texts: &[String]) -> Vec<BTreeSet<String>> {
     let set = |text: &String| text.split(',').map(|name| name.trim().to_owned()).collect();
     texts.iter().filter(|text| *text != "none").map(set).collect()

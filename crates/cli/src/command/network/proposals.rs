@@ -122,7 +122,7 @@ impl Facts for Standing {
 }
 
 impl Standing {
-    /// A call in words. A node that shall order comes with its address, which everybody will dial.
+    /// A call in words. A node that shall order comes with its address, which all nodes will dial.
     fn what(&self, call: &Call) -> String {
         let orders = node_role(call).filter(|(_, _, role)| *role != NodeRole::Removed);
         let node = orders.and_then(|(id, ..)| self.nodes.iter().find(|node| node.id == id));

@@ -188,7 +188,7 @@ pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(),
     if count(ctx, organisation, |number| number.saturating_add(1))? <= most {
         return Ok(());
     }
-    let free = "cancel registrations that nobody will use: ledgerctl identity list";
+    let free = "cancel registrations that will not be used: ledgerctl identity list";
     Err(quotas::quota_reached(organisation, "identities", most, free))
 }
 

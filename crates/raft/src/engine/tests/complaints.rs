@@ -2,7 +2,8 @@
 
 use super::votes::signed_complaint;
 use super::*;
-use crate::engine::complaints::{BAN_TIMEOUTS, DEPOSED_TIMEOUTS};
+use crate::engine::complaints::{BAN_TIMEOUTS, DEPOSED_TIMEOUTS, FORGET_TIMEOUTS};
+use crate::engine::status::Deposition;
 use crate::message::SignedComplaint;
 
 /// Node 2 of five voters follows node 1 in term 1. Two complaints are needed, see [`Names`].
@@ -82,6 +83,17 @@ fn a_voter_signs_its_complaint_and_sends_it_to_the_voters_for_as_long_as_it_last
     let mut learner = engine(9, &[1, 2, 3, 4, 5], &[9]);
     step(&mut learner, message(1, RaftKind::Heartbeat, |_| {}));
     assert_eq!(sent(&step(&mut learner, own())), [0; 0], "a learner has no voice");
+}
+
+#[test]
+fn the_status_names_deposed_leaders_for_an_hour_and_counts_all_depositions() {
+    let mut node = deposed();
+    let seen = |node: &Engine| (node.status().depositions, node.status().deposed);
+    let once = Deposition { leader: 1, times: 1, time: node.now };
+    assert_eq!(seen(&node), (1, vec![once]));
+    assert_eq!(seen(&follower()), (0, Vec::new()));
+    node.ticks += FORGET_TIMEOUTS * timeout(&node);
+    assert_eq!(seen(&node), (1, Vec::new()));
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn rights(metadata: &Metadata) -> String {
 
 fn unusable(directory: &Path, found: String, next: &str) -> Error {
     let what = format!("shared memory in {} is not safe to use", directory.display());
-    let wanted = "a directory of this user, which is no link and in which nobody else writes";
+    let wanted = "a directory of this user, which is no link and in which no other user writes";
     Error::Shm(Explained::new(what, found, wanted, next))
 }
 
@@ -155,7 +155,7 @@ mod tests {
         assert!(found(&at("file"), user()).starts_with("no directory"));
         set_mode(&at("open"), 0o1777);
         assert!(found(&at("open"), user()).starts_with("others may write in it"));
-        // The same directory, in a parent that everybody shares, for another user.
+        // The same directory, in a parent that all users share, for another user.
         set_mode(&at("open"), 0o1777);
         let shared = at("open").join("iceoryx2");
         make_private(&shared, user()).unwrap();
