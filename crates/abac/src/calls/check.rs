@@ -1,4 +1,4 @@
-//! `check`: the faults of a policy.
+//! `check`: the faults of a policy, or its meaning.
 
 use crate::arguments::Arguments;
 use crate::calls::question::ASK_BYTES_MAX;
@@ -7,7 +7,7 @@ use crate::records::store;
 use bytes::Bytes;
 use ledger_base::rejection::Rejection;
 
-/// `check TEXT`: the faults of a policy with their places; none if it is acceptable.
+/// `check TEXT`: the faults of a policy with their places; if it is acceptable, the meaning of each policy in words.
 pub(crate) fn check(decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("check TEXT", args, 1, 1)?;
     store::json(&decider.diagnose(args.document(0, "TEXT", ASK_BYTES_MAX)?))

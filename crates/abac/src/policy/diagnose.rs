@@ -1,22 +1,24 @@
 //! The faults of a policy with their places in its text.
 
-use super::{FAULTS_SHOWN_MAX, annotation};
+use super::naming::{self, Misnamed};
+use super::{FAULTS_SHOWN_MAX, annotation, words};
 use cedar_policy::{PolicySet, ValidationMode, Validator};
-use ledger_contract::PolicyFault;
+use ledger_contract::{PolicyCheck, PolicyFault};
 use miette::Diagnostic;
 
 /// Most faults that are told with their places.
 const FAULTS_MAX: usize = 16;
 const _: () = assert!(FAULTS_MAX >= FAULTS_SHOWN_MAX);
 
-/// The faults of a text as a policy; none if it is acceptable.
-pub(super) fn diagnose(validator: &Validator, text: &str) -> Vec<PolicyFault> {
+/// The faults of a text as a policy. If there are none, the meaning of each policy in it.
+pub(super) fn diagnose(validator: &Validator, text: &str) -> PolicyCheck {
     let mut faults = found(validator, text);
     // Cedar finds them in no particular order.
     faults.sort_by(|one, other| (one.line, one.column, &one.message).cmp(&(other.line, other.column, &other.message)));
     faults.dedup();
     faults.truncate(FAULTS_MAX);
-    faults
+    let policies = if faults.is_empty() { words::meanings(text) } else { Vec::new() };
+    PolicyCheck { faults, policies }
 }
 
 fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
@@ -34,6 +36,13 @@ fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
     }
     if let Err(faults) = annotation::check(&policies) {
         return faults.into_iter().map(|message| annotation_fault(text, message)).collect();
+    }
+    if let Err(faults) = naming::check(&policies) {
+        let place = |fault: &Misnamed| {
+            let start = text.find(&fault.policy)?;
+            Some((start + fault.policy.rfind(&fault.quoted)?, fault.quoted.len()))
+        };
+        return faults.iter().map(|one| fault(text, one.message.clone(), String::new(), place(one))).collect();
     }
     let result = validator.validate(&policies, ValidationMode::Strict);
     result.validation_errors().map(|fault| placed(text, fault)).collect()

@@ -34,6 +34,7 @@ mod properties;
 mod publishing;
 mod readers;
 mod reads;
+mod rights;
 mod robots;
 mod settings;
 mod sharing;

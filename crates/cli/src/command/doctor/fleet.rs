@@ -6,7 +6,7 @@ use crate::session::{ABAC, Session};
 use crate::time;
 use bytes::Bytes;
 use ledger_base::rejection::Rejection;
-use ledger_contract::{PolicyEntry, PolicyFault, RobotAsset};
+use ledger_contract::{PolicyCheck, PolicyEntry, PolicyFault, RobotAsset};
 
 /// Looks at what is on the ledger about robots.
 pub(super) async fn look(session: &Session, findings: &mut Vec<Finding>) {
@@ -70,8 +70,8 @@ async fn policies(session: &Session) -> Result<Vec<Finding>, Rejection> {
     let mut found = Vec::new();
     for entry in &ours {
         let response = session.ask(ABAC, "check", vec![Bytes::from(entry.text.clone())]).await?;
-        let faults: Vec<PolicyFault> = answer::parse(&response, "faults")?;
-        found.extend(faults.iter().map(|fault| faulty(entry, fault)));
+        let checked: PolicyCheck = answer::parse(&response, "the faults of a policy")?;
+        found.extend(checked.faults.iter().map(|fault| faulty(entry, fault)));
     }
     if found.is_empty() {
         found.push(Finding::ok("policy", format!("{} of {own}, all without a fault", ours.len())));
