@@ -269,7 +269,7 @@ impl Chaincode for AccessControl {
             "task" => calls::task::task(ctx, args),
             "can" => calls::can::can(ctx, decider, args),
             "could" => calls::could::could(ctx, decider, args),
-            "check" => calls::check::check(decider, args),
+            "check" => calls::check::check(ctx, decider, args),
             "diff" => calls::diff::diff(ctx, decider, args),
             "release" => calls::release::release(ctx, decider, args),
             "authorize" => calls::authorize::authorize(ctx, decider, args),

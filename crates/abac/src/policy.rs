@@ -14,8 +14,11 @@ pub(crate) mod defaults;
 mod diagnose;
 pub(crate) mod explain;
 mod expression;
+mod impossible;
 mod index;
 pub(crate) mod limits;
+mod misfit;
+mod names;
 mod naming;
 mod permit;
 pub(crate) mod refusal;
@@ -31,8 +34,12 @@ use self::defaults::SCHEMA;
 use self::explain::Explanation;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
+use self::misfit::Misfit;
 pub(crate) use self::permit::Permit;
-use cedar_policy::{Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, Validator};
+use cedar_policy::{
+    Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, ValidationResult, ValidationWarning,
+    Validator,
+};
 use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
@@ -358,12 +365,22 @@ fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
         return Err(vec!["no policy in the text".to_owned()]);
     }
     annotation::check(&policies)?;
-    naming::check(&policies).map_err(|faults| faults.into_iter().map(|fault| fault.message).collect::<Vec<_>>())?;
+    misfits(&policies).map_err(|faults| faults.into_iter().map(|fault| fault.message).collect::<Vec<_>>())?;
     let result = validator.validate(&policies, ValidationMode::Strict);
-    if result.validation_passed() {
-        return Ok(());
-    }
-    Err(result.validation_errors().map(|fault| fault.to_string()).collect())
+    let errors = result.validation_errors().map(ToString::to_string);
+    let faults: Vec<String> = errors.chain(impossible_policies(&result).map(ToString::to_string)).collect();
+    if faults.is_empty() { Ok(()) } else { Err(faults) }
+}
+
+/// The faults that Cedar accepts.
+fn misfits(policies: &PolicySet) -> Result<(), Vec<Misfit>> {
+    naming::check(policies)?;
+    impossible::check(policies)
+}
+
+/// The policies that can apply to no request.
+fn impossible_policies(result: &ValidationResult) -> impl Iterator<Item = &ValidationWarning> {
+    result.validation_warnings().filter(|warning| matches!(warning, ValidationWarning::ImpossiblePolicy(_)))
 }
 
 fn parse_all(texts: &[(String, String)]) -> Parsed {

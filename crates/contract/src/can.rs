@@ -47,7 +47,7 @@ pub struct Can {
     pub next: String,
     /// The policies that decided; none if none permits it, or if it is permitted by rule.
     pub policies: Vec<String>,
-    /// Whom the rule permits it, without a policy: `an admin of the owner`, `the robot itself`; empty if policies decided.
+    /// The reason why it is permitted without a policy: `an admin of the owner`, `the robot itself`; empty if policies decided.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub rule: String,
     /// For a denial, what the nearest policies miss, or what makes policies forbid it.
@@ -106,6 +106,22 @@ pub struct PolicyCheck {
     pub faults: Vec<PolicyFault>,
     /// The meaning of each policy, in the order of the text; none if there are faults.
     pub policies: Vec<PolicyMeaning>,
+    /// The names in it that the network does not know today; none if there are faults.
+    pub unknown: Vec<UnknownName>,
+}
+
+/// A name in a policy that the network does not know today. It may come later.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnknownName {
+    /// The line at which its policy begins, from 1 on.
+    pub line: u64,
+    /// `User`, `Organisation`, `Robot` or `Service`.
+    pub kind: String,
+    /// The name: `Org1/Farhad`.
+    pub name: String,
+    /// The name that was probably meant, in words; empty if there is none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub near: String,
 }
 
 /// The meaning of a policy in words.

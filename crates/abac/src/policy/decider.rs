@@ -99,7 +99,7 @@ impl Decider {
             let message = format!("{}: found {}, wanted {}", refused.message, refused.found, refused.wanted);
             let fault =
                 PolicyFault { message, help: String::new(), line: 0, column: 0, length: 0, text: String::new() };
-            PolicyCheck { faults: vec![fault], policies: Vec::new() }
+            PolicyCheck { faults: vec![fault], ..PolicyCheck::default() }
         };
         match limits::check(text).and_then(|()| limits::steps(text)) {
             Ok(_) => self.aside().and_then(|engine| engine.diagnose(text)).unwrap_or_else(whole),

@@ -1,7 +1,6 @@
 //! The faults of a policy with their places in its text.
 
-use super::naming::{self, Misnamed};
-use super::{FAULTS_SHOWN_MAX, annotation, words};
+use super::{FAULTS_SHOWN_MAX, annotation, impossible_policies, misfits, names, words};
 use cedar_policy::{PolicySet, ValidationMode, Validator};
 use ledger_contract::{PolicyCheck, PolicyFault};
 use miette::Diagnostic;
@@ -10,15 +9,17 @@ use miette::Diagnostic;
 const FAULTS_MAX: usize = 16;
 const _: () = assert!(FAULTS_MAX >= FAULTS_SHOWN_MAX);
 
-/// The faults of a text as a policy. If there are none, the meaning of each policy in it.
+/// The faults of a text as a policy. If there are none, the meaning of each policy in it, and all names that it has: the caller
+/// leaves those that are unknown.
 pub(super) fn diagnose(validator: &Validator, text: &str) -> PolicyCheck {
     let mut faults = found(validator, text);
     // Cedar finds them in no particular order.
     faults.sort_by(|one, other| (one.line, one.column, &one.message).cmp(&(other.line, other.column, &other.message)));
     faults.dedup();
     faults.truncate(FAULTS_MAX);
-    let policies = if faults.is_empty() { words::meanings(text) } else { Vec::new() };
-    PolicyCheck { faults, policies }
+    let (policies, unknown) =
+        if faults.is_empty() { (words::meanings(text), names::named(text)) } else { Default::default() };
+    PolicyCheck { faults, policies, unknown }
 }
 
 fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
@@ -37,15 +38,13 @@ fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
     if let Err(faults) = annotation::check(&policies) {
         return faults.into_iter().map(|message| annotation_fault(text, message)).collect();
     }
-    if let Err(faults) = naming::check(&policies) {
-        let place = |fault: &Misnamed| {
-            let start = text.find(&fault.policy)?;
-            Some((start + fault.policy.rfind(&fault.quoted)?, fault.quoted.len()))
-        };
-        return faults.iter().map(|one| fault(text, one.message.clone(), String::new(), place(one))).collect();
+    if let Err(faults) = misfits(&policies) {
+        return faults.iter().map(|one| fault(text, one.message.clone(), String::new(), one.place(text))).collect();
     }
     let result = validator.validate(&policies, ValidationMode::Strict);
-    result.validation_errors().map(|fault| placed(text, fault)).collect()
+    let mut faults: Vec<PolicyFault> = result.validation_errors().map(|fault| placed(text, fault)).collect();
+    faults.extend(impossible_policies(&result).map(|fault| placed(text, fault)));
+    faults
 }
 
 /// A fault that Cedar has found, with the place that it names first.

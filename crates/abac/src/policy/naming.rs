@@ -1,19 +1,13 @@
 //! Rights that a policy must name: `override`, `confirm`, `stop` and `resume`.
 //!
 //! Only the scope names an action: `action == Action::"stop"` or `action in [Action::"stop", …]`. It is read without evaluating
-//! anything, by people and by this code. A condition that speaks of one of these actions without the scope is rejected,
-//! because a permit would give nothing by it, and a forbid would leave the right to those who have it by rule.
+//! anything, by people and by this code. A condition that speaks of one of these actions without the scope is rejected.
+//! In a permit it would give nothing. In a forbid it would leave the right to those who have it by rule.
 
 use super::action::NAMED_RIGHTS;
+use super::misfit::Misfit;
 use cedar_policy::{ActionConstraint, Effect, EntityUid, Policy, PolicySet, ResourceConstraint};
 use serde_json::Value;
-
-/// A fault of a policy: the message, and what it quotes of the text.
-pub(super) struct Misnamed {
-    pub(super) message: String,
-    pub(super) policy: String,
-    pub(super) quoted: String,
-}
 
 /// The actions that the scope of a policy names.
 pub(super) fn named(policy: &Policy) -> Vec<EntityUid> {
@@ -39,18 +33,18 @@ fn is_action(entity: &EntityUid, action: &str) -> bool {
 }
 
 /// Does each policy name the rights that it speaks of, and does each permit give something?
-pub(super) fn check(policies: &PolicySet) -> Result<(), Vec<Misnamed>> {
-    let faults: Vec<Misnamed> = policies.policies().flat_map(faults).collect();
+pub(super) fn check(policies: &PolicySet) -> Result<(), Vec<Misfit>> {
+    let faults: Vec<Misfit> = policies.policies().flat_map(faults).collect();
     if faults.is_empty() { Ok(()) } else { Err(faults) }
 }
 
-fn faults(policy: &Policy) -> Vec<Misnamed> {
-    let fault = |message: String, quoted: String| Misnamed { message, policy: policy.to_string(), quoted };
+fn faults(policy: &Policy) -> Vec<Misfit> {
+    let fault = |message: String, quoted: String| Misfit { message, policy: policy.to_string(), quoted };
     let conditions = policy.to_json().ok().and_then(|mut json| json.get_mut("conditions").map(Value::take));
     let unnamed = NAMED_RIGHTS.into_iter().filter(|right| {
         !names(policy, right) && conditions.as_ref().is_some_and(|conditions| speaks_of(conditions, right))
     });
-    let mut faults: Vec<Misnamed> = unnamed
+    let mut faults: Vec<Misfit> = unnamed
         .map(|right| {
             let quoted = format!("Action::\"{right}\"");
             let message = format!("a condition speaks of {quoted}, and the scope does not name it; wanted action in [{quoted}, …] in the scope");

@@ -87,7 +87,7 @@ fn the_twelve_examples_of_the_page_decide_as_it_says() {
         let ([policy], [cases]) = (&blocks(example, "cedar")[..], &blocks(example, "toml")[..]) else {
             panic!("{title}: wanted one policy and its cases");
         };
-        let PolicyCheck { faults, policies } = fleet.get(&owner(), "check", &[policy]);
+        let PolicyCheck { faults, policies, .. } = fleet.get(&owner(), "check", &[policy]);
         assert!(faults.is_empty(), "{title}: {faults:?}");
         assert!(!policies.is_empty(), "{title}: no words");
         let open: Vec<_> =

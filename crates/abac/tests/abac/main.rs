@@ -24,6 +24,7 @@ mod examples;
 mod fleet;
 mod following;
 mod grants;
+mod impossible;
 mod interleavings;
 mod limits;
 mod model;

@@ -1,5 +1,6 @@
 //! `policy check`: the faults of policies, with a caret under each place, or their meaning in words.
 
+use super::unknown::shown;
 use crate::answer;
 use crate::argument::policies;
 use crate::failure::Failure;
@@ -8,7 +9,7 @@ use crate::output::{Facts, Output, printable};
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_base::rejection::Code;
-use ledger_contract::{PolicyCheck, PolicyFault, PolicyMeaning};
+use ledger_contract::{PolicyCheck, PolicyFault, PolicyMeaning, UnknownName};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -32,8 +33,8 @@ impl Check {
         let mut checked = Vec::new();
         for (path, text) in self.files.iter().zip(texts) {
             let response = session.ask(ABAC, "check", vec![Bytes::from(text)]).await?;
-            let PolicyCheck { faults, policies } = answer::parse(&response, "the faults of a policy")?;
-            checked.push(File { file: path.display().to_string(), faults, policies });
+            let PolicyCheck { faults, policies, unknown } = answer::parse(&response, "the faults of a policy")?;
+            checked.push(File { file: path.display().to_string(), faults, policies, unknown });
         }
         let are_fine = checked.iter().all(|file| file.faults.is_empty());
         output.show(&Checked(checked))?;
@@ -49,16 +50,20 @@ struct File {
     file: String,
     faults: Vec<PolicyFault>,
     policies: Vec<PolicyMeaning>,
+    unknown: Vec<UnknownName>,
 }
 
 impl Facts for Checked {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        for File { file, faults, policies } in &self.0 {
+        for File { file, faults, policies, unknown } in &self.0 {
             if faults.is_empty() {
                 writeln!(out, "{file}: fine")?;
             }
             for policy in policies {
                 meaning(out, policy)?;
+            }
+            for name in unknown {
+                writeln!(out, "  warning: line {} names {}, which is unknown today", name.line, shown(name))?;
             }
             for PolicyFault { message, help, line, column, length, text } in faults {
                 if *line == 0 {
@@ -116,7 +121,7 @@ mod tests {
         let whole = PolicyFault { message: "too long".into(), line: 0, ..fault.clone() };
         let whole = PolicyFault { help: String::new(), ..whole };
         let checked = Checked(vec![
-            File { file: "a.cedar".into(), faults: vec![fault, whole], policies: vec![] },
+            File { file: "a.cedar".into(), faults: vec![fault, whole], policies: vec![], unknown: vec![] },
             File {
                 file: "b.cedar".into(),
                 faults: vec![],
@@ -128,6 +133,12 @@ mod tests {
                     limits: vec!["at most 0.2 m/s".into()],
                     except: vec!["stop".into(), "resume".into()],
                 }],
+                unknown: vec![UnknownName {
+                    line: 3,
+                    kind: "User".into(),
+                    name: "Org1/Late".into(),
+                    near: String::new(),
+                }],
             },
         ]);
         let mut out = Vec::new();
@@ -135,7 +146,7 @@ mod tests {
         let wanted = "a.cedar:12:8: attribute `nam` not found\n  12 | \twhen { principal.nam == 1 };\n     | \t      \
                       ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: fine\n  line 3: any user may acquire any service\n    when \
                       their role is admin\n    with at most 0.2 m/s\n    without stop, resume: a permit must name \
-                      them\n";
+                      them\n  warning: line 3 names User::\"Org1/Late\", which is unknown today\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }
