@@ -121,7 +121,7 @@ fn attribute_of(part: &Value) -> Option<(&str, &str)> {
 
 /// The form of the values of an attribute, if this is none of them.
 fn wanted((variable, attribute): (&str, &str), value: &str) -> Option<String> {
-    let is_name = ledger_identity::check_name(value).is_ok();
+    let is_name = !value.is_empty() && !value.contains('/');
     let (fits, wanted) = match (variable, attribute) {
         ("principal", "role") => {
             let roles = [Role::Member, Role::Admin, Role::Node, Role::Robot].map(Role::as_str);

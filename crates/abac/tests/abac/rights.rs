@@ -11,7 +11,7 @@ const OPEN: [&str; 4] = [
     "permit (principal, action, resource);",
     r#"permit (principal, action in [Action::"acquire", Action::"publish", Action::"subscribe"], resource);"#,
     r#"permit (principal in Organisation::"Org1", action, resource in Organisation::"Org2") unless { principal.name == "x" };"#,
-    r#"permit (principal, action, resource in Robot::"Turtlebot4") when { principal.organisation != "" };"#,
+    r#"permit (principal, action, resource in Robot::"Turtlebot4") when { principal.organisation != "Org9" };"#,
 ];
 const RIGHTS: [&str; 4] = ["override", "confirm", "stop", "resume"];
 
