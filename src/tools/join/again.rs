@@ -25,7 +25,7 @@ use crate::storage::files::{CONFIRMED_FILE, CONTRADICTED_FILE, DIVERGED_FILE, co
 use crate::tools::backup::CopiedBlocks;
 use crate::tools::setup::public_address;
 use crate::trust::membership::Joined;
-use crate::trust::membership::way_back;
+use crate::trust::membership::unreadable_file;
 use ledger::network::{FoundingOrganisation, GENESIS_BYTES_MAX, Genesis};
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::{Client, Credentials, Options};
@@ -110,13 +110,12 @@ pub(crate) async fn rejoin(
     })?;
     let (genesis, network) = Genesis::from_bytes(
         &ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
-            .map_err(|refused| refused.next(way_back(config, &config.member.node)))?,
+            .map_err(|refused| unreadable_file(config, refused))?,
     )?;
     let copied = options.blocks.as_deref().map(|from| CopiedBlocks::verify(builder, from, data)).transpose()?;
     let joined = Joined::load(data)?;
-    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
-        Rejection::new(Code::BadFile, error.to_string()).next(way_back(config, &config.member.node))
-    })?;
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE))
+        .map_err(|error| unreadable_file(config, Rejection::new(Code::BadFile, error.to_string())))?;
     let msps = Arc::new(organisations(&genesis, &tls, joined.as_ref(), data)?);
     let me = own(&tls, &msps)?;
     let founder = genesis.node(&me.organisation, &me.name);
@@ -232,9 +231,8 @@ async fn other_branch(
 ) -> Result<Option<Lost>, Rejection> {
     let data = &config.data;
     let Some(branch) = contradicted_by(data)? else { return Ok(None) };
-    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
-        Rejection::new(Code::BadFile, error.to_string()).next(way_back(config, &config.member.node))
-    })?;
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE))
+        .map_err(|error| unreadable_file(config, Rejection::new(Code::BadFile, error.to_string())))?;
     branches::verify(builder, config, &branch, &tls, &options.node).await.map(Some)
 }
 
