@@ -17,6 +17,7 @@ mod expression;
 mod impossible;
 mod index;
 pub(crate) mod limits;
+mod matching;
 mod misfit;
 mod names;
 mod naming;
@@ -159,6 +160,8 @@ enum Job {
     /// The faults with their places, or the meaning of each policy.
     Diagnose(String, SyncSender<PolicyCheck>),
     /// With the texts of the set, if they were asked for.
+    /// Which policies of a text apply to one of the questions.
+    Match(Vec<Question>, String, SyncSender<Vec<bool>>),
     Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
     /// By these texts, with the reasons.
     Explain(Box<Question>, Option<Texts>, usize, SyncSender<Explained>),
@@ -228,6 +231,13 @@ impl Engine {
                 .found("no answer of the policy thread")
                 .wanted("its faults, or none")
         })
+    }
+
+    /// Does each policy of a text, in its order, apply to one of the questions? Nothing if that cannot be found out.
+    pub(crate) fn matching(&self, questions: Vec<Question>, text: &str) -> Vec<bool> {
+        let (reply, answer) = sync_channel(1);
+        let asked = self.jobs.send(Job::Match(questions, text.to_owned(), reply)).ok();
+        asked.and_then(|()| answer.recv().ok()).unwrap_or_default()
     }
 
     /// What do these policies decide? A fault of the machinery denies. `texts` gives the policies, and is asked only if
@@ -311,6 +321,11 @@ fn serve(queue: &Receiver<Job>, validator: &Validator) {
                 // Without an answer the caller hears that there is none.
                 if let Ok(checked) = catch_unwind(|| diagnose::diagnose(validator, &text)) {
                     let _ = reply.send(checked);
+                }
+            }
+            Job::Match(questions, text, reply) => {
+                if let Ok(matched) = catch_unwind(AssertUnwindSafe(|| matching::matching(&text, &questions))) {
+                    let _ = reply.send(matched);
                 }
             }
             Job::Explain(question, texts, work, reply) => {

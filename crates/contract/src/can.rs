@@ -139,6 +139,9 @@ pub struct PolicyMeaning {
     pub limits: Vec<String>,
     /// The rights of their own that it does not give, or leaves to those who have them by rule.
     pub except: Vec<String>,
+    /// It applies to nobody of today on the robots of the caller's organisation, as far as the ledger knows people.
+    #[serde(default)]
+    pub unmatched: bool,
 }
 
 /// The answer of `diff`: how a set of policies differs from the one in force.

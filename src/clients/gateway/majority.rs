@@ -44,7 +44,7 @@ fn explained(too_few: &str, rejection: Rejection) -> Rejection {
     rejection
 }
 
-/// What was found before, behind the message.
+/// The message of before with its value.
 fn found(message: &str, found: &str) -> String {
     if found.is_empty() { message.to_owned() } else { format!("{message}; {found}") }
 }

@@ -100,15 +100,14 @@ pub(crate) fn check_member(config: &Config, network: Hash, me: &Member) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io;
 
     #[test]
     fn the_data_directory_of_another_user_is_not_taken_for_a_lost_one() {
         let config = Config { data: std::env::temp_dir().join("ledgerd-no-such-directory"), ..Config::default() };
-        let refused = nothing_here(&config, &io::ErrorKind::PermissionDenied.into());
+        let refused = nothing_here(&config, &ErrorKind::PermissionDenied.into());
         assert!(refused.found.contains("mode ") && refused.found.contains("this process is user "), "{refused}");
         assert!(!refused.advice().contains("network invite") && refused.advice().contains("as that user"), "{refused}");
-        let lost = nothing_here(&config, &io::ErrorKind::NotFound.into());
+        let lost = nothing_here(&config, &ErrorKind::NotFound.into());
         assert!(lost.advice().contains("network invite"), "{lost}");
     }
 }

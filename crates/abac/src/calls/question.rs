@@ -27,11 +27,11 @@ const EXPLAINED_STEPS: u64 = 8;
 const OF_OWNER: &str = "an admin of the owner";
 
 /// Actions on services, as policies name them.
-const OF_SERVICE: [Action; 5] =
+pub(crate) const OF_SERVICE: [Action; 5] =
     [Action::Acquire, Action::Publish, Action::Subscribe, Action::Override, Action::Confirm];
 
 /// Actions on robots.
-const OF_ROBOT: [RobotAction; 2] = [RobotAction::Stop, RobotAction::Resume];
+pub(crate) const OF_ROBOT: [RobotAction; 2] = [RobotAction::Stop, RobotAction::Resume];
 
 pub(crate) fn read(args: Arguments<'_>) -> Result<Ask, Rejection> {
     let wanted = "JSON with action and service, and some of who, at and policies";

@@ -107,6 +107,20 @@ impl Decider {
         }
     }
 
+    /// Does each policy of a text, in its order, apply to one of these people and one of these objects now?
+    pub(crate) fn matching(
+        &self,
+        ctx: &Context<'_>,
+        people: &[Principal],
+        objects: &[Object<'_>],
+        text: &str,
+    ) -> Vec<bool> {
+        let time = milliseconds(ctx.block_time());
+        let ask = |principal| objects.iter().map(move |object| question(principal, *object, Hash::ZERO, time));
+        let questions = people.iter().flat_map(ask).collect();
+        self.aside().map(|engine| engine.matching(questions, text)).unwrap_or_default()
+    }
+
     /// May this principal do that, says the owner of the robot?
     ///
     /// # Errors

@@ -36,10 +36,16 @@ pub(super) fn meanings(source: &str) -> Vec<PolicyMeaning> {
     let Ok(set) = source.parse::<PolicySet>() else { return Vec::new() };
     let phrases: Vec<(Value, &str)> =
         PHRASES.iter().filter_map(|(cedar, words)| Some((conditions(cedar)?, *words))).collect();
+    let placed = in_order(source, &set);
+    placed.into_iter().map(|(offset, policy)| meaning(source, offset, policy, &phrases)).collect()
+}
+
+/// The policies of a text with their places in it, in the order of the text.
+pub(super) fn in_order<'s>(source: &str, set: &'s PolicySet) -> Vec<(usize, &'s Policy)> {
     let mut placed: Vec<(usize, &Policy)> =
         set.policies().map(|policy| (source.find(&policy.to_string()).unwrap_or(0), policy)).collect();
     placed.sort_by_key(|(offset, policy)| (*offset, policy.id().to_string()));
-    placed.into_iter().map(|(offset, policy)| meaning(source, offset, policy, &phrases)).collect()
+    placed
 }
 
 /// The condition of a policy with this one.
@@ -65,6 +71,7 @@ fn meaning(source: &str, offset: usize, policy: &Policy, phrases: &[(Value, &str
         when: when(policy, phrases),
         limits: policy.annotations().filter_map(|(name, value)| limit(name, value)).collect(),
         except: except.iter().map(|action| (*action).to_owned()).collect(),
+        unmatched: false,
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::fleet::{Fleet, farhad, owner, salma};
 use ledger_abac::PolicyCheck;
 use ledger_base::rejection::Code;
+use ledger_identity::Identity;
 
 fn when(condition: &str) -> String {
     format!("permit (principal, action, resource is Service)\nwhen {{ {condition} }};")
@@ -92,4 +93,21 @@ fn names_that_the_network_does_not_know_today_are_listed_and_do_not_keep_a_polic
     assert_eq!(unknown[1].near, "did you mean \"Husky/cmd_vel\"?");
     // The ledger takes it all the same: who sets it up is asked, a rollback is not.
     fleet.ok(&owner(), "policy", &["put", "p", text]);
+}
+
+#[test]
+fn a_policy_that_applies_to_nobody_of_today_is_marked() {
+    let mut fleet = Fleet::of_the_paper();
+    let text = r#"permit (principal, action, resource) when { principal.hasTag("Turtlebot4") };
+        forbid (principal, action == Action::"acquire", resource) when { principal.hasTag("levle") };
+        permit (principal in Organisation::"Org1", action == Action::"stop", resource == Robot::"Husky");
+        permit (principal == User::"Org1/Farhad", action == Action::"publish", resource) when { context.time < 5 };"#;
+    let unmatched = |fleet: &mut Fleet, who: &Identity| -> Vec<bool> {
+        let PolicyCheck { policies, .. } = fleet.get(who, "check", &[text]);
+        policies.iter().map(|policy| policy.unmatched).collect()
+    };
+    assert_eq!(unmatched(&mut fleet, &owner()), [false; 4], "the ledger knows nobody");
+    *fleet.members.2.lock().unwrap() = vec!["Org1/Salma", "Org1/Farhad"];
+    assert_eq!(unmatched(&mut fleet, &owner()), [false, true, false, true]);
+    assert_eq!(unmatched(&mut fleet, &salma()), [false; 4], "Org1 has no robots");
 }

@@ -7,7 +7,7 @@ use crate::session::{ABAC, Session};
 use crate::time;
 use bytes::Bytes;
 use ledger_base::rejection::Rejection;
-use ledger_contract::{PolicyCheck, PolicyEntry, PolicyFault, RobotAsset, UnknownName};
+use ledger_contract::{PolicyCheck, PolicyEntry, PolicyFault, PolicyMeaning, RobotAsset, UnknownName};
 
 /// Looks at what is on the ledger about robots.
 pub(super) async fn look(session: &Session, findings: &mut Vec<Finding>) {
@@ -74,6 +74,7 @@ async fn policies(session: &Session) -> Result<Vec<Finding>, Rejection> {
         let checked: PolicyCheck = answer::parse(&response, "the faults of a policy")?;
         found.extend(checked.faults.iter().map(|fault| faulty(entry, fault)));
         found.extend(checked.unknown.iter().map(|name| nameless(entry, name)));
+        found.extend(checked.policies.iter().filter(|policy| policy.unmatched).map(|policy| unmatched(entry, policy)));
     }
     if found.is_empty() {
         found.push(Finding::ok("policy", format!("{} of {own}, all without a fault", ours.len())));
@@ -89,6 +90,16 @@ fn nameless(PolicyEntry { organisation, id, .. }: &PolicyEntry, name: &UnknownNa
         "policy",
         message,
         format!("if it is a slip: ledgerctl policy show {id}, then ledgerctl policy put {id} @FILE"),
+    )
+}
+
+/// A policy that applies to nobody of today.
+fn unmatched(PolicyEntry { organisation, id, .. }: &PolicyEntry, policy: &PolicyMeaning) -> Finding {
+    let message = format!("{organisation}/{id} line {} applies to nobody of today: {}", policy.line, policy.meaning);
+    Finding::advice(
+        "policy",
+        message,
+        format!("if it should: ledgerctl policy show {id}; ledgerctl can WHO ACTION SERVICE tells why not"),
     )
 }
 

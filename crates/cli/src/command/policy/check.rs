@@ -88,13 +88,16 @@ impl Facts for Checked {
 
 /// A policy in words.
 fn meaning(out: &mut dyn Write, policy: &PolicyMeaning) -> io::Result<()> {
-    let PolicyMeaning { line, effect, meaning, when, limits, except } = policy;
+    let PolicyMeaning { line, effect, meaning, when, limits, except, unmatched } = policy;
     writeln!(out, "  line {line}: {}", printable(meaning))?;
     for condition in when {
         writeln!(out, "    when {}", printable(&condition.replace('\n', " ")))?;
     }
     if !limits.is_empty() {
         writeln!(out, "    with {}", printable(&limits.join(", ")))?;
+    }
+    if *unmatched {
+        writeln!(out, "    warning: it applies to nobody of today, as far as the ledger knows people")?;
     }
     match effect.as_str() {
         _ if except.is_empty() => Ok(()),
@@ -132,6 +135,7 @@ mod tests {
                     when: vec!["their role is admin".into()],
                     limits: vec!["at most 0.2 m/s".into()],
                     except: vec!["stop".into(), "resume".into()],
+                    unmatched: true,
                 }],
                 unknown: vec![UnknownName {
                     line: 3,
@@ -145,7 +149,7 @@ mod tests {
         checked.text(&mut out).unwrap();
         let wanted = "a.cedar:12:8: attribute `nam` not found\n  12 | \twhen { principal.nam == 1 };\n     | \t      \
                       ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: fine\n  line 3: any user may acquire any service\n    when \
-                      their role is admin\n    with at most 0.2 m/s\n    without stop, resume: a permit must name \
+                      their role is admin\n    with at most 0.2 m/s\n    warning: it applies to nobody of today, as far as the ledger knows people\n    without stop, resume: a permit must name \
                       them\n  warning: line 3 names User::\"Org1/Late\", which is unknown today\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
