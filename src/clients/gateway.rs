@@ -22,6 +22,8 @@ mod denied;
 mod evidence;
 mod intake;
 mod looks;
+mod majority;
+mod missing;
 mod nodes;
 mod proofs;
 mod questions;
@@ -57,6 +59,7 @@ pub(crate) use records::Records;
 pub(crate) use status::Description;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 pub(crate) use submit::Submissions;
 use submit::Verdicts;
 pub(crate) use subscribe::Subscriptions;
@@ -116,6 +119,25 @@ fn answer<T>(answer: Result<T, Rejection>) -> Result<Response<T>, Status> {
     answer.map(Response::new).map_err(|rejection| status(&rejection))
 }
 
+/// The answers to a stream of transactions, which say how many voters answer where no leader is known.
+pub(crate) struct Explained {
+    verdicts: Verdicts,
+    records: Arc<Records>,
+}
+
+impl Stream for Explained {
+    type Item = Result<SubmitResponse, Status>;
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let Self { verdicts, records } = &mut *self;
+        let mut answer = Pin::new(verdicts).poll_next(cx);
+        if let Poll::Ready(Some(Ok(SubmitResponse { verdict: Some(verdict), .. }))) = &mut answer {
+            records.verdict_with_voters(verdict);
+        }
+        answer
+    }
+}
+
 #[tonic::async_trait]
 impl Gateway for GatewayService {
     async fn submit(&self, request: Request<SubmitRequest>) -> Result<Response<SubmitResponse>, Status> {
@@ -124,17 +146,20 @@ impl Gateway for GatewayService {
         self.submissions.one(caller.id(), request.into_inner(), &answers).await;
         drop(answers);
         let stopping = || status(&Rejection::new(Code::ShuttingDown, "the node is stopping"));
-        answer.recv().await.ok_or_else(stopping)?.map(Response::new)
+        let mut answer = answer.recv().await.ok_or_else(stopping)??;
+        answer.verdict.iter_mut().for_each(|verdict| self.records.verdict_with_voters(verdict));
+        Ok(Response::new(answer))
     }
 
-    type SubmitStreamStream = Verdicts;
+    type SubmitStreamStream = Explained;
 
     async fn submit_stream(
         &self,
         request: Request<Streaming<SubmitRequest>>,
     ) -> Result<Response<Self::SubmitStreamStream>, Status> {
         let caller = self.caller(&request)?;
-        Ok(Response::new(self.submissions.stream(caller.id(), request.into_inner())))
+        let verdicts = self.submissions.stream(caller.id(), request.into_inner());
+        Ok(Response::new(Explained { verdicts, records: Arc::clone(&self.records) }))
     }
 
     async fn query(&self, request: Request<QueryRequest>) -> Result<Response<QueryResponse>, Status> {

@@ -40,6 +40,9 @@ use std::time::Duration;
 /// Most microseconds that this machine's clock may differ from the network's: certificates begin five minutes early.
 const CLOCK_DIFFERENCE_MAX: u64 = 4 * 60 * 1_000_000;
 
+/// The role of a node that was removed.
+const REMOVED: &str = "removed";
+
 /// Time in which somebody who listens accepts a connection.
 const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 
@@ -227,6 +230,16 @@ struct Records {
     nodes: Vec<Record>,
 }
 
+/// The nodes on the ledger, with those that were removed.
+async fn records(client: &Client) -> Result<Records, Rejection> {
+    let answer = client.query(MSP, "nodes", Vec::new()).await?.response;
+    serde_json::from_slice(&answer).map_err(|error| unreadable("nodes", &error))
+}
+
+fn unreadable(function: &str, error: &serde_json::Error) -> Rejection {
+    Rejection::new(Code::Internal, format!("the answer of msp {function} cannot be read")).found(error.to_string())
+}
+
 /// Submits `msp join_node` as the new node; answers with its number.
 async fn join_node(
     place: &JoinDirectory,
@@ -251,12 +264,8 @@ async fn enter(
     address: &str,
     before: impl FnOnce(u64) -> Result<u64, Rejection>,
 ) -> Result<u64, Rejection> {
-    let unreadable = |function: &str, error: serde_json::Error| {
-        Rejection::new(Code::Internal, format!("the answer of msp {function} cannot be read")).found(error.to_string())
-    };
-    let answer = client.query(MSP, "nodes", Vec::new()).await?.response;
-    let records: Records = serde_json::from_slice(&answer).map_err(|error| unreadable("nodes", error))?;
-    let live = || records.nodes.iter().filter(|record| record.role != "removed");
+    let records = records(client).await?;
+    let live = || records.nodes.iter().filter(|record| record.role != REMOVED);
     let own = live().find(|record| record.organisation == organisation && record.name == name);
     let before = before(own.map_or(0, |record| record.id))?;
     let replaced = own.filter(|own| own.id == before);
@@ -284,12 +293,15 @@ async fn enter(
             _ => refused,
         }
     })?;
-    let record: Record = serde_json::from_slice(&done.response).map_err(|error| unreadable("join_node", error))?;
+    let record: Record = serde_json::from_slice(&done.response).map_err(|error| unreadable("join_node", &error))?;
     Ok(record.id)
 }
 
 /// The node has joined before: what is to be done is told again, and a certificate that is running out, or has, is
 /// replaced with the token's secret.
+///
+/// # Errors
+/// [`Code::AlreadyExists`] if the node runs, [`Code::BadFile`] if the network has removed it.
 async fn come_back(
     place: &JoinDirectory,
     token: &JoinToken,
@@ -297,6 +309,16 @@ async fn come_back(
     config: &Config,
 ) -> Result<String, Rejection> {
     let (joined, label) = place.joined(token)?;
+    if place.is_running() {
+        return Err(Rejection::new(
+            Code::AlreadyExists,
+            format!("node {}/{} runs already: there is nothing to join", token.organisation, token.node),
+        )
+        .found(format!("{} is in use", config.data.display()))
+        .wanted("the data directory of a node that is stopped, or one that does not exist yet")
+        .next("ledgerctl status, to see the node; to join another one, choose another --config and --data"));
+    }
+    check_member(place, token, &joined, config).await?;
     if token.kind == JoinKind::Node && place.renewal_due(wall())? {
         let contact = Contact::find(token).await?;
         identity::replaced(place, token, &contact.enrolment).await?;
@@ -308,6 +330,37 @@ async fn come_back(
         ));
     }
     told(&joined, &label, token, options, config)
+}
+
+/// Rejects a node that the network has removed: its number never comes back. Without an answer of the network nothing is known.
+async fn check_member(
+    place: &JoinDirectory,
+    token: &JoinToken,
+    joined: &Joined,
+    config: &Config,
+) -> Result<(), Rejection> {
+    let Some(identity) = place.identity() else { return Ok(()) };
+    let asked = async {
+        let contact = Contact::find(token).await?;
+        let credentials = Credentials::new(token.network, identity, ServerTrust::Fingerprint(token.ca.0))?;
+        let client = Client::connect_with(vec![contact.address], credentials, Options::default()).await?;
+        records(&client).await
+    };
+    let removed = match asked.await {
+        Ok(records) => records.nodes.iter().all(|record| record.id != joined.id || record.role == REMOVED),
+        Err(refused) => refused.code == Code::Revoked,
+    };
+    if !removed {
+        return Ok(());
+    }
+    let data = config.data.display();
+    Err(Rejection::new(
+        Code::BadFile,
+        format!("node {}/{} was removed from the network", joined.organisation, joined.name),
+    )
+    .found(format!("{data} is the data directory of node {}, which is no longer a member", joined.id))
+    .wanted("a directory that does not exist yet: the node joins with a new number")
+    .next(format!("move {data} away, and type the same command again")))
 }
 
 /// The text that the user reads in the end: it tells the outcome, and every command that is still to be typed.

@@ -6,7 +6,7 @@
 
 mod data_directory;
 
-pub(crate) use data_directory::{check_member, nothing_here, way_back};
+pub(crate) use data_directory::{check_member, nothing_here, unreadable_file, way_back};
 
 use crate::ordering::directory::{Member, Part};
 use crate::process::clock::wall;

@@ -89,7 +89,7 @@ fn a_robot_that_is_delegated_recalled_and_handed_over_at_50_hz_hears_no_stop_bet
         let mut robot = Robot::listen();
         call(&world.salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
         world.line("Salma", &["grant held"]).await;
-        let drivers = [drives("1", "1"), drives("2", "100001")];
+        let drivers = [drives("1", "1"), drives("2", "5001")];
         robot.hears_only(Heard::Salma, 25);
 
         call(&world.salma, "delegate", &["Rover/cmd_vel", "Org1/Farhad"]).await;

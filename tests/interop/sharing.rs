@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 const TYPE: &str = "geometry_msgs/msg/Twist";
 /// Farhad's messages begin with this number, Salma's with 1.
-const FARHADS: f64 = 100_000.0;
+const FARHADS: f64 = 5_000.0;
 /// More than anybody waits for.
 const MANY: &str = "3000";
 
@@ -109,7 +109,7 @@ fn who_drives_changes_by_priority_by_a_turn_and_by_a_stop_and_no_older_message_p
         let mut robot = Robot::listen();
         call(&world.salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
         world.line("Salma", &["grant held"]).await;
-        let _drivers = [drives("1", "1"), drives("2", "100001")];
+        let _drivers = [drives("1", "1"), drives("2", "5001")];
         robot.hears_only(Heard::Salma, 25);
 
         // Farhad has the higher priority: the robot stops for Salma's end, and hears only him then.

@@ -122,7 +122,14 @@ fn a_restored_voter_does_not_start_as_it_was_and_comes_back_under_a_new_number()
         &["a majority of the voters is not lost", "Org1/node1", "ledgerd rejoin"],
     );
 
-    let back = said(&ledgerd(&["rejoin", "--node", &fleet.nodes[0].address], &place.config));
+    // While the original answers, its backup does not take its place; and not unasked.
+    let rejoin = ["rejoin", "--node", fleet.nodes[0].address.as_str()];
+    let original = std::net::TcpListener::bind(&place.address).unwrap();
+    let agreed = [&rejoin[..], &["--original-is-gone"]].concat();
+    refused(&ledgerd(&agreed, &place.config), &["node Org1/node3 runs", "answers at"]);
+    drop(original);
+    refused(&ledgerd(&rejoin, &place.config), &["was not agreed", "Org1/node3", "--original-is-gone"]);
+    let back = said(&ledgerd(&agreed, &place.config));
     assert!(back.contains("node Org1/node3 is node 4"), "{back}");
     nodes[2] = place.start();
     eventually("the node has what was ordered after its backup", || {

@@ -90,7 +90,7 @@ impl Ran {
     }
 
     #[track_caller]
-    fn refused(self, words: &[&str]) {
+    pub fn refused(self, words: &[&str]) {
         assert!(!self.ok, "{}", self.stdout);
         for word in words {
             assert!(self.stderr.contains(word), "{word:?} is missing in: {}", self.stderr);

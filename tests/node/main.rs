@@ -40,6 +40,7 @@ mod leadership;
 mod live;
 mod members;
 mod messages;
+mod minority;
 mod network;
 mod nodes;
 mod older;

@@ -43,8 +43,10 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     let invited = boss.json(&["network", "invite", "--node", "second"]);
     let newcomer = Newcomer::new(&fleet, "second");
     newcomer.join(invited["token"].as_str().unwrap()).ok();
-    let _second = newcomer.run("second", &fleet);
+    let mut second = newcomer.run("second", &fleet);
     becomes(&boss, "second", "learner").await;
+    // The same command changes nothing of a node that runs, and says so.
+    newcomer.join(invited["token"].as_str().unwrap()).refused(&["runs already: there is nothing to join", "is in use"]);
 
     salma
         .run(&["network", "promote", "second"])
@@ -87,6 +89,9 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     let table = boss.run(&["network", "nodes"]).ok().stdout;
     assert!(table.lines().any(|line| line.contains("Org1/second") && line.ends_with("removed   removed")), "{table}");
     boss.run(&["network", "promote", "second"]).refused(3, &["LGR-1013", &first]);
+    // Its number does not come back.
+    second.kill();
+    newcomer.join(invited["token"].as_str().unwrap()).refused(&["was removed from the network", "node 2", "move "]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

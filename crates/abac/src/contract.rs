@@ -40,7 +40,7 @@ use std::sync::Arc;
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `can ASK_JSON` of [`crate::Ask`] | anybody | [`crate::Can`] |
 /// | `could ASK_JSON PAGE_JSON` | an admin, about their organisation | page of [`crate::Could`] |
-/// | `check TEXT` | anybody | [`crate::PolicyFault`]s of a policy |
+/// | `check TEXT` | anybody | [`crate::PolicyCheck`]: the faults of a policy, or its meaning |
 /// | `diff POLICIES_JSON` of [`crate::PolicyText`] | anybody, about the robots of their organisation | [`crate::PolicyDiff`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
@@ -269,7 +269,7 @@ impl Chaincode for AccessControl {
             "task" => calls::task::task(ctx, args),
             "can" => calls::can::can(ctx, decider, args),
             "could" => calls::could::could(ctx, decider, args),
-            "check" => calls::check::check(decider, args),
+            "check" => calls::check::check(ctx, decider, args),
             "diff" => calls::diff::diff(ctx, decider, args),
             "release" => calls::release::release(ctx, decider, args),
             "authorize" => calls::authorize::authorize(ctx, decider, args),

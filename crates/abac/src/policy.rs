@@ -8,18 +8,26 @@
 pub(crate) mod action;
 mod annotation;
 mod asked;
+pub(crate) mod by_rule;
 pub(crate) mod decider;
 pub(crate) mod defaults;
 mod diagnose;
 pub(crate) mod explain;
+mod expression;
+mod impossible;
 mod index;
 pub(crate) mod limits;
+mod matching;
+mod misfit;
+mod names;
+mod naming;
 mod permit;
 pub(crate) mod refusal;
 #[cfg(test)]
 mod tests;
 pub(crate) mod texts;
 mod window;
+mod words;
 
 use self::annotation::Said;
 use self::asked::{Asked, asked};
@@ -27,12 +35,16 @@ use self::defaults::SCHEMA;
 use self::explain::Explanation;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
+use self::misfit::Misfit;
 pub(crate) use self::permit::Permit;
-use cedar_policy::{Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, Validator};
+use cedar_policy::{
+    Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, ValidationResult, ValidationWarning,
+    Validator,
+};
 use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Attributes, POLICIES_TOLD_MAX, PolicyFault};
+use ledger_contract::{Attributes, POLICIES_TOLD_MAX, PolicyCheck};
 use quick_cache::Weighter;
 use quick_cache::unsync::Cache;
 use std::collections::BTreeMap;
@@ -67,6 +79,8 @@ pub(crate) struct Question {
     /// Its name in the schema.
     pub(crate) action: &'static str,
     pub(crate) resource: Resource,
+    /// Is it permitted by rule, so that only a `forbid` that names the action denies it?
+    pub(crate) by_rule: bool,
     /// Block time, milliseconds.
     pub(crate) time_ms: i64,
 }
@@ -143,9 +157,11 @@ pub(crate) struct Answer {
 
 enum Job {
     Check(String, SyncSender<Result<(), Vec<String>>>),
-    /// The faults with their places.
-    Diagnose(String, SyncSender<Vec<PolicyFault>>),
+    /// The faults with their places, or the meaning of each policy.
+    Diagnose(String, SyncSender<PolicyCheck>),
     /// With the texts of the set, if they were asked for.
+    /// Which policies of a text apply to one of the questions.
+    Match(Vec<Question>, String, SyncSender<Vec<bool>>),
     Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
     /// By these texts, with the reasons.
     Explain(Box<Question>, Option<Texts>, usize, SyncSender<Explained>),
@@ -203,11 +219,11 @@ impl Engine {
         Err(invalid("policy is not acceptable", faults.join("; "), "Cedar policies that validate against the schema"))
     }
 
-    /// The faults of this text as a policy, with their places.
+    /// The faults of this text as a policy, with their places, or the meaning of its policies.
     ///
     /// # Errors
     /// [`Code::Internal`] if they cannot be found.
-    pub(crate) fn diagnose(&self, text: &str) -> Result<Vec<PolicyFault>, Rejection> {
+    pub(crate) fn diagnose(&self, text: &str) -> Result<PolicyCheck, Rejection> {
         let (reply, answer) = sync_channel(1);
         let asked = self.jobs.send(Job::Diagnose(text.to_owned(), reply)).ok();
         asked.and_then(|()| answer.recv().ok()).ok_or_else(|| {
@@ -215,6 +231,13 @@ impl Engine {
                 .found("no answer of the policy thread")
                 .wanted("its faults, or none")
         })
+    }
+
+    /// Does each policy of a text, in its order, apply to one of the questions? Nothing if that cannot be found out.
+    pub(crate) fn matching(&self, questions: Vec<Question>, text: &str) -> Vec<bool> {
+        let (reply, answer) = sync_channel(1);
+        let asked = self.jobs.send(Job::Match(questions, text.to_owned(), reply)).ok();
+        asked.and_then(|()| answer.recv().ok()).unwrap_or_default()
     }
 
     /// What do these policies decide? A fault of the machinery denies. `texts` gives the policies, and is asked only if
@@ -296,8 +319,13 @@ fn serve(queue: &Receiver<Job>, validator: &Validator) {
             }
             Job::Diagnose(text, reply) => {
                 // Without an answer the caller hears that there is none.
-                if let Ok(faults) = catch_unwind(|| diagnose::diagnose(validator, &text)) {
-                    let _ = reply.send(faults);
+                if let Ok(checked) = catch_unwind(|| diagnose::diagnose(validator, &text)) {
+                    let _ = reply.send(checked);
+                }
+            }
+            Job::Match(questions, text, reply) => {
+                if let Ok(matched) = catch_unwind(AssertUnwindSafe(|| matching::matching(&text, &questions))) {
+                    let _ = reply.send(matched);
                 }
             }
             Job::Explain(question, texts, work, reply) => {
@@ -352,11 +380,22 @@ fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
         return Err(vec!["no policy in the text".to_owned()]);
     }
     annotation::check(&policies)?;
+    misfits(&policies).map_err(|faults| faults.into_iter().map(|fault| fault.message).collect::<Vec<_>>())?;
     let result = validator.validate(&policies, ValidationMode::Strict);
-    if result.validation_passed() {
-        return Ok(());
-    }
-    Err(result.validation_errors().map(|fault| fault.to_string()).collect())
+    let errors = result.validation_errors().map(ToString::to_string);
+    let faults: Vec<String> = errors.chain(impossible_policies(&result).map(ToString::to_string)).collect();
+    if faults.is_empty() { Ok(()) } else { Err(faults) }
+}
+
+/// The faults that Cedar accepts.
+fn misfits(policies: &PolicySet) -> Result<(), Vec<Misfit>> {
+    naming::check(policies)?;
+    impossible::check(policies)
+}
+
+/// The policies that can apply to no request.
+fn impossible_policies(result: &ValidationResult) -> impl Iterator<Item = &ValidationWarning> {
+    result.validation_warnings().filter(|warning| matches!(warning, ValidationWarning::ImpossiblePolicy(_)))
 }
 
 fn parse_all(texts: &[(String, String)]) -> Parsed {
@@ -402,7 +441,7 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     let Asked { request, entities, principals, resources } = &asked(question)?;
     // Each set by itself, put together as Cedar would: what one forbids no other permits.
     let (mut faults, mut forbidding, mut closed, mut permitted) = (Vec::new(), Vec::new(), Vec::new(), None);
-    for set in policies.candidates(principals, resources) {
+    for set in policies.candidates(question, principals, resources) {
         let response = Authorizer::new().is_authorized(request, set, entities);
         faults.extend(response.diagnostics().errors().map(ToString::to_string));
         match response.decision() {
@@ -428,6 +467,7 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     Ok(match permitted {
         _ if !forbidding.is_empty() => Verdict::Forbidden(forbidding),
         Some(permit) => Verdict::Permit(permit),
+        None if question.by_rule => Verdict::Permit(Permit::default()),
         None if !closed.is_empty() => {
             closed.sort();
             Verdict::Closed(closed)

@@ -25,6 +25,7 @@ mod events;
 mod fresh;
 mod identities;
 mod in_flight;
+mod last_answers;
 mod leadership;
 mod learning;
 mod pending;
@@ -211,7 +212,7 @@ impl Client {
             Ok(Ok(v1::TransactionRecord { certified, certificate_due, .. })) => {
                 Ok(Committed { certified, certificate_due, ..done })
             }
-            Ok(Err(refused)) if refused.code == Code::NotFound => Err(lost(&done)),
+            Ok(Err(refused)) if matches!(refused.code, Code::NotFound | Code::Pruned) => Err(lost(&done)),
             // No node answers that question now.
             _ => Ok(done),
         }

@@ -10,10 +10,12 @@
 //! assert_eq!(ledger_base::durable::read(&path, 100).unwrap(), b"{}");
 //! ```
 
+mod access;
 mod directory;
 mod file;
 mod medium;
 
+pub use access::access;
 pub use directory::{create_directory, rename, sync_directory};
 pub use file::{Staged, create, read, replace, stage, stage_from};
 
@@ -37,5 +39,9 @@ pub fn failed(what: &str, path: &Path, error: &io::Error) -> Rejection {
         io::ErrorKind::AlreadyExists => (Code::BadFile, "choose another path, or move it away"),
         _ => (Code::DiskFailed, ""),
     };
-    Rejection::new(code, format!("cannot {what} {}", path.display())).found(error.to_string()).next(next)
+    let found = match error.kind() {
+        io::ErrorKind::PermissionDenied => format!("{error}; {}", access(path)),
+        _ => error.to_string(),
+    };
+    Rejection::new(code, format!("cannot {what} {}", path.display())).found(found).next(next)
 }

@@ -45,8 +45,11 @@ pub struct Can {
     pub wanted: String,
     /// A next step for the caller.
     pub next: String,
-    /// The policies that decided; none if none permits it, or if an admin of the owner may always.
+    /// The policies that decided; none if none permits it, or if it is permitted by rule.
     pub policies: Vec<String>,
+    /// The reason why it is permitted without a policy: `an admin of the owner`, `the robot itself`; empty if policies decided.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub rule: String,
     /// For a denial, what the nearest policies miss, or what makes policies forbid it.
     pub conditions: Vec<Condition>,
     /// The number of the set in force that was asked; 0 for policies of the question, and for an owner who has never had any.
@@ -94,6 +97,51 @@ pub struct PolicyFault {
     pub length: u64,
     /// The text of the line.
     pub text: String,
+}
+
+/// The answer of `check`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PolicyCheck {
+    /// The faults of the text; none if it is acceptable.
+    pub faults: Vec<PolicyFault>,
+    /// The meaning of each policy, in the order of the text; none if there are faults.
+    pub policies: Vec<PolicyMeaning>,
+    /// The names in it that the network does not know today; none if there are faults.
+    pub unknown: Vec<UnknownName>,
+}
+
+/// A name in a policy that the network does not know today. It may come later.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnknownName {
+    /// The line at which its policy begins, from 1 on.
+    pub line: u64,
+    /// `User`, `Organisation`, `Robot` or `Service`.
+    pub kind: String,
+    /// The name: `Org1/Farhad`.
+    pub name: String,
+    /// The name that was probably meant, in words; empty if there is none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub near: String,
+}
+
+/// The meaning of a policy in words.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PolicyMeaning {
+    /// The line at which it begins, from 1 on.
+    pub line: u64,
+    /// `permit` or `forbid`.
+    pub effect: String,
+    /// The people, the actions and the services: `any user of Org1 may acquire Husky/cmd_vel`.
+    pub meaning: String,
+    /// The conditions, each of which must hold.
+    pub when: Vec<String>,
+    /// The limits that go with a permission.
+    pub limits: Vec<String>,
+    /// The rights of their own that it does not give, or leaves to those who have them by rule.
+    pub except: Vec<String>,
+    /// It applies to nobody of today on the robots of the caller's organisation, as far as the ledger knows people.
+    #[serde(default)]
+    pub unmatched: bool,
 }
 
 /// The answer of `diff`: how a set of policies differs from the one in force.

@@ -34,7 +34,7 @@ mod task;
 mod word;
 
 pub use attribute::{Attribute, AttributeChanges, Attributes};
-pub use can::{Ask, Can, Condition, Could, PolicyDiff, PolicyFault, WouldEnd};
+pub use can::{Ask, Can, Condition, Could, PolicyCheck, PolicyDiff, PolicyFault, PolicyMeaning, UnknownName, WouldEnd};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confidential::{
     Envelope, KeyPlace, Keyed, NONCE_BYTES, READERS_MAX, READING_KEY_BYTES, Reader, ReaderTold, Readers, Share,

@@ -57,7 +57,7 @@ use self::{
     heads::Heads,
     holding::Holding,
     identities::Identities,
-    limits::Rates,
+    limits::{Bounds, Rates},
     open_stops::OpenStops,
     sequences::Sequences,
 };
@@ -417,8 +417,8 @@ impl Gate {
         Ok(Passed { transaction: transaction.id(), creator, samples, clamped, age_us })
     }
 
-    /// Keeps the samples of a publisher to the limits of its grant, if it has one: also where it publishes without naming it. Answers
-    /// with the number of samples that are slower now.
+    /// Keeps the samples of a publisher to the limits of its grant, if it has one: also where it publishes without naming it.
+    /// Commands must ask for speeds that are numbers, with or without a grant. Answers with the number of samples that are slower now.
     fn keep_to_limits(
         &mut self,
         publisher: &str,
@@ -426,7 +426,11 @@ impl Gate {
         age_us: u64,
         now: Now,
     ) -> Result<usize, Refused> {
-        let Some(Holding { bounds, .. }) = self.holders.get(publisher) else { return Ok(0) };
+        let Some(Holding { bounds, .. }) = self.holders.get(publisher) else {
+            let layout = layout.filter(|_| self.is_command());
+            return Bounds::default().slow_down(layout, samples);
+        };
+        let layout = layout.filter(|_| self.is_command() || bounds.limit_speed());
         if bounds.max_age_us.is_some_and(|most| age_us > most) {
             return Err(Refused::TooOld);
         }

@@ -20,7 +20,7 @@ use ledger_base::mutation::{Mutation, active};
 use ledger_confidential::Keyring;
 
 use crate::{
-    gate::{Gate, Now, Settings},
+    gate::{Gate, Now, Refused, Settings},
     service::Service,
     standing::Standing,
 };
@@ -140,8 +140,16 @@ impl Guard {
                 self.questions.changed(now.steady);
                 self.held.push(block.message(event.index), refused, now.steady)
             }
-            Err(refused) => Some(Act::Refused { refused, height: block.height }),
+            Err(refused) => Some(self.refused(refused, block.height)),
         }
+    }
+
+    /// A message that does not pass. Some of them end the motion that came before.
+    fn refused(&mut self, refused: Refused, height: u64) -> Act {
+        if refused.stops() {
+            self.gate.paused();
+        }
+        Act::Refused { refused, height }
     }
 
     /// Takes how the robot stands, with this service of it, and judges the messages that waited for it. `asked` is when that was
@@ -176,7 +184,7 @@ impl Guard {
                 Err(refused) if refused.may_pass_later() && asked.is_some_and(|asked| message.came > asked) => {
                     self.held.keep(message);
                 }
-                Err(refused) => acts.push(Act::Refused { refused, height: message.height() }),
+                Err(refused) => acts.push(self.refused(refused, message.height())),
             }
         }
         acts

@@ -186,12 +186,12 @@ fn in_directory(error: &StoreError) -> Rejection {
     Rejection::new(Code::Corrupt, format!("{BLOCKS_DIRECTORY}/{error}"))
 }
 
-/// The state that the node has kept, if there is one that can be read.
+/// The state that the node has kept, if there is one that can be read: from a copy, so that nothing is written.
 fn stored_state(directory: &Path) -> Result<Option<State>, Rejection> {
     if !directory.is_dir() {
         return Ok(None);
     }
-    SledStore::open(directory).and_then(|store| State::open(Box::new(store))).map(Some).map_err(|rejection| {
+    SledStore::open_copy(directory).and_then(|store| State::open(Box::new(store))).map(Some).map_err(|rejection| {
         rejection
             .prefix(format_args!("{STATE_DIRECTORY}/: "))
             .next("stop the node if it runs; a damaged state directory can be deleted, the node rebuilds it")

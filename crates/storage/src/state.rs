@@ -13,6 +13,8 @@ mod cache;
 mod memory;
 mod overlay;
 #[cfg(feature = "sled")]
+mod scratch;
+#[cfg(feature = "sled")]
 mod sled_store;
 mod store;
 

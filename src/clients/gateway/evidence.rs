@@ -1,6 +1,8 @@
 //! Evidence of one transaction: from its bytes to a certified block.
 
 use super::Proofs;
+use super::missing::Kept;
+use crate::storage::Storage;
 use crate::storage::blocks::Blocks;
 use bytes::Bytes;
 use ledger::evidence::Link;
@@ -27,9 +29,8 @@ impl Proofs {
         }
         let TransactionRecord { height, index, .. } =
             self.ordering.storage.ledger.transaction(&id)?.ok_or_else(|| {
-                Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}")).next(
-                    "if it was submitted just now, ask again; a call that is refused before ordering has no record",
-                )
+                let Storage { ledger, blocks, .. } = &*self.ordering.storage;
+                Kept { first: blocks.first_height(), tip: ledger.tip().height }.no_transaction(&id)
             })?;
         let proof = self
             .peers
@@ -68,9 +69,8 @@ fn make(
 
 fn block(blocks: &Blocks, height: u64) -> Result<Arc<Outcome>, Rejection> {
     blocks.get(height)?.ok_or_else(|| {
-        Rejection::new(Code::NotFound, format!("this node has no block {height} any more"))
-            .found(format!("blocks from {} on", blocks.first_height()))
-            .next("ask a node that keeps blocks for longer, or look for it in an archive")
+        // It was there when the transaction was found.
+        Kept { first: blocks.first_height().max(height.saturating_add(1)), tip: height }.no_block(height)
     })
 }
 

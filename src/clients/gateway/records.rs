@@ -1,9 +1,11 @@
 //! Questions about the committed state and the chain.
 
+use super::missing::Kept;
 use super::{Questions, status};
 use crate::ordering::Ordering;
 use crate::ordering::waiters::verdict_of;
 use crate::peers::Peers;
+use crate::storage::Storage;
 use bytes::Bytes;
 use ledger::Outcome;
 use ledger_api::v1::{
@@ -19,6 +21,8 @@ use tonic::Status;
 
 /// How long a question waits for a certificate at most.
 const CERTIFIED_WITHIN_MAX: Duration = Duration::from_secs(10);
+/// Newest blocks that are searched for a transaction that no index has.
+const SEARCHED_MAX: u64 = 256;
 /// The chaincode that knows the members.
 const MSP: &str = "msp";
 
@@ -43,7 +47,7 @@ impl Records {
             true => self.ordering.reads.reach_height(request.min_height).await,
             false => self.ordering.reads.reach().await.map(drop),
         };
-        reached.map_err(|rejection| status(&rejection))?;
+        reached.map_err(|rejection| status(&self.with_voters(rejection)))?;
         let turn = self.questions.turn(caller).await;
         let answer = self.ordering.storage.ledger.query(
             caller,
@@ -97,7 +101,7 @@ impl Records {
     ) -> Result<TransactionRecord, Rejection> {
         let patience = Duration::from_millis(request.certified_within_ms.into()).min(CERTIFIED_WITHIN_MAX);
         let record = match self.in_turn(caller, &request.id).await {
-            Err(rejection) if rejection.code == Code::NotFound => {
+            Err(rejection) if matches!(rejection.code, Code::NotFound | Code::Pruned) => {
                 self.ordering.reads.reach().await?;
                 self.in_turn(caller, &request.id).await?
             }
@@ -158,17 +162,36 @@ impl Records {
                 .found(format!("{} bytes", id.len()))
                 .wanted("32 bytes")
         })?;
-        let place = self.ordering.storage.ledger.transaction(&id)?.ok_or_else(|| {
-            Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
-                .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
-        })?;
-        let outcome = self.ordering.storage.blocks.get(place.height)?.ok_or_else(|| self.no_block(place.height))?;
-        Ok(self.record(caller, &outcome, place.index as usize))
+        let (outcome, index) = match self.ordering.storage.ledger.transaction(&id)? {
+            Some(place) => {
+                let outcome = self.ordering.storage.blocks.get(place.height)?;
+                (outcome.ok_or_else(|| self.no_block(place.height))?, place.index as usize)
+            }
+            None => self.rejected_in_a_block(&id)?.ok_or_else(|| self.kept().no_transaction(&id))?,
+        };
+        Ok(self.record(caller, &outcome, index))
+    }
+
+    /// A transaction of one of the newest blocks that was rejected there before any chaincode saw it, such as one that had expired: no
+    /// index has it.
+    fn rejected_in_a_block(&self, id: &Hash) -> Result<Option<(Arc<Outcome>, usize)>, Rejection> {
+        let Kept { first, tip } = self.kept();
+        for height in (first.max(tip.saturating_sub(SEARCHED_MAX - 1))..=tip).rev() {
+            let Some(outcome) = self.ordering.storage.blocks.get(height)? else { continue };
+            if let Some(index) = outcome.ids.iter().position(|known| known == id) {
+                return Ok(Some((outcome, index)));
+            }
+        }
+        Ok(None)
+    }
+
+    fn kept(&self) -> Kept {
+        let Storage { ledger, blocks, .. } = &*self.ordering.storage;
+        Kept { first: blocks.first_height(), tip: ledger.tip().height }
     }
 
     fn no_block(&self, height: u64) -> Rejection {
-        Rejection::new(Code::NotFound, format!("this node has no block {height}"))
-            .wanted(format!("a height from 0 to {}", self.ordering.storage.ledger.tip().height))
+        self.kept().no_block(height)
     }
 
     /// One transaction of a block. Its bytes are only shown to those who may read all the events that it caused.

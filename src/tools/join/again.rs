@@ -12,10 +12,11 @@
 //! into which things are moved, so that another try moves the rest there.
 
 use super::branches::{self, DEAD_PREFIX, Lost};
-use super::{Records, enter};
+use super::{REMOVED, Record, answers, enter, records};
 use crate::node::NodeBuilder;
 use crate::peers::quorum_certificates::set_proofs_aside;
 use crate::process::config::Config;
+use crate::process::terminal::asked;
 use crate::storage::files::JOINED_FILE;
 use crate::storage::files::REJOINING_FILE;
 use crate::storage::files::RESTORED_FILE;
@@ -24,7 +25,7 @@ use crate::storage::files::{CONFIRMED_FILE, CONTRADICTED_FILE, DIVERGED_FILE, co
 use crate::tools::backup::CopiedBlocks;
 use crate::tools::setup::public_address;
 use crate::trust::membership::Joined;
-use crate::trust::membership::way_back;
+use crate::trust::membership::unreadable_file;
 use ledger::network::{FoundingOrganisation, GENESIS_BYTES_MAX, Genesis};
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::{Client, Credentials, Options};
@@ -76,13 +77,17 @@ pub(crate) struct RejoinOptions {
     /// left, where no majority gives them.
     #[arg(long, value_name = "DIR")]
     blocks: Option<PathBuf>,
+    /// The node of which the restored backup was made is gone for good: do not ask.
+    #[arg(long)]
+    original_is_gone: bool,
 }
 
 /// Rejoins; answers with what to tell the user.
 ///
 /// # Errors
 /// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other
-/// node answers; the ledger's own refusal, for example that this is the last voter.
+/// node answers; [`Code::AlreadyExists`] if this is the backup of a node that runs, [`Code::LastOne`] if it was not agreed that it is
+/// gone; the ledger's own refusal, for example that this is the last voter.
 pub(crate) async fn rejoin(
     builder: &NodeBuilder,
     options: &RejoinOptions,
@@ -105,13 +110,12 @@ pub(crate) async fn rejoin(
     })?;
     let (genesis, network) = Genesis::from_bytes(
         &ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
-            .map_err(|refused| refused.next(way_back(config, &config.member.node)))?,
+            .map_err(|refused| unreadable_file(config, refused))?,
     )?;
     let copied = options.blocks.as_deref().map(|from| CopiedBlocks::verify(builder, from, data)).transpose()?;
     let joined = Joined::load(data)?;
-    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
-        Rejection::new(Code::BadFile, error.to_string()).next(way_back(config, &config.member.node))
-    })?;
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE))
+        .map_err(|error| unreadable_file(config, Rejection::new(Code::BadFile, error.to_string())))?;
     let msps = Arc::new(organisations(&genesis, &tls, joined.as_ref(), data)?);
     let me = own(&tls, &msps)?;
     let founder = genesis.node(&me.organisation, &me.name);
@@ -140,6 +144,9 @@ pub(crate) async fn rejoin(
     }
     let credentials = Credentials::new(network, tls.clone(), ServerTrust::Roots(Arc::clone(&msps)))?;
     let client = Client::connect_with(others.clone(), credentials, Options::default()).await?;
+    if fs::symlink_metadata(data.join(RESTORED_FILE)).is_ok() {
+        check_original(&client, (&me.organisation, &me.name), options.original_is_gone).await?;
+    }
     // Whatever number is there, perhaps from a try that was interrupted: nobody knows what was done with it.
     let id = enter(&client, (&me.organisation, &me.name), &address, Ok).await?;
     let reached = reachable(&client, &msps, &address).await?;
@@ -182,6 +189,40 @@ pub(crate) async fn rejoin(
     ))
 }
 
+/// A restored backup takes the place of its original, which loses its vote by that. So the original must be gone.
+async fn check_original(client: &Client, (organisation, name): (&str, &str), is_gone: bool) -> Result<(), Rejection> {
+    let records = records(client).await?;
+    let of_name =
+        |record: &&Record| record.role != REMOVED && record.organisation == organisation && record.name == name;
+    let Some(original) = records.nodes.iter().find(of_name) else { return Ok(()) };
+    let (full_name, Record { id, address, role, .. }) = (original.full_name(), original);
+    if answers(address).await {
+        return Err(Rejection::new(
+            Code::AlreadyExists,
+            format!("node {full_name} runs: its backup cannot take its place"),
+        )
+        .found(format!("node {id}, a {role}, answers at {address}"))
+        .wanted("a node that is gone for good")
+        .next("keep the original, or stop it first; a backup is looked at with ledgerd verify DIR"));
+    }
+    if is_gone {
+        return Ok(());
+    }
+    let facts =
+        format!("node {full_name} is number {id} of the network, a {role}; this backup takes its place for good");
+    let refused = |wanted: &str| {
+        Rejection::new(Code::LastOne, format!("it was not agreed that the original of node {full_name} is gone"))
+            .found(facts.clone())
+            .wanted(wanted)
+            .next("ledgerd rejoin --original-is-gone")
+    };
+    match asked(std::slice::from_ref(&facts), "is the original gone for good? type yes: ") {
+        Some(true) => Ok(()),
+        Some(false) => Err(refused("yes")),
+        None => Err(refused("a terminal, to ask whether the original is gone, or --original-is-gone")),
+    }
+}
+
 /// Verifies the branch that contradicts this node, if one does.
 async fn other_branch(
     builder: &NodeBuilder,
@@ -190,9 +231,8 @@ async fn other_branch(
 ) -> Result<Option<Lost>, Rejection> {
     let data = &config.data;
     let Some(branch) = contradicted_by(data)? else { return Ok(None) };
-    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
-        Rejection::new(Code::BadFile, error.to_string()).next(way_back(config, &config.member.node))
-    })?;
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE))
+        .map_err(|error| unreadable_file(config, Rejection::new(Code::BadFile, error.to_string())))?;
     branches::verify(builder, config, &branch, &tls, &options.node).await.map(Some)
 }
 
@@ -281,12 +321,10 @@ fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
 
 /// The nodes that this one asks when it starts: the nodes of one organisation, and its CA. The own organisation first.
 async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(Vec<String>, Hash), Rejection> {
-    let answer = client.query(super::MSP, "nodes", Vec::new()).await?.response;
-    let records: Records = serde_json::from_slice(&answer)
-        .map_err(|error| Rejection::new(Code::Internal, "the list of nodes cannot be read").found(error.to_string()))?;
+    let records = records(client).await?;
     let status = client.status().await?;
-    let of = |record: &&super::Record| {
-        record.organisation == status.organisation && record.role != "removed" && record.address != own_address
+    let of = |record: &&Record| {
+        record.organisation == status.organisation && record.role != REMOVED && record.address != own_address
     };
     let addresses = records.nodes.iter().filter(of).map(|record| record.address.clone()).collect();
     let root = msps.get(&status.organisation).and_then(|msp| msp.roots().next().map(|root| Hash::of(&[root])));

@@ -12,8 +12,10 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msp, Msps, Usage};
-use ledger_storage::layout::GENESIS_FILE;
+use ledger_storage::disk::RealDisk;
+use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE};
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// While a node joins: its number before.
@@ -62,6 +64,12 @@ impl JoinDirectory {
         self.current == self.data
     }
 
+    /// Does a node run with this data directory?
+    pub(super) fn is_running(&self) -> bool {
+        let opened = RealDisk::open_read_only(self.data.join(BLOCKS_DIRECTORY));
+        opened.is_err_and(|error| error.kind() == ErrorKind::ResourceBusy)
+    }
+
     pub(super) fn path(&self, file: &str) -> PathBuf {
         self.current.join(file)
     }
@@ -101,11 +109,7 @@ impl JoinDirectory {
             return move_out(&self.current, &self.data);
         }
         if fs::symlink_metadata(&self.data).is_ok() {
-            return Err(ledger_base::durable::failed(
-                "make directory",
-                &self.data,
-                &std::io::ErrorKind::AlreadyExists.into(),
-            ));
+            return Err(ledger_base::durable::failed("make directory", &self.data, &ErrorKind::AlreadyExists.into()));
         }
         ledger_base::durable::rename(&self.current, &self.data)?;
         forget_noted(&self.data);

@@ -3,8 +3,10 @@
 use super::Joined;
 use crate::ordering::directory::Member;
 use crate::process::config::{Config, MemberOf};
+use ledger_base::durable::access;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_storage::layout::GENESIS_FILE;
 use std::io::ErrorKind;
 
 /// The commands that bring a node back whose data directory is lost. `node`: `ORGANISATION/NAME`, or empty.
@@ -20,6 +22,9 @@ pub(crate) fn way_back(config: &Config, node: &str) -> String {
 /// disk: it would come back alone.
 pub(crate) fn nothing_here(config: &Config, error: &std::io::Error) -> Rejection {
     let data = config.data.display();
+    if let Some(denied) = denied(config, error) {
+        return denied;
+    }
     let found = match error.kind() {
         ErrorKind::NotFound => match std::fs::read_dir(&config.data) {
             Err(error) => error.to_string(),
@@ -53,6 +58,27 @@ pub(crate) fn nothing_here(config: &Config, error: &std::io::Error) -> Rejection
         .next(format!("mount or restore it; if it is lost, {}", way_back(config, &node)))
 }
 
+/// The rejection of a data directory of another user. Its node may run: to bring it in as a new one would take its vote.
+fn denied(config: &Config, error: &std::io::Error) -> Option<Rejection> {
+    let listed = std::fs::read_dir(&config.data).err();
+    let is_denied = |error: &std::io::Error| error.kind() == ErrorKind::PermissionDenied;
+    (is_denied(error) || listed.as_ref().is_some_and(is_denied)).then(|| {
+        Rejection::new(Code::BadFile, format!("this user may not read {}", config.data.display()))
+            .found(access(&config.data))
+            .wanted("the user that owns the data directory")
+            .next("run the command as that user: sudo -u USER ledgerd …")
+    })
+}
+
+/// Advice for a file of the data directory that cannot be read: the way back of a lost directory, unless it is only another user's.
+pub(crate) fn unreadable_file(config: &Config, refused: Rejection) -> Rejection {
+    let opened = std::fs::File::open(config.data.join(GENESIS_FILE)).err();
+    match opened.and_then(|error| denied(config, &error)) {
+        Some(denied) => denied,
+        None => refused.next(way_back(config, &config.member.node)),
+    }
+}
+
 /// Refuses a data directory that is not of the node which the configuration names.
 ///
 /// # Errors
@@ -69,4 +95,19 @@ pub(crate) fn check_member(config: &Config, network: Hash, me: &Member) -> Resul
         .found(format!("node {found} of network {found_network}"))
         .wanted(format!("node {wanted} of network {wanted_network}, as [member] of {file} says"))
         .next("give each node its own configuration and data directory"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_data_directory_of_another_user_is_not_taken_for_a_lost_one() {
+        let config = Config { data: std::env::temp_dir().join("ledgerd-no-such-directory"), ..Config::default() };
+        let refused = nothing_here(&config, &ErrorKind::PermissionDenied.into());
+        assert!(refused.found.contains("mode ") && refused.found.contains("this process is user "), "{refused}");
+        assert!(!refused.advice().contains("network invite") && refused.advice().contains("as that user"), "{refused}");
+        let lost = nothing_here(&config, &ErrorKind::NotFound.into());
+        assert!(lost.advice().contains("network invite"), "{lost}");
+    }
 }

@@ -6,7 +6,7 @@
 pub enum Policy {
     /// The rule of the paper, as an organisation's own policy.
     Attribute,
-    /// Any identity of a trusted organisation.
+    /// Any identity of a trusted organisation, with the rights that a policy must name.
     Trusted,
     /// Never this person.
     ForbidFarhad,
@@ -80,7 +80,10 @@ impl Policy {
                 "permit (principal, action, resource) when {{ {trusted} && principal.hasTag(resource.requiredAttribute) \
                  && principal.getTag(resource.requiredAttribute) == resource.requiredValue }};"
             ),
-            Self::Trusted => format!("permit (principal, action, resource) when {{ {trusted} }};"),
+            Self::Trusted => format!(
+                "permit (principal, action, resource) when {{ {trusted} }}; permit (principal, action in \
+                 [Action::\"override\", Action::\"confirm\", Action::\"stop\", Action::\"resume\"], resource) when {{ {trusted} }};"
+            ),
             Self::ForbidFarhad => "forbid (principal == User::\"Org1/Farhad\", action, resource);".to_owned(),
             // Block time is far above 2, so the product overflows.
             Self::ErringForbid => {
@@ -112,6 +115,8 @@ impl Policy {
     pub fn says(self, asked: &Asked<'_>) -> Says {
         let permit = |holds| if holds { Says::Permit } else { Says::Nothing };
         match self {
+            // What a policy must name, these do not.
+            Self::Attribute | Self::Until(_) if asked.act == Act::Govern => Says::Nothing,
             Self::Attribute => permit(asked.trusted && asked.attribute),
             Self::Trusted => permit(asked.trusted),
             Self::ForbidFarhad if asked.who == "Org1/Farhad" => Says::Forbid,

@@ -97,7 +97,7 @@ class Client:
         except asyncio.TimeoutError:
             return done
         except Refusal as refused:
-            if refused.name != "NOT_FOUND":
+            if refused.name not in ("NOT_FOUND", "PRUNED"):
                 # Nobody answers that question now.
                 return done
         id = done.id.hex()

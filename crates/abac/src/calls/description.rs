@@ -4,7 +4,7 @@ use crate::arguments::{Arguments, shown};
 use crate::calls::attributes;
 use crate::lifecycle::lease_bounds::LEASE_MS_MIN;
 use crate::policy::decider::Decider;
-use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
+use crate::records::robot::{self, Robot, SERVICES_MAX};
 use crate::records::service::Service;
 use crate::records::store;
 use crate::rules;
@@ -142,16 +142,6 @@ fn check_confidential(sharing: &Sharing, type_name: &str, topic: &str) -> Result
         .next("leave confidential out: calls and actions are not encrypted"))
 }
 
-pub(crate) fn check_name(name: &str) -> Result<(), Rejection> {
-    let allowed = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'_' | b'-' | b'.');
-    if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.bytes().all(allowed) {
-        return Ok(());
-    }
-    Err(Rejection::new(Code::BadName, "the name of the robot is not usable")
-        .found(shown(name))
-        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\"")))
-}
-
 pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
     let (key, value) = required.split_once('=').unwrap_or((required, "true"));
     if key.is_empty() || required.len() > ATTRIBUTE_BYTES_MAX || required.chars().any(char::is_control) {
@@ -245,6 +235,6 @@ fn is_ros_name(name: &str) -> bool {
 
 /// The robot of that name, if there is one.
 pub(crate) fn registered(ctx: &Context<'_>, name: &str) -> Result<Option<Robot>, Rejection> {
-    check_name(name)?;
+    robot::check_name(name)?;
     store::read(ctx, &store::robot_key(name))
 }

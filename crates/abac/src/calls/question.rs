@@ -7,7 +7,7 @@ use crate::lifecycle::policy_sets;
 use crate::policy::action::{Action, Object, RobotAction};
 use crate::policy::decider::Decider;
 use crate::policy::explain::Explanation;
-use crate::policy::{Texts, Verdict, limits, refusal, texts};
+use crate::policy::{Texts, Verdict, by_rule, limits, refusal, texts};
 use crate::records::principal::Principal;
 use crate::records::target::Target;
 use crate::records::{robot, target};
@@ -23,12 +23,15 @@ pub(crate) const ASK_BYTES_MAX: usize = 1024 * 1024;
 /// An explained decision takes the steps of N others.
 const EXPLAINED_STEPS: u64 = 8;
 
+/// Those whom no policy is asked about.
+const OF_OWNER: &str = "an admin of the owner";
+
 /// Actions on services, as policies name them.
-const OF_SERVICE: [Action; 5] =
+pub(crate) const OF_SERVICE: [Action; 5] =
     [Action::Acquire, Action::Publish, Action::Subscribe, Action::Override, Action::Confirm];
 
 /// Actions on robots.
-const OF_ROBOT: [RobotAction; 2] = [RobotAction::Stop, RobotAction::Resume];
+pub(crate) const OF_ROBOT: [RobotAction; 2] = [RobotAction::Stop, RobotAction::Resume];
 
 pub(crate) fn read(args: Arguments<'_>) -> Result<Ask, Rejection> {
     let wanted = "JSON with action and service, and some of who, at and policies";
@@ -95,10 +98,12 @@ impl Case {
             let new: Vec<String> = why.deciding.into_iter().filter(|id| !deciding.contains(id)).collect();
             deciding.extend(new);
         };
-        let mut denial = None;
+        let (mut denial, mut rule) = (None, String::new());
         match &self.asked {
-            Asked::Service(_, actions) if self.owner_may(principal) && actions.iter().all(Action::is_of_owner) => {}
-            Asked::Robot(..) if self.owner_may(principal) => {}
+            Asked::Service(_, actions) if self.owner_may(principal) && actions.iter().all(Action::is_of_owner) => {
+                OF_OWNER.clone_into(&mut rule);
+            }
+            Asked::Robot(..) if self.owner_may(principal) => OF_OWNER.clone_into(&mut rule),
             Asked::Service(target, actions) => {
                 for action in actions {
                     match explain(Object::Service(target, *action))? {
@@ -114,7 +119,24 @@ impl Case {
             Asked::Robot(robot, action) => match explain(Object::Robot(robot, *action))? {
                 (Verdict::Permit(_), why) => permits(why),
                 (verdict, why) => {
-                    denial = Some((refusal::explain_robot(principal, robot, *action, verdict, || why.clone()), why));
+                    let by_rule = match action {
+                        RobotAction::Stop => by_rule::stops(ctx, principal, robot)?,
+                        RobotAction::Resume => None,
+                    };
+                    let (verdict, why, reason) = match by_rule {
+                        Some(reason) => {
+                            let (verdict, why) = explain(Object::ByRule(robot, *action))?;
+                            (verdict, why, reason)
+                        }
+                        None => (verdict, why, String::new()),
+                    };
+                    match verdict {
+                        Verdict::Permit(_) => rule = reason,
+                        verdict => {
+                            let refused = refusal::explain_robot(principal, robot, *action, verdict, || why.clone());
+                            denial = Some((refused, why));
+                        }
+                    }
                 }
             },
         }
@@ -132,6 +154,7 @@ impl Case {
             found: refused.found,
             wanted: refused.wanted,
             policies: if allowed { deciding } else { why.deciding },
+            rule,
             conditions: why.conditions,
             policy_version: self.version,
         })

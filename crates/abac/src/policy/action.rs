@@ -3,6 +3,9 @@
 use crate::records::robot::Robot;
 use crate::records::target::Target;
 
+/// The actions that only a permit gives whose scope names them.
+pub(super) const NAMED_RIGHTS: [&str; 4] = ["override", "confirm", "stop", "resume"];
+
 /// A use of a service; each is an action of the schema.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Action {
@@ -27,13 +30,15 @@ pub(crate) enum RobotAction {
 pub(crate) enum Object<'a> {
     Service(&'a Target, Action),
     Robot(&'a Robot, RobotAction),
+    /// An action that somebody may do by rule, unless a `forbid` names it.
+    ByRule(&'a Robot, RobotAction),
 }
 
 impl<'a> Object<'a> {
     pub(super) fn robot(self) -> &'a Robot {
         match self {
             Self::Service(target, _) => &target.robot,
-            Self::Robot(robot, _) => robot,
+            Self::Robot(robot, _) | Self::ByRule(robot, _) => robot,
         }
     }
 
@@ -41,8 +46,13 @@ impl<'a> Object<'a> {
     pub(crate) fn action(self) -> &'static str {
         match self {
             Self::Service(_, action) => action.name(),
-            Self::Robot(_, action) => action.name(),
+            Self::Robot(_, action) | Self::ByRule(_, action) => action.name(),
         }
+    }
+
+    /// Is it permitted by rule?
+    pub(super) const fn is_by_rule(self) -> bool {
+        matches!(self, Self::ByRule(..))
     }
 }
 

@@ -4,7 +4,7 @@ use super::action::{Action, Object, RobotAction};
 use super::explain::{Explanation, WORK_OF_QUESTION, WORK_OF_REFUSAL};
 use super::limits;
 use super::texts::{self, Version};
-use super::{Answer, Engine, Permit, Question, Resource, Texts, User, Verdict, refusal};
+use super::{Answer, Engine, Permit, Question, Resource, Texts, User, Verdict, by_rule, refusal};
 use crate::records::Records;
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
@@ -14,7 +14,7 @@ use crate::rules::Table;
 use ledger::Context;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
-use ledger_contract::{Attributes, Limits, PolicyFault};
+use ledger_contract::{Attributes, Limits, PolicyCheck, PolicyFault};
 use quick_cache::unsync::Cache;
 use std::hash::Hasher;
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -35,6 +35,7 @@ struct Key {
     /// Empty if the question is about the robot.
     service: String,
     action: &'static str,
+    by_rule: bool,
 }
 
 /// Keys that are equal have equal parts; these are enough to tell most others apart, and quick to hash.
@@ -51,8 +52,9 @@ impl std::hash::Hash for Key {
 impl Key {
     /// Names the question in a block, whose time it is asked at.
     fn question(&self) -> Hash {
-        let Self { fingerprint, principal, policies, robot, service, action } = self;
-        let text = [principal.as_str(), service, action].join("\0");
+        let Self { fingerprint, principal, policies, robot, service, action, by_rule } = self;
+        let rule = if *by_rule { "by rule" } else { "" };
+        let text = [principal.as_str(), service, action, rule].join("\0");
         Hash::of(&[&fingerprint.0, &policies.0, &robot.0, text.as_bytes()])
     }
 }
@@ -91,16 +93,32 @@ impl Decider {
         self.engine_for(ctx)?.check(text)
     }
 
-    /// The faults of a text as a policy, with their places.
-    pub(crate) fn diagnose(&self, text: &str) -> Vec<PolicyFault> {
+    /// The faults of a text as a policy, with their places, or the meaning of its policies.
+    pub(crate) fn diagnose(&self, text: &str) -> PolicyCheck {
         let whole = |refused: Rejection| {
             let message = format!("{}: found {}, wanted {}", refused.message, refused.found, refused.wanted);
-            vec![PolicyFault { message, help: String::new(), line: 0, column: 0, length: 0, text: String::new() }]
+            let fault =
+                PolicyFault { message, help: String::new(), line: 0, column: 0, length: 0, text: String::new() };
+            PolicyCheck { faults: vec![fault], ..PolicyCheck::default() }
         };
         match limits::check(text).and_then(|()| limits::steps(text)) {
             Ok(_) => self.aside().and_then(|engine| engine.diagnose(text)).unwrap_or_else(whole),
             Err(refused) => whole(refused),
         }
+    }
+
+    /// Does each policy of a text, in its order, apply to one of these people and one of these objects now?
+    pub(crate) fn matching(
+        &self,
+        ctx: &Context<'_>,
+        people: &[Principal],
+        objects: &[Object<'_>],
+        text: &str,
+    ) -> Vec<bool> {
+        let time = milliseconds(ctx.block_time());
+        let ask = |principal| objects.iter().map(move |object| question(principal, *object, Hash::ZERO, time));
+        let questions = people.iter().flat_map(ask).collect();
+        self.aside().map(|engine| engine.matching(questions, text)).unwrap_or_default()
     }
 
     /// May this principal do that, says the owner of the robot?
@@ -125,7 +143,8 @@ impl Decider {
         }
     }
 
-    /// May this principal do that to the robot? An admin of its owner may always: the owner is never locked out.
+    /// May this principal do that to the robot? An admin of its owner may always: the owner is never locked out. The robot itself
+    /// and the holders of its command services may stop it by rule.
     ///
     /// # Errors
     /// As [`Decider::decide`].
@@ -139,10 +158,17 @@ impl Decider {
         if principal.governs(robot) {
             return Ok(());
         }
-        match self.verdict(ctx, principal, Object::Robot(robot, action))? {
+        let mut object = Object::Robot(robot, action);
+        let mut verdict = self.verdict(ctx, principal, object)?;
+        let denied = !matches!(verdict, Verdict::Permit(_));
+        if denied && action == RobotAction::Stop && by_rule::stops(ctx, principal, robot)?.is_some() {
+            object = Object::ByRule(robot, action);
+            verdict = self.verdict(ctx, principal, object)?;
+        }
+        match verdict {
             Verdict::Permit(_) => Ok(()),
             denial => {
-                let why = || self.explanation(ctx, principal, Object::Robot(robot, action));
+                let why = || self.explanation(ctx, principal, object);
                 let forbidding = denial.forbidding();
                 let refused = refusal::explain_robot(principal, robot, action, denial, why);
                 Err(by_version(ctx, &robot.organisation, &forbidding, refused))
@@ -257,9 +283,10 @@ fn key(principal: &Principal, object: Object<'_>, policies: Hash) -> Key {
         robot: object.robot().version,
         service: match object {
             Object::Service(target, _) => target.service_id().to_owned(),
-            Object::Robot(..) => String::new(),
+            Object::Robot(..) | Object::ByRule(..) => String::new(),
         },
         action: object.action(),
+        by_rule: object.is_by_rule(),
     }
 }
 
@@ -293,10 +320,11 @@ fn question(principal: &Principal, object: Object<'_>, version: Hash, time_ms: i
             attributes: principal.attributes.clone(),
         },
         action: object.action(),
+        by_rule: object.is_by_rule(),
         resource: Resource {
             service: match object {
                 Object::Service(target, _) => Some(of_service(target)),
-                Object::Robot(..) => None,
+                Object::Robot(..) | Object::ByRule(..) => None,
             },
             robot: robot.name.clone(),
             owner: robot.organisation.clone(),
@@ -304,7 +332,7 @@ fn question(principal: &Principal, object: Object<'_>, version: Hash, time_ms: i
             of_robot: required.to_vec(),
             own: match object {
                 Object::Service(target, _) => (robot.attributes.clone(), target.service.attributes.clone()),
-                Object::Robot(..) => (robot.attributes.clone(), Attributes::new()),
+                Object::Robot(..) | Object::ByRule(..) => (robot.attributes.clone(), Attributes::new()),
             },
         },
         time_ms,

@@ -1,22 +1,25 @@
 //! The faults of a policy with their places in its text.
 
-use super::{FAULTS_SHOWN_MAX, annotation};
+use super::{FAULTS_SHOWN_MAX, annotation, impossible_policies, misfits, names, words};
 use cedar_policy::{PolicySet, ValidationMode, Validator};
-use ledger_contract::PolicyFault;
+use ledger_contract::{PolicyCheck, PolicyFault};
 use miette::Diagnostic;
 
 /// Most faults that are told with their places.
 const FAULTS_MAX: usize = 16;
 const _: () = assert!(FAULTS_MAX >= FAULTS_SHOWN_MAX);
 
-/// The faults of a text as a policy; none if it is acceptable.
-pub(super) fn diagnose(validator: &Validator, text: &str) -> Vec<PolicyFault> {
+/// The faults of a text as a policy. If there are none, the meaning of each policy in it, and all names that it has: the caller
+/// leaves those that are unknown.
+pub(super) fn diagnose(validator: &Validator, text: &str) -> PolicyCheck {
     let mut faults = found(validator, text);
     // Cedar finds them in no particular order.
     faults.sort_by(|one, other| (one.line, one.column, &one.message).cmp(&(other.line, other.column, &other.message)));
     faults.dedup();
     faults.truncate(FAULTS_MAX);
-    faults
+    let (policies, unknown) =
+        if faults.is_empty() { (words::meanings(text), names::named(text)) } else { Default::default() };
+    PolicyCheck { faults, policies, unknown }
 }
 
 fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
@@ -35,8 +38,13 @@ fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
     if let Err(faults) = annotation::check(&policies) {
         return faults.into_iter().map(|message| annotation_fault(text, message)).collect();
     }
+    if let Err(faults) = misfits(&policies) {
+        return faults.iter().map(|one| fault(text, one.message.clone(), String::new(), one.place(text))).collect();
+    }
     let result = validator.validate(&policies, ValidationMode::Strict);
-    result.validation_errors().map(|fault| placed(text, fault)).collect()
+    let mut faults: Vec<PolicyFault> = result.validation_errors().map(|fault| placed(text, fault)).collect();
+    faults.extend(impossible_policies(&result).map(|fault| placed(text, fault)));
+    faults
 }
 
 /// A fault that Cedar has found, with the place that it names first.

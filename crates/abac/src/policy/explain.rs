@@ -9,6 +9,7 @@
 
 use super::annotation::Said;
 use super::asked::{Asked, asked};
+use super::expression::{self, operands, split};
 use super::index::Index;
 use super::{Question, display};
 use cedar_policy::{Authorizer, Decision, Effect, EvalResult, Expression, Policy, eval_expression};
@@ -68,7 +69,7 @@ pub(super) fn explain(policies: &Index, question: &Question, work: usize) -> Res
         None => Effect::Permit,
     };
     let deciding: Vec<String> = deciding.into_iter().map(|(_, id)| id).collect();
-    let mut all: Vec<&Policy> = policies.all().filter(|policy| policy.effect() == effect).collect();
+    let mut all: Vec<&Policy> = policies.all(question).filter(|policy| policy.effect() == effect).collect();
     all.retain(|policy| effect == Effect::Permit || deciding.contains(&policy.id().to_string()));
     all.sort_by_key(|policy| policy.id().to_string());
     let work = Work { asked, left: Cell::new(work), skipped: Cell::new(false) };
@@ -92,7 +93,7 @@ pub(super) fn explain(policies: &Index, question: &Question, work: usize) -> Res
 /// The policies that decided, in order: those that forbid it, or else those that permit it.
 fn deciding(policies: &Index, question: &Question, asked: &Asked) -> Result<Vec<(Effect, String)>, String> {
     let mut deciding = Vec::new();
-    for set in policies.candidates(&asked.principals, &asked.resources) {
+    for set in policies.candidates(question, &asked.principals, &asked.resources) {
         let response = Authorizer::new().is_authorized(&asked.request, set, &asked.entities);
         let permits = response.decision() == Decision::Allow;
         for id in response.diagnostics().reason() {
@@ -190,22 +191,6 @@ fn scope(policy: &Value, of: &str) -> Option<Value> {
     }
 }
 
-/// The operands of a chain of one operator, in order.
-fn split(expression: &Value, operator: &str, each: &mut impl FnMut(&Value)) {
-    match operands(expression, operator) {
-        Some((left, right)) => {
-            split(left, operator, each);
-            split(right, operator, each);
-        }
-        None => each(expression),
-    }
-}
-
-fn operands<'e>(expression: &'e Value, operator: &str) -> Option<(&'e Value, &'e Value)> {
-    let both = expression.get(operator)?;
-    Some((both.get("left")?, both.get("right")?))
-}
-
 /// A part of a policy with the values that decided it.
 fn condition(policy: &str, part: &Value, work: &Work) -> Condition {
     let (found, wanted) = told(part, work);
@@ -291,14 +276,7 @@ fn text(expression: &Value, work: &Work) -> Option<String> {
     if !work.spend(WORK_OF_READING + size(expression, 1) / SHALLOW) {
         return None;
     }
-    let all = json!({"op": "All"});
-    let policy = json!({
-        "effect": "permit", "principal": all, "action": all, "resource": all,
-        "conditions": [{"kind": "when", "body": expression}],
-    });
-    let policy = Policy::from_json(None, policy).ok()?.to_cedar()?;
-    let (_, body) = policy.split_once("when {")?;
-    Some(body.trim_end().strip_suffix("};")?.trim().to_owned())
+    expression::text(expression)
 }
 
 /// The values of an expression, each as often as it is deep: Cedar reads and writes what is deep again and again.

@@ -4,12 +4,15 @@
 //! resource it is false before its conditions are looked at. So leaving it out changes neither decision, nor reasons,
 //! nor faults. The same goes for one that names a principal.
 
-use cedar_policy::{EntityUid, Policy, PolicySet, PrincipalConstraint, ResourceConstraint};
+use super::Question;
+use super::action::NAMED_RIGHTS;
+use super::naming::names_a_right;
+use cedar_policy::{Effect, EntityUid, Policy, PolicySet, PrincipalConstraint, ResourceConstraint};
 use std::collections::HashMap;
 
-/// The policies of an organisation.
+/// Policies by the entities that they name.
 #[derive(Default)]
-pub(super) struct Index {
+struct Sets {
     /// Those that name neither a resource nor a principal.
     any: PolicySet,
     /// Those that name a resource, or something that it must be in.
@@ -18,12 +21,65 @@ pub(super) struct Index {
     principals: HashMap<EntityUid, PolicySet>,
 }
 
+/// The policies of an organisation.
+#[derive(Default)]
+pub(super) struct Index {
+    /// All of them, for the actions that need not be named.
+    all: Sets,
+    /// Those that decide about rights that must be named: every `forbid`, and the permits that name one.
+    of_rights: Sets,
+    /// Those that take a right which somebody has by rule: the `forbid`s that name one.
+    against_rules: Sets,
+}
+
 impl Index {
     /// Adds a policy.
     ///
     /// # Errors
     /// Its id is taken.
     pub(super) fn add(&mut self, policy: Policy) -> Result<(), String> {
+        let (forbids, names) = (policy.effect() == Effect::Forbid, names_a_right(&policy));
+        if forbids && names {
+            self.against_rules.add(policy.clone())?;
+        }
+        if forbids || names {
+            self.of_rights.add(policy.clone())?;
+        }
+        self.all.add(policy)
+    }
+
+    /// Those that decide about a question, in no order.
+    pub(super) fn all<'a>(&'a self, question: &Question) -> impl Iterator<Item = &'a Policy> + use<'a> {
+        let Sets { any, resources, principals } = self.sets(question);
+        let sets = std::iter::once(any).chain(resources.values()).chain(principals.values());
+        sets.flat_map(PolicySet::policies)
+    }
+
+    /// Every set with policies that can apply. `principals` and `resources` are each the entity itself and all that it
+    /// is in.
+    pub(super) fn candidates<'a>(
+        &'a self,
+        question: &Question,
+        principals: &'a [EntityUid],
+        resources: &'a [EntityUid],
+    ) -> impl Iterator<Item = &'a PolicySet> + use<'a> {
+        let sets = self.sets(question);
+        let by_principal = principals.iter().filter_map(|entity| sets.principals.get(entity));
+        let by_resource = resources.iter().filter_map(|entity| sets.resources.get(entity));
+        std::iter::once(&sets.any).chain(by_principal).chain(by_resource)
+    }
+
+    fn sets(&self, question: &Question) -> &Sets {
+        match question {
+            Question { by_rule: true, .. } => &self.against_rules,
+            Question { action, .. } if NAMED_RIGHTS.contains(action) => &self.of_rights,
+            Question { .. } => &self.all,
+        }
+    }
+}
+
+impl Sets {
+    fn add(&mut self, policy: Policy) -> Result<(), String> {
         let set = if let Some(resource) = resource(&policy) {
             self.resources.entry(resource).or_default()
         } else if let Some(principal) = principal(&policy) {
@@ -33,31 +89,13 @@ impl Index {
         };
         set.add(policy).map_err(|fault| fault.to_string())
     }
-
-    /// All of them, in no order.
-    pub(super) fn all(&self) -> impl Iterator<Item = &Policy> {
-        let sets = std::iter::once(&self.any).chain(self.resources.values()).chain(self.principals.values());
-        sets.flat_map(PolicySet::policies)
-    }
-
-    /// Every set with policies that can apply. `principals` and `resources` are each the entity itself and all that it
-    /// is in.
-    pub(super) fn candidates<'a>(
-        &'a self,
-        principals: &'a [EntityUid],
-        resources: &'a [EntityUid],
-    ) -> impl Iterator<Item = &'a PolicySet> {
-        let by_principal = principals.iter().filter_map(|entity| self.principals.get(entity));
-        let by_resource = resources.iter().filter_map(|entity| self.resources.get(entity));
-        std::iter::once(&self.any).chain(by_principal).chain(by_resource)
-    }
 }
 
 #[cfg(test)]
 impl Index {
     /// One that looks at every policy, to compare with.
     pub(super) fn of_all(any: PolicySet) -> Self {
-        Self { any, ..Self::default() }
+        Self { all: Sets { any, ..Sets::default() }, ..Self::default() }
     }
 }
 

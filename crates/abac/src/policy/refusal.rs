@@ -10,6 +10,9 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Condition, Direction};
 use std::collections::BTreeSet;
 
+/// Those who stop a robot by rule.
+const BY_RULE: &str = " the robot itself, a holder of one of its command services,";
+
 /// The refusal: what somebody can do something about comes first.
 pub(crate) fn explain(
     principal: &Principal,
@@ -120,9 +123,10 @@ fn may_not(principal: &Principal, owner: &str, refused: String, action: &str, wh
         Some((found, wanted)) => format!("; found {found}; wanted {wanted}"),
         None => String::new(),
     };
+    let by_rule = if action == RobotAction::Stop.name() { BY_RULE } else { "" };
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits {action}"))
         .found(format!("role {} of {}", principal.role, principal.organisation))
-        .wanted(format!("an admin of {owner}, or a policy that permits the action {action}{or}"))
+        .wanted(format!("an admin of {owner},{by_rule} or a permit that names the action {action}{or}"))
         .next(format!("ask an admin of {owner}, or read the policies: ledgerctl policy list"))
 }
 

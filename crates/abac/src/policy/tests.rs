@@ -22,6 +22,7 @@ fn question(user: &str, robot: &str, action: &'static str) -> Question {
             attributes: BTreeMap::from([("A".to_owned(), "true".to_owned())]),
         },
         action,
+        by_rule: false,
         resource: Resource {
             service: Some((
                 format!("{robot}/cmd_vel"),
@@ -115,11 +116,12 @@ fn policies_about_other_robots_and_other_people_are_not_looked_at() {
     let entities = [("User", "Org1/U7"), ("Organisation", "Org1"), ("Service", "R7/cmd_vel"), ("Robot", "R7")];
     let [user, home, service, robot] = entities.map(|(kind, id)| uid(kind, id).unwrap());
     let (principals, resources) = ([user, home], [service, robot]);
-    let found = index.candidates(&principals, &resources).flat_map(PolicySet::policies);
+    let asked = question("U7", "R7", "publish");
+    let found = index.candidates(&asked, &principals, &resources).flat_map(PolicySet::policies);
     let mut found: Vec<String> = found.map(|policy| policy.id().to_string()).collect();
     found.sort();
     assert_eq!(found, ["general", "r7", "u7"]);
-    assert_eq!(evaluate(&index, &question("U7", "R7", "publish")), Ok(permit(&["general", "r7", "u7"])));
+    assert_eq!(evaluate(&index, &asked), Ok(permit(&["general", "r7", "u7"])));
 }
 
 #[test]

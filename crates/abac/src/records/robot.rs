@@ -17,7 +17,21 @@ const SUGGESTED_MAX: usize = 64;
 /// Most services of one robot.
 pub(crate) const SERVICES_MAX: usize = 64;
 /// Longest robot name, in bytes.
-pub(crate) const NAME_BYTES_MAX: usize = 64;
+const NAME_BYTES_MAX: usize = 64;
+
+/// Checks that a name is one that a robot can have.
+///
+/// # Errors
+/// [`Code::BadName`].
+pub(crate) fn check_name(name: &str) -> Result<(), Rejection> {
+    let allowed = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'_' | b'-' | b'.');
+    if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.bytes().all(allowed) {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadName, "the name of the robot is not usable")
+        .found(shown(name))
+        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\"")))
+}
 
 /// A registered robot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

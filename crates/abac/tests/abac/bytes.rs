@@ -44,7 +44,7 @@ fn story() -> Fleet {
 }
 
 const OF_RULES_1: [&str; 2] = [
-    "61d83bc4f75621dde6017d741e3f5dcffd289dd764399114c2ca61080083d073",
+    "b129a9656a155a832d00b3e81cd68810442335a732f5832f6bbf66274c187839",
     "590d291df63e67812a1dfe512ffb0f3a2fbd5d4a83abe793838fc5aabe5cbf57",
 ];
 

@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, bytes, farhad, owner, salma};
 use ledger::Page;
-use ledger_abac::{Ask, Can, Could, DEFAULT_POLICY, PolicyChange, PolicyDiff, PolicyFault, PolicyText};
+use ledger_abac::{Ask, Can, Could, DEFAULT_POLICY, PolicyChange, PolicyCheck, PolicyDiff, PolicyFault, PolicyText};
 use ledger_base::rejection::Code;
 
 fn ask(who: &str, action: &str, service: &str) -> Ask {
@@ -241,7 +241,7 @@ fn no_policy_takes_from_the_owners_admins_the_right_to_change_policies() {
 #[test]
 fn the_faults_of_a_policy_are_told_with_line_and_column() {
     let mut fleet = Fleet::of_the_paper();
-    let mut faults = |text: &str| -> Vec<PolicyFault> { fleet.get(&salma(), "check", &[text]) };
+    let mut faults = |text: &str| fleet.get::<PolicyCheck>(&salma(), "check", &[text]).faults;
     let places = |faults: &[PolicyFault]| faults.iter().map(|f| (f.line, f.column, f.length)).collect::<Vec<_>>();
     assert!(faults("permit (principal, action, resource);").is_empty());
     let syntax = faults("permit (principal, action, resource)\nwhen { principal.name = 1 };");

@@ -157,7 +157,8 @@ fn whom_policies_no_longer_permit_to_confirm_counts_no_more() {
     let mut fleet = fleet("");
     asks(&mut fleet, &salma());
     confirm(&mut fleet, &officer("Safe", 51));
-    let text = r#"permit (principal, action, resource); forbid (principal, action == Action::"confirm", resource)
+    let text = r#"permit (principal, action, resource);
+        permit (principal, action == Action::"confirm", resource); forbid (principal, action == Action::"confirm", resource)
         when { principal.name == "Safe" };"#;
     fleet.ok(&owner(), "policy", &["put", "p", text]);
     assert!(confirm(&mut fleet, &owner()).acquired.is_none(), "one of two counts no more");

@@ -1,7 +1,7 @@
 //! The examples of docs/policies.md, each with its cases, and the schema that the page shows.
 
 use crate::fleet::{Fleet, admin1, identity, owner};
-use ledger_abac::{Ask, Can, DEFAULT_POLICY, PolicyFault, PolicyText, SCHEMA};
+use ledger_abac::{Ask, Can, DEFAULT_POLICY, PolicyCheck, PolicyText, SCHEMA};
 use ledger_identity::{Identity, Role};
 use std::collections::BTreeMap;
 
@@ -87,8 +87,12 @@ fn the_twelve_examples_of_the_page_decide_as_it_says() {
         let ([policy], [cases]) = (&blocks(example, "cedar")[..], &blocks(example, "toml")[..]) else {
             panic!("{title}: wanted one policy and its cases");
         };
-        let faults: Vec<PolicyFault> = fleet.get(&owner(), "check", &[policy]);
+        let PolicyCheck { faults, policies, .. } = fleet.get(&owner(), "check", &[policy]);
         assert!(faults.is_empty(), "{title}: {faults:?}");
+        assert!(!policies.is_empty(), "{title}: no words");
+        let open: Vec<_> =
+            policies.iter().filter(|policy| policy.effect == "permit" && !policy.except.is_empty()).collect();
+        assert!(open.is_empty(), "{title}: a permit names its actions: {open:?}");
         let failing = failing(&mut fleet, policy, cases);
         assert!(failing.is_empty(), "{title}: {failing:#?}");
         assert!(cases.matches("[[case]]").count() >= 2, "{title}: a yes and a no at least");
@@ -112,7 +116,7 @@ fn the_page_shows_the_schema_that_policies_are_checked_against() {
 #[test]
 fn the_page_names_every_annotation() {
     let mut fleet = cast();
-    let faults: Vec<PolicyFault> = fleet.get(&owner(), "check", &["@x(\"\") permit (principal, action, resource);"]);
+    let PolicyCheck { faults, .. } = fleet.get(&owner(), "check", &["@x(\"\") permit (principal, action, resource);"]);
     let (_, known) = faults[0].message.split_once("wanted one of ").unwrap();
     assert!(known.split(", ").count() >= 8, "{known}");
     for name in known.split(", ") {

@@ -198,7 +198,7 @@ fn chains_are_limited_to_what_every_stack_has_room_for() {
         [
             format!("true{}", "&&true".repeat(links)),
             format!("false{}||true", "||false".repeat(links - 1)),
-            format!("principal.role!=\"x\"{}", "&&true".repeat(links - 1)),
+            format!("principal.name!=\"x\"{}", "&&true".repeat(links - 1)),
             format!("1{} > 0", "+1".repeat(links)),
             format!("1{} > 0", "*1".repeat(links)),
             format!("1{} < 9", "-1".repeat(links)),

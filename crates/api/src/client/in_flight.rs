@@ -5,6 +5,7 @@
 
 use super::Committed;
 use super::fresh::Fresh;
+use super::last_answers::LastAnswers;
 use super::retry::{ATTEMPT_MAX, ELSEWHERE_AFTER, RETRY_AFTER, is_final};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
@@ -308,15 +309,17 @@ impl InFlight {
     }
 
     /// Gives up what is too late and sends again what has rested. True if the node seems to be stuck. `broken` is why
-    /// there is no connection, if there is none; if that is final, everything is given up.
-    pub(super) fn sweep(&self, now: Instant, broken: Option<&Rejection>) -> bool {
+    /// there is no connection, if there is none; if that is final, everything is given up. `answers` are those of nodes that could not
+    /// serve: they are a better reason than a broken connection.
+    pub(super) fn sweep(&self, now: Instant, broken: Option<&Rejection>, answers: &LastAnswers) -> bool {
         let hopeless = broken.is_some_and(is_final);
+        let broken = broken.map(|broken| answers.instead_of(broken.clone(), now));
         let mut table = self.lock();
         let table = &mut *table;
         let silent = table.answered.is_none_or(|answered| answered + ATTEMPT_MAX <= now);
         let mut stuck = false;
         for (id, entry) in table.entries.extract_if(|_, entry| hopeless || entry.deadline <= now) {
-            let verdict = Err(entry.give_up(id, broken));
+            let verdict = Err(entry.give_up(id, broken.as_ref()));
             entry.resolve(&verdict);
         }
         for entry in table.entries.values() {
@@ -405,10 +408,12 @@ impl Entry {
     fn give_up(&self, id: Hash, broken: Option<&Rejection>) -> Rejection {
         let reason = broken.or(self.refused.as_ref()).cloned();
         if self.uncertain || matches!(self.state, State::Sent(_)) {
-            let why = reason.map_or_else(|| "the node did not answer".to_owned(), |reason| reason.message);
+            let why = reason.map_or_else(|| "the node did not answer".to_owned(), |reason| in_words(&reason));
             return unknown(id, self.attempts, &why);
         }
-        reason.unwrap_or_else(|| Rejection::new(Code::Unreachable, "no node took the transaction"))
+        let reason = reason.unwrap_or_else(|| Rejection::new(Code::Unreachable, "no node took the transaction"));
+        let found = if reason.found.is_empty() { String::new() } else { format!("{}; ", reason.found) };
+        reason.found(format!("{found}the id of the transaction is {id}"))
     }
 
     fn resolve(self, verdict: &Verdict) {
@@ -417,6 +422,11 @@ impl Entry {
         }
         let _gone = self.waiter.send(verdict.clone());
     }
+}
+
+/// A reason with what was found.
+fn in_words(Rejection { message, found, .. }: &Rejection) -> String {
+    if found.is_empty() { message.clone() } else { format!("{message} ({found})") }
 }
 
 /// The outcome is unknown, and how to learn it.

@@ -95,7 +95,7 @@ impl Client {
     /// One block with its transactions and verdicts.
     ///
     /// # Errors
-    /// [`Code::NotFound`] if there is none of this height yet; else as [`Client::status`].
+    /// [`Code::NotFound`] if there is none of this height yet, [`Code::Pruned`] if the node has dropped it; else as [`Client::status`].
     pub async fn block(&self, height: u64) -> Result<v1::Block, Rejection> {
         self.ask(|up| async move { up.gateway().get_block(v1::GetBlockRequest { height }).await }, |_| Ok(())).await
     }
@@ -103,7 +103,7 @@ impl Client {
     /// Where a transaction is and what became of it.
     ///
     /// # Errors
-    /// [`Code::NotFound`] if the node knows none of this id; else as [`Client::status`].
+    /// [`Code::NotFound`] if the node knows none of this id, [`Code::Pruned`] if it may be in a dropped block; else as [`Client::status`].
     pub async fn transaction(&self, id: Hash) -> Result<v1::TransactionRecord, Rejection> {
         self.record(id, Duration::ZERO).await
     }
@@ -189,7 +189,10 @@ impl Client {
                 Ok(Ok(answer)) => {
                     let answer = answer.into_inner();
                     match check(&answer) {
-                        Ok(()) => return Ok(answer),
+                        Ok(()) => {
+                            self.session.last_answers.served(&connection.address);
+                            return Ok(answer);
+                        }
                         Err(refused) => (refused, false),
                     }
                 }
@@ -208,6 +211,7 @@ impl Client {
             if is_final(&refused) {
                 return Err(refused);
             }
+            self.session.last_answers.rejected(&connection.address, &refused, Instant::now());
             // A connection that broke is replaced without our asking.
             if leave {
                 self.session.leave(number);
@@ -215,6 +219,7 @@ impl Client {
             last = Some(refused);
             sleep(RETRY_AFTER).await;
         }
-        Err(last.unwrap_or_else(|| self.session.no_connection()))
+        let answers = &self.session.last_answers;
+        Err(last.map_or_else(|| self.session.no_connection(), |last| answers.instead_of(last, Instant::now())))
     }
 }

@@ -8,10 +8,12 @@ use super::Options;
 use super::clock::{Clock, middle};
 use super::dialer::{Dialer, Opened};
 use super::in_flight::{Effect, InFlight, Sent};
+use super::last_answers::LastAnswers;
 use super::learning::{LOOK_EVERY, Look, Nodes, look_around};
-use super::retry::is_final;
+use super::retry::{is_final, is_of_node};
 use super::uplink::Uplink;
 use crate::connect::{Connection, Credentials};
+use crate::report::accepted;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
 use bytes::Bytes;
 use ledger::transaction::{KNOWN_HASH_BYTES, KnownBlock};
@@ -46,6 +48,8 @@ pub(super) struct Session {
     seen: Arc<AtomicU64>,
     /// The newest block that the connected node has reported, and when.
     known: Mutex<Option<Known>>,
+    /// The nodes that could not serve.
+    pub(super) last_answers: LastAnswers,
 }
 
 /// A block that a node has reported.
@@ -90,6 +94,7 @@ impl Session {
             unwanted,
             seen: Arc::clone(&dialer.seen),
             known: Mutex::default(),
+            last_answers: LastAnswers::default(),
             dialer,
             nodes: Arc::new(nodes),
         });
@@ -202,10 +207,11 @@ impl Session {
 
     /// No node answers in time, and why.
     pub(super) fn no_connection(&self) -> Rejection {
-        self.broken().unwrap_or_else(|| {
+        let broken = self.broken().unwrap_or_else(|| {
             let address = self.address();
             crate::connect::unreachable(&address, &format!("no answer within {} s", self.options.deadline.as_secs()))
-        })
+        });
+        self.last_answers.instead_of(broken, Instant::now())
     }
 
     /// Puts a new connection into use; calls that wait go out over it.
@@ -249,6 +255,12 @@ impl Session {
         if answer.height > 0 {
             self.clock.executed(answer.time);
             self.knows(answer.height, &answer.block_hash);
+        }
+        match accepted(answer.verdict.as_ref()) {
+            Err(refused) if answer.height == 0 && is_of_node(&refused) => {
+                self.last_answers.rejected(&self.address(), &refused, Instant::now());
+            }
+            _ => self.last_answers.served(&self.address()),
         }
         match self.in_flight.answer(answer) {
             Effect::Leave if self.several() => self.leave(number),
@@ -383,7 +395,7 @@ async fn sweep(session: Weak<Session>) {
             let link = session.link.borrow();
             (link.number, link.broken.clone())
         };
-        if session.in_flight.sweep(Instant::now(), broken.as_ref()) {
+        if session.in_flight.sweep(Instant::now(), broken.as_ref(), &session.last_answers) {
             session.leave(number);
         }
         let unanswered = session.in_flight.unanswered(Instant::now());

@@ -151,12 +151,12 @@ struct Told {
 
 impl Facts for Told {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Answer { who, action, service, allowed, policies, conditions, .. } = &self.answer;
+        let Answer { who, action, service, allowed, policies, rule, conditions, .. } = &self.answer;
         let by = if policies.is_empty() { String::new() } else { format!(", by policy {}", policies.join(", ")) };
         let version = self.answer.policy_version;
         let by = if version == 0 || by.is_empty() { by } else { format!("{by} (version {version})") };
         if *allowed {
-            let by = if by.is_empty() { ", as an admin of the owner: no policy is asked".to_owned() } else { by };
+            let by = if rule.is_empty() { by } else { format!(", as {rule}: by rule, without a policy") };
             writeln!(out, "yes: {} may {action} {service}{}", printable(who), printable(&by))?;
         } else {
             let by = if version == 0 { String::new() } else { format!(" (version {version})") };
@@ -233,6 +233,7 @@ mod tests {
             wanted: String::new(),
             next: String::new(),
             policies: policies.iter().map(|&id| id.to_owned()).collect(),
+            rule: if allowed && policies.is_empty() { "an admin of the owner".into() } else { String::new() },
             conditions,
             policy_version: 0,
         };

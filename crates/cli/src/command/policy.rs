@@ -9,6 +9,7 @@ mod propose;
 mod recorded;
 mod set;
 mod test;
+pub(in crate::command) mod unknown;
 
 use crate::argument::bytes;
 use crate::failure::Failure;

@@ -38,6 +38,11 @@ impl From<&Limits> for Bounds {
 }
 
 impl Bounds {
+    /// Is there a largest speed?
+    pub(super) fn limit_speed(&self) -> bool {
+        !self.speeds.is_none()
+    }
+
     /// Brings samples down to the largest speeds, and counts those that were faster.
     ///
     /// # Errors
@@ -48,7 +53,7 @@ impl Bounds {
         for sample in samples {
             let slower = layout.slow_down(sample, self.speeds).map_err(|fault| match fault {
                 Fault::Layout => Refused::BadPayload,
-                Fault::NotFinite => Refused::BadSpeed,
+                Fault::NotFinite | Fault::TooLarge => Refused::BadSpeed,
             })?;
             if let Some(slower) = slower {
                 *sample = slower;

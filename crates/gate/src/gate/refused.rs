@@ -17,7 +17,7 @@ pub enum Refused {
     NoKey,
     /// Not encrypted although the service is confidential, or encrypted for another place, or changed.
     Unreadable,
-    /// A speed with a limit that is no finite number.
+    /// A speed that is not a finite number, or above [`crate::speed::NUMBER_MAX`] where no maximum is set.
     BadSpeed,
     /// Neither the gate has seen the creator's certificate, nor does it come along.
     UnknownCreator,
@@ -68,6 +68,12 @@ impl Refused {
         )
     }
 
+    /// Does it end what came before, too? Then the robot is stopped until the next command that passes. It is of a publisher
+    /// that may command the robot.
+    pub const fn stops(self) -> bool {
+        matches!(self, Self::BadSpeed)
+    }
+
     /// The name that is counted.
     pub const fn name(self) -> &'static str {
         match self {
@@ -111,7 +117,7 @@ impl Refused {
             Self::BadPayload => "it is no CDR of ROS 2, or not of the service's type",
             Self::NoKey => "it is not for this reader: its content key is for others, or has not come yet",
             Self::Unreadable => "it is not encrypted for this place, as messages of a confidential service are",
-            Self::BadSpeed => "it asks for a speed that is no finite number",
+            Self::BadSpeed => "it asks for a speed that is not a finite number, or above 10000 where no maximum is set",
             Self::UnknownCreator => "the certificate of its creator is not known",
             Self::Untrusted => "the certificate of its creator is of no organisation of this network, or not valid now",
             Self::Revoked => "the certificate of its creator was revoked",

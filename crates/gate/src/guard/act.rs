@@ -9,7 +9,8 @@ pub enum Act {
     Publish(Passed),
     /// Publish the stop message, for this reason.
     Stop(&'static str),
-    /// The gate did not let a message of this block pass.
+    /// The gate did not let a message of this block pass. If the refusal [stops](Refused::stops) the robot, publish the stop message,
+    /// too.
     Refused {
         /// The rule that it broke.
         refused: Refused,

@@ -59,6 +59,29 @@ fn end(guard: &mut Guard, goes_on: &str) -> Option<Act> {
 }
 
 #[test]
+fn a_speed_that_is_no_number_ends_the_motion_and_the_next_command_moves_the_robot_again() {
+    let mut guard = driven();
+    let salma = &shared().salma;
+    let twist = |speed: f64| -> Bytes {
+        [0, 1, 0, 0]
+            .into_iter()
+            .chain([speed, 0.0, 0.0, 0.0, 0.0, 0.0].into_iter().flat_map(f64::to_le_bytes))
+            .collect()
+    };
+    assert!(guard.gate().is_moving() && guard.stop_at().is_some());
+    let act = message(&mut guard, 3, salma, &salma.set(3, 2, &[twist(f64::NAN)]));
+    assert_eq!(act, Some(Act::Refused { refused: Refused::BadSpeed, height: 3 }));
+    assert!(Refused::BadSpeed.stops() && !guard.gate().is_moving() && guard.stop_at().is_none());
+    assert!(matches!(message(&mut guard, 4, salma, &salma.set(3, 2, &[twist(0.5)])), Some(Act::Publish(_))));
+    assert!(guard.gate().is_moving());
+    // One of those who do not hold it moves and stops nothing.
+    let farhad = &shared().farhad;
+    let act = message(&mut guard, 5, farhad, &farhad.set(3, 3, &[twist(f64::NAN)]));
+    assert_eq!(act, Some(Act::Refused { refused: Refused::NotHolder, height: 5 }));
+    assert!(guard.gate().is_moving() && !Refused::NotHolder.stops());
+}
+
+#[test]
 fn a_hand_over_is_asked_about_at_once_and_the_next_drivers_messages_wait_for_the_answer() {
     let farhad = &shared().farhad;
     let mut guard = driven();

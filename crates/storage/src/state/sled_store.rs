@@ -1,6 +1,7 @@
 //! Where a node keeps the world state between runs. The only file that knows `sled`.
 
 use super::Store;
+use super::scratch::Scratch;
 use crate::state::WriteSet;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
@@ -31,6 +32,8 @@ pub struct SledStore {
     /// After a failed write sled answers every call with that failure, so it is opened anew. It then holds the last
     /// batch that was written whole, and [`super::State`] still has what came later. None if even that failed.
     tree: RwLock<Option<sled::Db>>,
+    /// The copy that it opened, if it opened one. It goes away after the tree.
+    _copy: Option<Scratch>,
 }
 
 impl SledStore {
@@ -39,7 +42,18 @@ impl SledStore {
     /// # Errors
     /// [`Code::Corrupt`] for whatever sled reports or panics about, [`Code::DiskFull`] if there is no space.
     pub fn open(directory: &Path) -> Result<Self, Rejection> {
-        Ok(Self { directory: directory.to_owned(), tree: RwLock::new(Some(open(directory)?)) })
+        Ok(Self { directory: directory.to_owned(), tree: RwLock::new(Some(open(directory)?)), _copy: None })
+    }
+
+    /// Opens a copy of a store, which goes away with the value: sled writes into what it opens. Nothing is written into the
+    /// directory.
+    ///
+    /// # Errors
+    /// As [`SledStore::open`]; the fault of the copy.
+    pub fn open_copy(directory: &Path) -> Result<Self, Rejection> {
+        let copy = Scratch::copy_of(directory)?;
+        let tree = RwLock::new(Some(open(copy.path())?));
+        Ok(Self { directory: copy.path().to_owned(), tree, _copy: Some(copy) })
     }
 
     fn read<T>(&self, body: impl FnOnce(&sled::Db) -> Result<T, sled::Error>) -> Result<T, Rejection> {
@@ -152,6 +166,34 @@ impl Store for SledStore {
 mod tests {
     use super::*;
     use std::sync::mpsc;
+
+    /// Names, bytes and times of change of all files.
+    fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>, std::time::SystemTime)> {
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(directory).unwrap() {
+            let entry = entry.unwrap();
+            let bytes = if entry.path().is_dir() { Vec::new() } else { std::fs::read(entry.path()).unwrap() };
+            found.push((entry.path(), bytes, entry.metadata().unwrap().modified().unwrap()));
+        }
+        found.sort();
+        found
+    }
+
+    #[test]
+    fn a_copy_is_read_and_nothing_is_written_into_what_it_is_a_copy_of() {
+        let place = tempfile::tempdir().unwrap();
+        let batch = WriteSet::from_iter([(Bytes::from_static(b"key"), Some(Bytes::from_static(b"value")))]);
+        SledStore::open(place.path()).unwrap().write(&batch, (b"tip", b"1")).unwrap();
+        let before = files(place.path());
+        let copy = SledStore::open_copy(place.path()).unwrap();
+        assert_eq!(copy.get(b"key").unwrap().as_deref(), Some(&b"value"[..]));
+        let directory = copy.directory.clone();
+        copy.write(&batch, (b"tip", b"2")).unwrap();
+        assert!(directory.exists() && !directory.starts_with(place.path()));
+        drop(copy);
+        assert!(!directory.exists(), "it goes away with its value");
+        assert_eq!(files(place.path()), before);
+    }
 
     #[test]
     fn a_store_that_is_just_being_closed_is_waited_for() {

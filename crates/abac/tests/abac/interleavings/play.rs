@@ -42,7 +42,9 @@ pub(super) fn policy(forbidden: &[usize]) -> String {
     let forbid =
         format!("forbid (principal, action, resource) when {{ [{}].contains(principal.name) }};", names.join(","));
     let forbid = if forbidden.is_empty() { String::new() } else { forbid };
-    format!("permit (principal, action, resource); {forbid}")
+    format!(
+        "permit (principal, action, resource); permit (principal, action == Action::\"confirm\", resource); {forbid}"
+    )
 }
 
 /// The task as its submitter types it.

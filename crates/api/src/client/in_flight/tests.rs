@@ -50,7 +50,7 @@ async fn what_is_new_does_not_overtake_what_a_node_could_not_take() {
     }
     verdicts.push(table.add(&third, table.room(&third).await.unwrap(), Patience::Call));
     assert!(sent.try_recv().is_err(), "it rests with the others");
-    table.sweep(Instant::now() + RETRY_AFTER, None);
+    table.sweep(Instant::now() + RETRY_AFTER, None, &LastAnswers::default());
     for one in [&first, &second, &third] {
         assert_eq!(sent.try_recv().unwrap().transaction, *one.encoded());
     }

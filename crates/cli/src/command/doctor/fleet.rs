@@ -2,11 +2,12 @@
 
 use super::finding::Finding;
 use crate::answer;
+use crate::command::policy::unknown::shown;
 use crate::session::{ABAC, Session};
 use crate::time;
 use bytes::Bytes;
 use ledger_base::rejection::Rejection;
-use ledger_contract::{PolicyEntry, PolicyFault, RobotAsset};
+use ledger_contract::{PolicyCheck, PolicyEntry, PolicyFault, PolicyMeaning, RobotAsset, UnknownName};
 
 /// Looks at what is on the ledger about robots.
 pub(super) async fn look(session: &Session, findings: &mut Vec<Finding>) {
@@ -70,13 +71,36 @@ async fn policies(session: &Session) -> Result<Vec<Finding>, Rejection> {
     let mut found = Vec::new();
     for entry in &ours {
         let response = session.ask(ABAC, "check", vec![Bytes::from(entry.text.clone())]).await?;
-        let faults: Vec<PolicyFault> = answer::parse(&response, "faults")?;
-        found.extend(faults.iter().map(|fault| faulty(entry, fault)));
+        let checked: PolicyCheck = answer::parse(&response, "the faults of a policy")?;
+        found.extend(checked.faults.iter().map(|fault| faulty(entry, fault)));
+        found.extend(checked.unknown.iter().map(|name| nameless(entry, name)));
+        found.extend(checked.policies.iter().filter(|policy| policy.unmatched).map(|policy| unmatched(entry, policy)));
     }
     if found.is_empty() {
         found.push(Finding::ok("policy", format!("{} of {own}, all without a fault", ours.len())));
     }
     Ok(found)
+}
+
+/// A policy that names what the network does not know today.
+fn nameless(PolicyEntry { organisation, id, .. }: &PolicyEntry, name: &UnknownName) -> Finding {
+    let message =
+        format!("{organisation}/{id} names {}, which is unknown today: it matches nobody by that", shown(name));
+    Finding::advice(
+        "policy",
+        message,
+        format!("if it is a slip: ledgerctl policy show {id}, then ledgerctl policy put {id} @FILE"),
+    )
+}
+
+/// A policy that applies to nobody of today.
+fn unmatched(PolicyEntry { organisation, id, .. }: &PolicyEntry, policy: &PolicyMeaning) -> Finding {
+    let message = format!("{organisation}/{id} line {} applies to nobody of today: {}", policy.line, policy.meaning);
+    Finding::advice(
+        "policy",
+        message,
+        format!("if it should: ledgerctl policy show {id}; ledgerctl can WHO ACTION SERVICE tells why not"),
+    )
 }
 
 fn faulty(entry: &PolicyEntry, fault: &PolicyFault) -> Finding {
@@ -126,5 +150,9 @@ mod tests {
         assert_eq!(told.message, "Org2/night line 7: m");
         assert_eq!(told.r#try, "write x; then ledgerctl policy put night @FILE");
         assert!(faulty(&entry, &fault(0, "")).r#try.contains("policy show night"));
+        let name = UnknownName { line: 1, kind: "Robot".into(), name: "Turtelbot4".into(), near: String::new() };
+        let told = nameless(&entry, &name);
+        assert_eq!(told.state, State::Advice);
+        assert!(told.message.contains("names Robot::\"Turtelbot4\", which is unknown today"), "{}", told.message);
     }
 }

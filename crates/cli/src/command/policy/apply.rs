@@ -26,7 +26,7 @@ pub(crate) struct Apply {
     #[command(flatten)]
     set: Set,
     /// Apply a proposal: its id, or the first 8 digits or more
-    #[arg(long, value_name = "ID", conflicts_with_all = ["files", "built_in", "message", "base", "approvals", "i_mean_it"])]
+    #[arg(long, value_name = "ID", conflicts_with_all = ["files", "built_in", "message", "base", "approvals", "i_mean_it", "expect"])]
     proposal: Option<String>,
     /// Apply a proposal that has stood for three days without the approvals that your organisation asks for
     #[arg(long, requires = "proposal")]
@@ -54,7 +54,7 @@ impl Apply {
                 let break_glass = self.break_glass.then(|| Bytes::from_static(b"break-glass"));
                 [Bytes::from_static(b"enact"), id].into_iter().chain(break_glass).collect()
             }
-            None => propose::arguments("apply", &self.set.draft(None)?)?,
+            None => propose::arguments("apply", &self.set.checked(&session, None).await?)?,
         };
         change(&session, output, args).await
     }

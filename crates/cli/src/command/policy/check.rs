@@ -1,5 +1,6 @@
-//! `policy check`: the faults of policies, with a caret under each place.
+//! `policy check`: the faults of policies, with a caret under each place, or their meaning in words.
 
+use super::unknown::shown;
 use crate::answer;
 use crate::argument::policies;
 use crate::failure::Failure;
@@ -8,15 +9,15 @@ use crate::output::{Facts, Output, printable};
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_base::rejection::Code;
-use ledger_contract::PolicyFault;
+use ledger_contract::{PolicyCheck, PolicyFault, PolicyMeaning, UnknownName};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
 /// Check policies in files without putting them in force.
 ///
-/// The node checks each file as `policy put` would, and every fault is told with its line and column. If there are any, the
-/// exit code is 3.
+/// The node checks each file as `policy put` would, and names every fault with its line and column. If there are any, the
+/// exit code is 3. Without faults it says for each policy whom it lets do what, under which conditions and limits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy check night.cedar guests.cedar")]
 pub(crate) struct Check {
@@ -32,7 +33,8 @@ impl Check {
         let mut checked = Vec::new();
         for (path, text) in self.files.iter().zip(texts) {
             let response = session.ask(ABAC, "check", vec![Bytes::from(text)]).await?;
-            checked.push(File { file: path.display().to_string(), faults: answer::parse(&response, "faults")? });
+            let PolicyCheck { faults, policies, unknown } = answer::parse(&response, "the faults of a policy")?;
+            checked.push(File { file: path.display().to_string(), faults, policies, unknown });
         }
         let are_fine = checked.iter().all(|file| file.faults.is_empty());
         output.show(&Checked(checked))?;
@@ -47,13 +49,21 @@ struct Checked(Vec<File>);
 struct File {
     file: String,
     faults: Vec<PolicyFault>,
+    policies: Vec<PolicyMeaning>,
+    unknown: Vec<UnknownName>,
 }
 
 impl Facts for Checked {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        for File { file, faults } in &self.0 {
+        for File { file, faults, policies, unknown } in &self.0 {
             if faults.is_empty() {
                 writeln!(out, "{file}: fine")?;
+            }
+            for policy in policies {
+                meaning(out, policy)?;
+            }
+            for name in unknown {
+                writeln!(out, "  warning: line {} names {}, which is unknown today", name.line, shown(name))?;
             }
             for PolicyFault { message, help, line, column, length, text } in faults {
                 if *line == 0 {
@@ -76,6 +86,26 @@ impl Facts for Checked {
     }
 }
 
+/// A policy in words.
+fn meaning(out: &mut dyn Write, policy: &PolicyMeaning) -> io::Result<()> {
+    let PolicyMeaning { line, effect, meaning, when, limits, except, unmatched } = policy;
+    writeln!(out, "  line {line}: {}", printable(meaning))?;
+    for condition in when {
+        writeln!(out, "    when {}", printable(&condition.replace('\n', " ")))?;
+    }
+    if !limits.is_empty() {
+        writeln!(out, "    with {}", printable(&limits.join(", ")))?;
+    }
+    if *unmatched {
+        writeln!(out, "    warning: it applies to nobody of today, as far as the ledger knows people")?;
+    }
+    match effect.as_str() {
+        _ if except.is_empty() => Ok(()),
+        "permit" => writeln!(out, "    without {}: a permit must name them", except.join(", ")),
+        _ => writeln!(out, "    without {} by the robot and by holders: a forbid must name it", except.join(", ")),
+    }
+}
+
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -94,13 +124,33 @@ mod tests {
         let whole = PolicyFault { message: "too long".into(), line: 0, ..fault.clone() };
         let whole = PolicyFault { help: String::new(), ..whole };
         let checked = Checked(vec![
-            File { file: "a.cedar".into(), faults: vec![fault, whole] },
-            File { file: "b.cedar".into(), faults: vec![] },
+            File { file: "a.cedar".into(), faults: vec![fault, whole], policies: vec![], unknown: vec![] },
+            File {
+                file: "b.cedar".into(),
+                faults: vec![],
+                policies: vec![PolicyMeaning {
+                    line: 3,
+                    effect: "permit".into(),
+                    meaning: "any user may acquire any service".into(),
+                    when: vec!["their role is admin".into()],
+                    limits: vec!["at most 0.2 m/s".into()],
+                    except: vec!["stop".into(), "resume".into()],
+                    unmatched: true,
+                }],
+                unknown: vec![UnknownName {
+                    line: 3,
+                    kind: "User".into(),
+                    name: "Org1/Late".into(),
+                    near: String::new(),
+                }],
+            },
         ]);
         let mut out = Vec::new();
         checked.text(&mut out).unwrap();
         let wanted = "a.cedar:12:8: attribute `nam` not found\n  12 | \twhen { principal.nam == 1 };\n     | \t      \
-                      ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: fine\n";
+                      ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: fine\n  line 3: any user may acquire any service\n    when \
+                      their role is admin\n    with at most 0.2 m/s\n    warning: it applies to nobody of today, as far as the ledger knows people\n    without stop, resume: a permit must name \
+                      them\n  warning: line 3 names User::\"Org1/Late\", which is unknown today\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

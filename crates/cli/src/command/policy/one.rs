@@ -1,6 +1,7 @@
 //! `policy put`, `policy remove`: the set in force with one policy changed, applied as a whole set.
 
 use super::propose::arguments;
+use super::unknown::Expected;
 use super::{Changed, WORDS, text};
 use crate::answer;
 use crate::failure::Failure;
@@ -28,6 +29,8 @@ pub(crate) struct Put {
     /// Also if nobody may publish to some robot then
     #[arg(long)]
     i_mean_it: bool,
+    #[command(flatten)]
+    expected: Expected,
 }
 
 /// Remove a policy of your organisation; for admins.
@@ -47,7 +50,9 @@ impl Put {
         let session = Session::open(global).await?;
         let mut set = InForce::of(&session).await?;
         set.policies.retain(|policy| policy.id != self.id);
-        set.policies.push(PolicyText { id: self.id.clone(), text });
+        let policy = PolicyText { id: self.id.clone(), text };
+        self.expected.check(&session, std::slice::from_ref(&policy)).await?;
+        set.policies.push(policy);
         set.apply(&session, output, (self.id, "put"), self.i_mean_it).await
     }
 }

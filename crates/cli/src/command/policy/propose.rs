@@ -116,9 +116,10 @@ pub(super) async fn whole(session: &Session, id: String) -> Result<PolicyProposa
 
 impl Propose {
     pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let args = arguments("propose", &self.set.draft(self.restore)?)?;
+        let session = Session::open(global).await?;
+        let args = arguments("propose", &self.set.checked(&session, self.restore).await?)?;
         let done = if self.shadow { "shadow" } else { "proposed" };
-        call(&Session::open(global).await?, output, args, done).await
+        call(&session, output, args, done).await
     }
 }
 

@@ -1,6 +1,8 @@
 //! A whole set of policies on the command line.
 
+use super::unknown::Expected;
 use crate::argument::policies;
+use crate::session::Session;
 use ledger_base::rejection::Rejection;
 use ledger_contract::PolicyDraft;
 use std::path::PathBuf;
@@ -19,6 +21,8 @@ pub(super) struct Set {
     /// The rule for the next set: a quorum such as 'admins = 2', or none
     #[arg(long, value_name = "QUORUM")]
     approvals: Option<String>,
+    #[command(flatten)]
+    expected: Expected,
 }
 
 /// The circumstances of a set.
@@ -36,8 +40,16 @@ pub(super) struct About {
 }
 
 impl Set {
+    /// The set as an argument, if the network knows its names. An earlier version comes back whatever names it has.
+    pub(super) async fn checked(self, session: &Session, restores: Option<u64>) -> Result<PolicyDraft, Rejection> {
+        let expected = self.expected.clone();
+        let draft = self.draft(restores)?;
+        expected.check(session, draft.policies.as_deref().unwrap_or_default()).await?;
+        Ok(draft)
+    }
+
     /// The set as an argument.
-    pub(super) fn draft(self, restores: Option<u64>) -> Result<PolicyDraft, Rejection> {
+    fn draft(self, restores: Option<u64>) -> Result<PolicyDraft, Rejection> {
         let policies = match restores {
             Some(_) => None,
             None => Some(policies::read(&self.files)?.unwrap_or_default()),

@@ -19,8 +19,8 @@ const CASES_MAX: usize = 1000;
 
 /// Run cases against policies: those in force, or those of files.
 ///
-/// A case says who, what and when, and what is expected: `allow`, `deny`, or the code of the refusal. If a case fails, the
-/// exit code is 1.
+/// A case says who, what and when, and what is expected: `allow`, `deny`, or the code of the refusal. A name that the network does not
+/// know is no `deny`: such a case fails unless it expects the code, such as NOT_FOUND. If a case fails, the exit code is 1.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 A file of cases:
@@ -105,14 +105,17 @@ impl Test {
                 at,
                 policies: policies.clone(),
             };
-            let (code, name, why) = match can::asked(&session, &ask).await {
-                Ok(answer) => (answer.code, answer.name, answer.reason),
+            let (code, name, why, decided) = match can::asked(&session, &ask).await {
+                Ok(answer) => (answer.code, answer.name, answer.reason, true),
                 Err(refused) if refused.code.class() == Class::Unreachable => return Err(refused.into()),
                 // Faults of the policies themselves are no result of a case.
                 Err(refused) if refused.code == Code::PolicyInvalid => return Err(refused.into()),
-                Err(refused) => (refused.code.to_string(), refused.code.name().to_owned(), refused.message),
+                Err(refused) => {
+                    let why = format!("no policy was asked: {}", refused.message);
+                    (refused.code.to_string(), refused.code.name().to_owned(), why, false)
+                }
             };
-            let passed = passes(&expect, &code, &name);
+            let passed = passes(&expect, (&code, &name), decided);
             results.push(Outcome { who, action, service, expect, code, name, why, passed });
         }
         let failed = results.iter().filter(|result| !result.passed).count();
@@ -121,12 +124,12 @@ impl Test {
     }
 }
 
-/// Is that what was expected?
-fn passes(expect: &str, code: &str, name: &str) -> bool {
+/// Is that what was expected? A question that the policies have not decided is no denial.
+fn passes(expect: &str, (code, name): (&str, &str), decided: bool) -> bool {
     let allowed = code == Code::Ok.to_string();
     match expect {
         "allow" => allowed,
-        "deny" => !allowed,
+        "deny" => decided && !allowed,
         expect => expect == code || expect == name,
     }
 }
@@ -156,7 +159,7 @@ impl Facts for Results {
                 case.action.clone(),
                 case.service.clone(),
                 case.expect.clone(),
-                if passes("allow", &case.code, "") { "allow".to_owned() } else { case.name.clone() },
+                if passes("allow", (&case.code, ""), true) { "allow".to_owned() } else { case.name.clone() },
                 if case.passed { "passed" } else { "FAILED" }.to_owned(),
             ]);
         }
@@ -207,7 +210,10 @@ mod tests {
             ("MISSING_ATTRIBUTE", "LGR-3002", "DENIED_BY_POLICY", false),
             ("deny", "LGR-0000", "OK", false),
         ] {
-            assert_eq!(passes(expect, code, name), wanted, "{expect} {code}");
+            assert_eq!(passes(expect, (code, name), true), wanted, "{expect} {code}");
+        }
+        for (expect, wanted) in [("deny", false), ("allow", false), ("NOT_FOUND", true), ("LGR-1013", true)] {
+            assert_eq!(passes(expect, ("LGR-1013", "NOT_FOUND"), false), wanted, "an unknown name, and {expect}");
         }
     }
 }

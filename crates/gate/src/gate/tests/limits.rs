@@ -140,6 +140,53 @@ fn where_a_policy_is_enough_a_holder_is_kept_to_its_limits_also_without_naming_i
     assert_eq!(passed(&mut gate, farhad, &farhad.set(0, 1, &fast)).unwrap().1, 0);
 }
 
+#[test]
+fn commands_without_a_limit_ask_for_finite_speeds_up_to_ten_thousand_and_feeds_carry_any() {
+    let network = Network::default();
+    let (salma, robot) = (&network.salma, &network.robot);
+    for (mode, epoch) in [("exclusive", 3), ("open", 0)] {
+        let held = if epoch == 0 { Vec::new() } else { vec![grant("Org1/Salma", epoch)] };
+        let mut gate = network.gate(&service(mode), &held);
+        for bad in [f64::NAN, f64::NEG_INFINITY, 1e300, -10_000.5] {
+            for payload in [twist(bad, 0.0), twist(0.0, bad)] {
+                let signed = salma.set(epoch, 1, &[twist(0.0, 0.0), payload]);
+                assert_eq!(deliver(&mut gate, salma, &signed), Err(Refused::BadSpeed), "{mode} {bad}");
+                assert!(!gate.is_moving(), "it is no sign of life of a driver");
+            }
+        }
+        assert_eq!(deliver(&mut gate, salma, &salma.set(epoch, 1, &[twist(10_000.0, -10_000.0)])), Ok(1));
+    }
+    let feed = Service { direction: Direction::Feed, ..service("open") };
+    let mut gate = network.gate(&feed, &[]);
+    assert_eq!(deliver(&mut gate, robot, &robot.set(0, 1, &[twist(f64::NAN, 1e300)])), Ok(1));
+    let arm = Service { type_name: "arm_msgs/msg/Grip".into(), ..service("exclusive") };
+    let mut gate = network.gate(&arm, &[grant("Org1/Salma", 3)]);
+    assert_eq!(
+        deliver(&mut gate, salma, &salma.set(3, 1, &[twist(f64::NAN, 0.0)])),
+        Ok(1),
+        "other types pass unchanged"
+    );
+}
+
+#[test]
+fn a_command_in_an_encoding_that_the_gate_cannot_read_does_not_pass() {
+    let network = Network::default();
+    let salma = &network.salma;
+    for type_name in [
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs/msg/TwistStamped",
+        "ackermann_msgs/msg/AckermannDrive",
+        "ackermann_msgs/msg/AckermannDriveStamped",
+    ] {
+        let service = Service { type_name: type_name.into(), ..service("exclusive") };
+        let mut gate = network.gate(&service, &[grant("Org1/Salma", 3)]);
+        for encoding in [2, 3, 8, 9, 10, 11] {
+            let payload: Bytes = [0, encoding, 0, 0].into_iter().chain([0; 64]).collect();
+            assert_eq!(deliver(&mut gate, salma, &salma.set(3, 1, &[payload])), Err(Refused::BadPayload), "{encoding}");
+        }
+    }
+}
+
 proptest! {
     #[test]
     fn no_payload_whatever_panics_or_passes_above_a_limit(

@@ -41,6 +41,32 @@ async fn a_robot_hears_no_faster_command_than_the_grant_allows_and_the_bridge_co
 }
 
 #[tokio::test]
+async fn a_speed_that_is_no_number_does_not_reach_the_robot_and_brings_the_stop_message_without_any_limit() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    let mut reader = bench.reader().await;
+    let salma = &bench.network.salma;
+    for (number, bad) in [(1, f64::NAN), (3, f64::NEG_INFINITY), (5, 1e300)] {
+        bench.message_of(salma, 3, number, &forwards(0.5));
+        assert_eq!(next(&mut reader).await, forwards(0.5));
+        bench.message_of(salma, 3, number + 1, &forwards(bad));
+        assert_eq!(next(&mut reader).await, stop(), "{bad}");
+        // A stop message is said three times, or until the next command.
+        bench.message_of(salma, 3, number + 1, &forwards(0.25));
+        let mut heard = next(&mut reader).await;
+        while heard == stop() {
+            heard = next(&mut reader).await;
+        }
+        assert_eq!(heard, forwards(0.25), "it drives on with a number");
+    }
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!((summary.gate["bad_speed"], summary.published), (3, 6));
+    assert_eq!(stops(summary), [("bad_speed", 3), ("shutdown", 1)]);
+}
+
+#[tokio::test]
 async fn a_robot_that_is_handed_over_hears_no_stop_between_its_drivers() {
     if !network::isolated(&|| ()) {
         return;

@@ -293,7 +293,12 @@ impl FromLedger {
         match act {
             Act::Publish(passed) => self.publish(passed),
             Act::Stop(reason) => self.publish_stop(reason).await,
-            Act::Refused { refused, height } => self.refuse(refused, height),
+            Act::Refused { refused, height } => {
+                self.refuse(refused, height);
+                if refused.stops() {
+                    self.publish_stop(refused.name()).await;
+                }
+            }
         }
     }
 
@@ -304,8 +309,8 @@ impl FromLedger {
     }
 
     async fn publish_stop(&mut self, reason: &'static str) {
-        // A driver who is silent still holds the service, and a task goes on.
-        if reason != SILENT {
+        // A driver who is silent, or asks for no speed, still holds the service, and a task goes on.
+        if reason != SILENT && reason != Refused::BadSpeed.name() {
             self.outputs.points.clear();
         }
         let is_told = match self.outputs.outlet.hand() {

@@ -46,7 +46,7 @@ impl Model {
         if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
             return Ok(());
         }
-        // The default policy permits none of it to anybody who is simulated, but that a robot stops itself.
+        // The default policy permits none of it to anybody who is simulated.
         let said = self.said(who, robot, Act::Govern, time);
         if said.contains(&Says::Error) {
             Err(Code::PolicyError)
@@ -57,11 +57,12 @@ impl Model {
         }
     }
 
-    /// May they stop a robot?
+    /// May they stop a robot? By rule it may itself, and those who hold one of its command services: no policy of the collection
+    /// forbids stop by name.
     pub(super) fn may_stop(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
-        let by_default = !self.policies.keys().any(|(organisation, _)| *organisation == robot.owner);
-        let itself = who.is_robot(&robot.owner, &robot.name);
-        if by_default && itself { Ok(()) } else { self.governs(who, robot, time) }
+        let mut commands = robot.services.iter().map(|service| format!("{}{}", robot.name, service.topic));
+        let holds = commands.any(|id| self.live(&id, time).iter().any(|grant| grant.holder == who.id()));
+        if holds || who.is_robot(&robot.owner, &robot.name) { Ok(()) } else { self.governs(who, robot, time) }
     }
 
     /// May they read the messages of a service now?
