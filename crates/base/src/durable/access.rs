@@ -1,4 +1,4 @@
-//! Who may read a path, in words: its owner and mode, and the user of this process.
+//! Access to a path in words: its owner and mode, and the user of this process.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
