@@ -1,4 +1,4 @@
-//! What nodes have signed and must not have: proofs of misbehaviour, and certificates of other blocks than this node has.
+//! Signatures that must not be: proofs of misbehaviour, and certificates of other blocks than this node has.
 //!
 //! The [certifier](crate::certifier) compares what voters state about its own blocks. Everything else that contradicts comes
 //! here: statements about other blocks, proofs that peers send, the certified part of another branch. This machine checks

@@ -370,7 +370,7 @@ impl Node {
         self.results = SimDisk::new(seed);
     }
 
-    /// The same node on another machine, with a copy of its disks. What it had computed is computed again.
+    /// The same node on another machine, with a copy of its disks. Its results are computed again.
     pub fn copied(&self, disk_seed: u64) -> Self {
         let disk = self.disk.copy(disk_seed);
         let node = Self::new(self.id, disk_seed, self.clock.clone());

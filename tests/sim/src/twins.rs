@@ -24,7 +24,9 @@ mod copy;
 mod judge;
 mod mischief;
 mod operator;
+mod peers;
 mod plan;
+mod threads;
 mod world;
 
 pub use judge::Counts;

@@ -21,7 +21,7 @@ pub struct Counts {
     pub strict: u64,
     /// Virtual time, microseconds.
     pub time: u64,
-    /// What happened, by name.
+    /// The events, by name.
     pub happened: BTreeMap<&'static str, u64>,
 }
 
@@ -63,7 +63,7 @@ impl Counts {
         }
     }
 
-    /// What never happened.
+    /// The wanted events that never happened.
     pub fn missing(&self) -> Vec<&'static str> {
         WANTED.into_iter().filter(|what| !self.happened.contains_key(what)).collect()
     }
@@ -93,7 +93,7 @@ pub(super) struct Judge {
     places: BTreeMap<u64, u64>,
     organisations: BTreeMap<u64, usize>,
     liars: BTreeSet<u64>,
-    /// Who has signed which block and results of a height.
+    /// The signers of each block and its results, by height.
     signed: BTreeMap<u64, BTreeMap<(Hash, Hash), BTreeSet<u64>>>,
     /// The block that an honest node of this number has signed at this height.
     honest: BTreeMap<(u64, u64), (Hash, Hash)>,

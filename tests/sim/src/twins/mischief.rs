@@ -1,4 +1,4 @@
-//! What liars do beyond running twice, and what else goes wrong while they lie.
+//! The deeds of liars beyond running twice, and the other faults while they lie.
 
 use super::copy::Copy;
 use super::world::{Happening, World};
