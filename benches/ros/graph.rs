@@ -154,7 +154,7 @@ async fn listen(mut subscriber: Subscriber, arrived: Arc<Mutex<HashMap<u64, Inst
         // A user's callback runs now, not when the middleware had it.
         let now = Instant::now();
         let Some(Incoming { sample, .. }) = incoming else { return };
-        let number = f64::from_le_bytes(sample.body()[..8].try_into().unwrap()) as u64;
+        let number = (f64::from_le_bytes(sample.body()[..8].try_into().unwrap()) * NUMBERS) as u64;
         // A stop message has the number 0.
         if number > 0 {
             arrived.lock().unwrap().entry(number).or_insert(now);
@@ -162,7 +162,10 @@ async fn listen(mut subscriber: Subscriber, arrived: Arc<Mutex<HashMap<u64, Inst
     }
 }
 
+/// Numbers are divided by this: no speed is above 10 000.
+const NUMBERS: f64 = 1024.0;
+
 /// A Twist whose first value is a number.
 fn twist(number: u64) -> Vec<u8> {
-    [number as f64, 0.0, 0.0, 0.0, 0.0, 0.25].into_iter().flat_map(f64::to_le_bytes).collect()
+    [number as f64 / NUMBERS, 0.0, 0.0, 0.0, 0.0, 0.25].into_iter().flat_map(f64::to_le_bytes).collect()
 }

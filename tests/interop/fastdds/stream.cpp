@@ -14,6 +14,7 @@
 // DDS does not let it do then, it says: "refused: …", and ends with 4.
 
 #include <chrono>
+#include <cmath>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
@@ -88,13 +89,13 @@ Value get(const Bytes& bytes, size_t at) {
 int64_t now() { return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now().time_since_epoch()).count(); }
 
 // The number stands in the time stamp of an image, and in the first value of a Twist; the time of publishing in the data
-// of an image, and in the second value of a Twist.
+// of an image, and in the second value of a Twist. In a Twist they are scaled, so that a gate lets them pass as speeds.
 Bytes sample(uint32_t number, size_t size) {
     if (size == 0) {
         Bytes twist(4 + 6 * sizeof(double));
         twist[1] = 1;
-        put(twist, 4, static_cast<double>(number));
-        put(twist, 12, static_cast<double>(now()));
+        put(twist, 4, std::ldexp(number, -10));
+        put(twist, 12, std::ldexp(now(), -60));
         return twist;
     }
     Bytes image(IMAGE_DATA + size, static_cast<uint8_t>(number % 251));
@@ -221,8 +222,8 @@ int subscribe(DataReader* reader, uint32_t count, double seconds, size_t size, c
                 continue;
             }
             const auto came = now();
-            const auto number = size == 0 ? static_cast<uint32_t>(get<double>(bytes, 4)) : get<uint32_t>(bytes, 4);
-            const auto sent = size == 0 ? static_cast<int64_t>(get<double>(bytes, 12)) : get<int64_t>(bytes, IMAGE_DATA);
+            const auto number = size == 0 ? static_cast<uint32_t>(std::ldexp(get<double>(bytes, 4), 10)) : get<uint32_t>(bytes, 4);
+            const auto sent = size == 0 ? static_cast<int64_t>(std::ldexp(get<double>(bytes, 12), 60)) : get<int64_t>(bytes, IMAGE_DATA);
             if (!is_whole(bytes, number, size)) {
                 std::cerr << "sample " << number << " is damaged\n";
                 return 1;
