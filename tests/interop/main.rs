@@ -215,10 +215,11 @@ fn local_processes_reach_the_robot_through_shared_memory() {
             assert!(Instant::now() < deadline, "the bridges are not there\n{}", world.logs());
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
+        let speeds = |number: u8| [f64::from(number); 6].map(f64::to_le_bytes).concat();
         // A gate passes nothing from before it knew the holder, so the first messages may be dropped.
         let mut first = 100;
         'begun: loop {
-            let sample = Sample::new([0, 1], &[first; 48]).unwrap();
+            let sample = Sample::new([0, 1], &speeds(first)).unwrap();
             publisher.write(&sample).unwrap();
             while let Ok(received) = tokio::time::timeout(Duration::from_secs(1), subscriber.next()).await {
                 if received.unwrap().sample == sample {
@@ -229,7 +230,7 @@ fn local_processes_reach_the_robot_through_shared_memory() {
             first += 1;
         }
         for number in 0..50u8 {
-            let sample = Sample::new([0, 1], &[number; 48]).unwrap();
+            let sample = Sample::new([0, 1], &speeds(number)).unwrap();
             publisher.write(&sample).unwrap();
             let received = tokio::time::timeout(Duration::from_secs(20), subscriber.next()).await;
             assert_eq!(received.unwrap_or_else(|_| panic!("{number}\n{}", world.logs())).unwrap().sample, sample);

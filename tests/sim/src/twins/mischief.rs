@@ -194,7 +194,9 @@ impl World {
     fn demote(&mut self, at: usize) -> Check {
         let liar = self.plan.liars.first().copied().unwrap_or_default();
         let own = self.copies.iter().find(|copy| copy.name.starts_with(&format!("Org{}/", liar + 1)));
-        let Some(node) = own.map(|copy| copy.node.id).filter(|_| self.plan.ends_strict_without_one_of(liar)) else {
+        let Some(node) =
+            own.map(|copy| copy.node.id).filter(|_| self.judge.strict && self.plan.ends_strict_without_one_of(liar))
+        else {
             return Ok(());
         };
         let wish = format!(r#"{{"id":{node},"role":"learner"}}"#);

@@ -39,7 +39,7 @@ struct Waits {
     given: u64,
     /// The node that had it last.
     node: u64,
-    /// Whatever the state is, it would be executed.
+    /// It would be executed in any state.
     must_be_ordered: bool,
 }
 

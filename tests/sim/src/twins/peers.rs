@@ -1,4 +1,4 @@
-//! What nodes send each other, and what they believe: messages between the parts, statements, evidence, and chains that are compared.
+//! Messages between the parts, statements, evidence, and chains that are compared.
 
 use super::copy::Copy;
 use super::world::{ASK_EVERY, BEAT, Happening, Timer, World};
