@@ -123,3 +123,8 @@ fn an_acknowledgement_of_another_log_that_counts_is_noticed() {
 fn an_organisation_that_ends_strict_certificates_alone_is_noticed() {
     caught(Mutation::DemoteFreely, 1, &["strict never ends without its proposal"]);
 }
+
+#[test]
+fn a_vote_that_is_forgotten_is_noticed() {
+    caught(Mutation::ForgetTheVote, 1, &["one vote a term"]);
+}

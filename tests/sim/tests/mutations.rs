@@ -205,11 +205,6 @@ fn a_forbid_that_errs_and_is_skipped_is_noticed() {
 }
 
 #[test]
-fn a_vote_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetTheVote, 55, &["election safety"]);
-}
-
-#[test]
 fn a_catch_up_that_is_off_by_one_is_noticed() {
     caught(Mutation::CatchUpOffByOne, 0, &["a node ends only for a reason", "acknowledged is durable", "log matching"]);
 }
