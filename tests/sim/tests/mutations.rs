@@ -204,9 +204,10 @@ fn a_forbid_that_errs_and_is_skipped_is_noticed() {
     caught(Mutation::AcceptAnErringForbid, 0, &["the oracle agrees"]);
 }
 
+/// The leader does not count it: an acknowledgement names the hash of its block, which this node does not know.
 #[test]
-fn a_catch_up_that_is_off_by_one_is_noticed() {
-    caught(Mutation::CatchUpOffByOne, 0, &["a node ends only for a reason", "acknowledged is durable", "log matching"]);
+fn a_catch_up_that_is_off_by_one_does_no_harm() {
+    borne(Mutation::CatchUpOffByOne);
 }
 
 #[test]
