@@ -136,7 +136,7 @@ fn borne(mutation: Mutation) {
 
 #[test]
 fn a_log_that_is_not_synced_is_noticed() {
-    caught(Mutation::NoFsync, 3, &["acknowledged is durable"]);
+    caught(Mutation::NoFsync, 2, &["acknowledged is durable"]);
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn a_grant_that_is_passed_on_without_a_new_epoch_is_noticed() {
 
 #[test]
 fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
-    caught(Mutation::CountTheRequester, 54, &["the oracle agrees"]);
+    caught(Mutation::CountTheRequester, 45, &["the oracle agrees"]);
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn a_task_that_begins_although_somebody_else_holds_the_service_is_noticed() {
 
 #[test]
 fn a_task_that_waits_again_although_its_submitter_did_not_want_that_is_noticed() {
-    caught(Mutation::AlwaysWaitAgain, 42, &["the oracle agrees"]);
+    caught(Mutation::AlwaysWaitAgain, 0, &["the oracle agrees"]);
 }
 
 #[test]
@@ -201,7 +201,7 @@ fn a_revoked_certificate_that_is_accepted_is_noticed() {
 
 #[test]
 fn a_forbid_that_errs_and_is_skipped_is_noticed() {
-    caught(Mutation::AcceptAnErringForbid, 0, &["the oracle agrees"]);
+    caught(Mutation::AcceptAnErringForbid, 1, &["the oracle agrees"]);
 }
 
 /// The leader does not count it: an acknowledgement names the hash of its block, which this node does not know.
@@ -252,17 +252,17 @@ fn a_read_that_no_majority_confirms_is_noticed() {
 
 #[test]
 fn a_snapshot_that_one_organisation_attests_is_noticed_when_it_is_taken() {
-    caught(Mutation::BelieveOneOrganisation, 82, &["snapshots are attested"]);
+    caught(Mutation::BelieveOneOrganisation, 2, &["snapshots are attested"]);
 }
 
 #[test]
 fn blocks_that_nobody_confirms_are_noticed_when_they_are_taken() {
-    caught(Mutation::TakeUnconfirmedBlocks, 3, &["committed is immutable", "chain agreement", "log matching"]);
+    caught(Mutation::TakeUnconfirmedBlocks, 0, &["committed is immutable", "chain agreement", "log matching"]);
 }
 
 #[test]
 fn a_vote_before_it_is_known_whether_blocks_were_lost_is_noticed() {
-    caught(Mutation::VoteBeforeTheAnswers, 3, &["votes are informed"]);
+    caught(Mutation::VoteBeforeTheAnswers, 0, &["votes are informed"]);
 }
 
 #[test]
@@ -277,12 +277,12 @@ fn a_block_that_is_executed_twice_after_a_snapshot_is_noticed() {
 
 #[test]
 fn messages_that_overtake_control_are_noticed() {
-    caught(Mutation::DataOvertakesControl, 8, &["no call overtakes another"]);
+    caught(Mutation::DataOvertakesControl, 3, &["no call overtakes another"]);
 }
 
 #[test]
 fn a_call_that_overtakes_one_that_is_held_is_noticed() {
-    caught(Mutation::OvertakeWhatIsHeld, 22, &["no call overtakes another"]);
+    caught(Mutation::OvertakeWhatIsHeld, 0, &["no call overtakes another"]);
 }
 
 #[test]
@@ -317,7 +317,7 @@ fn a_block_that_is_executed_by_older_rules_is_noticed() {
 
 #[test]
 fn a_voter_that_acknowledges_any_time_is_noticed() {
-    caught(Mutation::AcknowledgeAnyTime, 1, &["block time keeps to the clocks"]);
+    caught(Mutation::AcknowledgeAnyTime, 4, &["block time keeps to the clocks"]);
 }
 
 #[test]
@@ -343,7 +343,7 @@ fn a_robot_that_compares_no_epochs_is_noticed() {
 
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
-    caught(Mutation::IgnoreStaleness, 9, &["gate"]);
+    caught(Mutation::IgnoreStaleness, 23, &["gate"]);
 }
 
 #[test]
