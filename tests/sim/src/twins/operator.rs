@@ -251,7 +251,7 @@ impl World {
         Err(Violation::new("where people must decide, a node says so", self.describe()))
     }
 
-    /// Do these nodes, which are most voters, order? And certify, if they are enough? Everybody else that runs must follow.
+    /// Do these nodes, which are most voters, order? And certify, if they are enough? All honest nodes that run must be among them.
     fn serves(&mut self, together: &[usize]) -> Result<bool, Violation> {
         // A call at any of them, again and again.
         let at = together[self.random.below(together.len() as u64) as usize];
@@ -260,7 +260,7 @@ impl World {
         self.input(at, Input::Submit { lane: Lane::Control, transaction: transaction.encoded().clone() })?;
         let tip = |at: &usize| self.copies[*at].up.as_ref().map(|up| up.ledger.tip());
         let Some(first) = tip(&at) else { return Ok(false) };
-        let alive = self.running();
+        let alive = self.alive();
         // The newest block may be on its way.
         let near = |at: &usize| tip(at).is_some_and(|tip| tip.height + 3 >= first.height);
         let since = self.copies[at].up.as_ref().and_then(|up| up.headers.get(&first.height)).map_or(0, |tip| tip.time);
@@ -272,8 +272,8 @@ impl World {
                 self.copies[*at].up.as_ref().and_then(|up| up.headers.get(&height)).map_or(0, |block| block.time);
             time > EPOCH + self.plan.ends + REST
         };
-        let all_there =
-            alive.len() == together.len() && self.copies.iter().all(|copy| copy.gone || !copy.is_contradicted());
+        let all_there = alive.iter().all(|at| together.contains(at))
+            && self.copies.iter().all(|copy| copy.gone || !copy.is_contradicted());
         let healed = is_new && all_there && alive.iter().all(near) && (!certifies || alive.iter().all(certified));
         if healed {
             self.judge.counts.count("the network serves again");
