@@ -1,6 +1,6 @@
 //! The people: clients that call, and the operator who does what stopped nodes say.
 
-use super::copy::Copy;
+use super::copy::{Copy, Up};
 use super::world::{Happening, World};
 use crate::client::{Call, SERVICES, sign};
 use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
@@ -236,8 +236,11 @@ impl World {
             return true;
         }
         let last = one.store.last_index().min(other.store.last_index());
+        // An executed entry stays, and a log that ends in a later term is not replaced by one that has it.
+        let newest = |up: &Up| up.entry(up.store.last_index()).map_or(0, |entry| entry.0);
+        let stays = |up: &Up, than: &Up, height: u64| height <= up.ledger.tip().height && newest(than) >= newest(up);
         (tips + 1..=last).any(|height| match (one.entry(height), other.entry(height)) {
-            (Some(one), Some(other)) => one.0 == other.0 && one.1 != other.1,
+            (Some(a), Some(b)) if a != b => a.0 == b.0 || stays(one, other, height) || stays(other, one, height),
             _ => false,
         })
     }
