@@ -113,9 +113,9 @@ pub enum Mutation {
     ForgetTheHands,
     /// A node takes a proof of misbehaviour without looking at its signatures.
     BelieveAnyProof,
-    /// A node that has a proof of misbehaviour sends it to nobody else.
+    /// A node does not send a proof of misbehaviour to other nodes.
     KeepAProofForItself,
-    /// A node goes on following one that it has proved to lie.
+    /// A node still follows one that it has proved to lie.
     FollowALiar,
     /// A node stops for the certificate of another block without counting who has signed it.
     StopForAnyCertificate,
