@@ -63,10 +63,18 @@ impl Fleet {
         fleet
     }
 
-    /// The faults of a text as `ledgerctl policy check` tells them; none if there is none.
+    /// The faults that `ledgerctl policy check` reports, or its rejection; none for a policy without faults.
+    ///
+    /// # Panics
+    /// If the report is not JSON with a list of faults.
     pub fn check(&self, text: &str) -> Option<String> {
-        let told = self.ask(&self.user, "check", &[text]);
-        told.map_or_else(|refused| Some(refused.to_string()), |faults| (faults != "[]").then(|| format!("{faults:?}")))
+        let report = match self.ask(&self.user, "check", &[text]) {
+            Ok(report) => report,
+            Err(rejection) => return Some(rejection.to_string()),
+        };
+        let report: serde_json::Value = serde_json::from_slice(&report).expect("JSON");
+        let faults = report.get("faults").and_then(serde_json::Value::as_array).expect("faults");
+        (!faults.is_empty()).then(|| format!("{faults:?}"))
     }
 
     /// May the user publish, by this policy alone?
