@@ -11,6 +11,7 @@
 //! | [`settings`] | TOML files, read setting by setting |
 //! | [`nearest`] | "did you mean" |
 //! | [`progress`] | progress of long commands on a terminal |
+//! | [`shared_results`] | results of pure functions that simulated nodes share |
 //! | [`units`] | spans of time and sizes as text |
 
 #![forbid(unsafe_code)]
@@ -24,4 +25,5 @@ pub mod nearest;
 pub mod progress;
 pub mod rejection;
 pub mod settings;
+pub mod shared_results;
 pub mod units;

@@ -9,11 +9,12 @@ mod ecdsa;
 mod ed25519;
 mod sec1;
 
+use ledger_base::shared_results::verified;
 use ring::hmac;
 use ring::rand::{SecureRandom, SystemRandom};
 use ring::signature::{
     ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, ECDSA_P384_SHA384_FIXED, ECDSA_P384_SHA384_FIXED_SIGNING,
-    EcdsaKeyPair, EcdsaSigningAlgorithm, Ed25519KeyPair, KeyPair, UnparsedPublicKey,
+    EcdsaKeyPair, EcdsaSigningAlgorithm, EcdsaVerificationAlgorithm, Ed25519KeyPair, KeyPair, UnparsedPublicKey,
 };
 use rustls_pki_types::pem::PemObject;
 use rustls_pki_types::{PrivatePkcs8KeyDer, PrivateSec1KeyDer};
@@ -405,16 +406,16 @@ impl PublicKey {
         let found = signature.len();
         let verified = match self.kind {
             KeyKind::Ed25519 => {
-                let signature = signature.try_into().map_err(|_| SignatureError::Length { found })?;
-                self.point.as_ref().is_some_and(|point| ed25519::verify(point, message, signature))
+                let signature: [u8; 64] = signature.try_into().map_err(|_| SignatureError::Length { found })?;
+                verified(&[&self.bytes, message, &signature], || {
+                    self.point.as_ref().is_some_and(|point| ed25519::verify(point, message, signature))
+                })
             }
             KeyKind::P256 => {
-                let r_and_s = low(ecdsa::P256.decode(signature), found)?;
-                UnparsedPublicKey::new(&ECDSA_P256_SHA256_FIXED, &self.bytes).verify(message, &r_and_s).is_ok()
+                self.verify_ecdsa(&ECDSA_P256_SHA256_FIXED, message, &low(ecdsa::P256.decode(signature), found)?)
             }
             KeyKind::P384 => {
-                let r_and_s = low(ecdsa::P384.decode(signature), found)?;
-                UnparsedPublicKey::new(&ECDSA_P384_SHA384_FIXED, &self.bytes).verify(message, &r_and_s).is_ok()
+                self.verify_ecdsa(&ECDSA_P384_SHA384_FIXED, message, &low(ecdsa::P384.decode(signature), found)?)
             }
         };
         if verified { Ok(()) } else { Err(SignatureError::Mismatch(self.kind)) }
@@ -429,6 +430,11 @@ impl PublicKey {
         };
         let signed: Option<Vec<_>> = signed.into_iter().map(of_ed25519).collect();
         signed.is_some_and(|signed| ed25519::verify_together(signed.into_iter()))
+    }
+
+    fn verify_ecdsa(&self, algorithm: &'static EcdsaVerificationAlgorithm, message: &[u8], r_and_s: &[u8]) -> bool {
+        let key = UnparsedPublicKey::new(algorithm, &self.bytes);
+        verified(&[&self.bytes, message, r_and_s], || key.verify(message, r_and_s).is_ok())
     }
 }
 

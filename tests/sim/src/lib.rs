@@ -27,7 +27,7 @@
 //! | [`confidential`] | the service whose messages only its readers read |
 //! | [`robot`] | a robot with the real gate, whose node may lie |
 //! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
-//! | [`run`], [`trace`] | one seed from beginning to end |
+//! | [`run`], [`trace`], [`seeds`] | one seed from beginning to end; many of them |
 //! | [`twins`] | a smaller network in which organisations lie with all their nodes, also as leaders |
 
 #![expect(
@@ -52,6 +52,7 @@ pub mod plan;
 pub mod policy;
 pub mod robot;
 pub mod run;
+pub mod seeds;
 pub mod trace;
 pub mod twins;
 pub mod world;

@@ -8,38 +8,15 @@ use crate::invariant::{Check, Violation};
 use crate::oracle;
 use crate::people::People;
 use crate::plan::HEAL_MAX;
+use crate::seeds::{Report, violation};
 use crate::world::World;
 use ledger_base::rejection::Code;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// The outcome of a run.
-pub struct Report {
-    /// The seed.
-    pub seed: u64,
-    /// The promise that was broken, if one was.
-    pub violation: Option<Violation>,
-    /// The deeds.
-    pub coverage: Coverage,
-    /// Hash over the trace.
-    pub trace_hash: u64,
-    /// The trace, if it was asked for.
-    pub trace: Option<String>,
-}
-
-/// Runs one seed. A panic of the product is a broken promise like any other.
-pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report {
-    ledger_base::invariant::look_closely();
+/// Runs one seed.
+pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report<Coverage> {
     let mut world = World::new(seed, people, keep_trace);
-    let outcome = catch_unwind(AssertUnwindSafe(|| play(&mut world)));
-    let violation = match outcome {
-        Ok(check) => check.err(),
-        Err(panic) => {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("something");
-            Some(Violation::new("no panic", text))
-        }
-    };
+    let violation = violation(|| play(&mut world));
     if let Some(violation) = &violation {
         let text = violation.to_string();
         world.note(format_args!("violation: {text}"));
@@ -50,7 +27,7 @@ pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report {
         violation,
         trace_hash: world.trace.hash(),
         trace: world.trace.text().map(str::to_owned),
-        coverage: world.coverage,
+        counts: world.coverage,
     }
 }
 

@@ -34,7 +34,7 @@ pub use plan::Plan;
 
 use crate::clock::{MILLISECOND, SECOND};
 use crate::invariant::{Check, Violation};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use crate::seeds::{Report, violation};
 use std::sync::Arc;
 use world::World;
 
@@ -43,33 +43,10 @@ pub use cast::Cast;
 /// After the liars are gone, the rest must serve within this time.
 const HEAL_MAX: u64 = 90 * SECOND;
 
-/// The outcome of a run.
-pub struct Report {
-    /// The seed.
-    pub seed: u64,
-    /// The promise that was broken, if one was.
-    pub violation: Option<Violation>,
-    /// The deeds.
-    pub counts: Counts,
-    /// The trace, if it was asked for.
-    pub trace: Option<String>,
-    /// Hash over the trace.
-    pub trace_hash: u64,
-}
-
-/// Runs one seed. A panic of the product is a broken promise like any other.
-pub fn run(seed: u64, cast: &Arc<Cast>, keep_trace: bool) -> Report {
-    ledger_base::invariant::look_closely();
+/// Runs one seed.
+pub fn run(seed: u64, cast: &Arc<Cast>, keep_trace: bool) -> Report<Counts> {
     let mut world = World::new(seed, cast, keep_trace);
-    let outcome = catch_unwind(AssertUnwindSafe(|| play(&mut world)));
-    let violation = match outcome {
-        Ok(check) => check.err(),
-        Err(panic) => {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("something");
-            Some(Violation::new("no panic", text))
-        }
-    };
+    let violation = violation(|| play(&mut world));
     if let Some(violation) = &violation {
         world.note(format_args!("violation: {violation}"));
     }

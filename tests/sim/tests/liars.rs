@@ -1,59 +1,21 @@
 //! Organisations that lie with all their nodes, also as leaders: no two truths, no stop that is voided, no lie that is hidden. And
 //! deliberate bugs in the rules that this rests on.
 
-#![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
-
 use crate::mutations::caught_with_liars as caught;
+use crate::seeds::hold;
 use ledger_base::mutation::Mutation;
-use ledgerd_sim::twins::{Cast, Counts, run};
-use std::num::NonZero;
+use ledgerd_sim::seeds::Liars;
+use ledgerd_sim::twins::{Cast, run};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_LIAR_SEEDS` runs more.
 const SEEDS: u64 = 200;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 5000;
 
-/// Runs so many seeds, one on each processor at a time.
-fn all(seeds: u64, cast: &Arc<Cast>) -> Counts {
-    let next = AtomicU64::new(0);
-    let worker = || {
-        let mut counts = Counts::default();
-        loop {
-            let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed >= seeds {
-                return counts;
-            }
-            let report = run(seed, cast, false);
-            if let Some(violation) = report.violation {
-                panic!(
-                    "{violation}\n  repeat it:  cargo run --release --bin simulate -- --liars --seed {seed} --trace"
-                );
-            }
-            counts.add(&report.counts);
-        }
-    };
-    let mut counts = Counts::default();
-    std::thread::scope(|scope| {
-        let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-        let workers: Vec<_> = (0..processors).map(|_| scope.spawn(worker)).collect();
-        for worker in workers {
-            counts.add(&worker.join().unwrap_or_else(|panicked| std::panic::resume_unwind(panicked)));
-        }
-    });
-    counts
-}
-
 #[test]
 fn organisations_that_lie_break_no_promise_and_every_kind_of_lie_has_happened() {
-    let cast = Arc::new(Cast::new());
-    let seeds = std::env::var("LEDGER_LIAR_SEEDS").ok().and_then(|seeds| seeds.parse().ok());
-    let seeds = seeds.unwrap_or(if std::env::var_os("LEDGERD_TEST_LONG").is_some() { SEEDS_LONG } else { SEEDS });
-    let counts = all(seeds, &cast);
-    eprintln!("{counts}");
-    let missing = counts.missing();
-    assert!(missing.is_empty() || seeds < SEEDS, "in {seeds} seeds never happened: {missing:?}");
+    hold(&Liars(Arc::new(Cast::new())), "LEDGER_LIAR_SEEDS", SEEDS, SEEDS_LONG);
 }
 
 #[test]

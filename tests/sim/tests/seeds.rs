@@ -2,12 +2,10 @@
 
 #![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
 
-use ledgerd_sim::coverage::Coverage;
 use ledgerd_sim::people::People;
 use ledgerd_sim::run::run;
-use std::num::NonZero;
+use ledgerd_sim::seeds::{Report, Simulation, Storms, all, explain};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
 const SEEDS: u64 = 60;
@@ -16,47 +14,29 @@ const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.
 const REGRESSIONS: &str = include_str!("../regressions.txt");
 
-fn holds(seed: u64, people: &Arc<People>) -> Coverage {
-    let report = run(seed, people, false);
-    if let Some(violation) = report.violation {
-        panic!("{violation}\n  repeat it:  cargo run --release --bin simulate -- --seed {seed} --trace");
-    }
-    report.coverage
+/// Runs seeds, of which none may break a promise: as many as the variable says, more with `--long`.
+pub fn hold<S: Simulation>(simulation: &S, variable: &str, seeds: u64, seeds_long: u64) -> S::Counts {
+    let given = std::env::var(variable).ok().and_then(|seeds| seeds.parse().ok());
+    let is_long = std::env::var_os("LEDGERD_TEST_LONG").is_some();
+    let seeds = given.unwrap_or(if is_long { seeds_long } else { seeds });
+    let counts = all(simulation, 0, seeds, None, holds::<S>);
+    eprintln!("{counts}");
+    let missing = S::missing(&counts);
+    eprintln!("never happened: {missing:?}");
+    assert!(missing.is_empty() || !S::is_enough(&counts), "in {seeds} seeds never happened: {missing:?}");
+    counts
 }
 
-/// Runs so many seeds, one on each processor at a time, and says how much they covered.
-fn all(seeds: u64, people: &Arc<People>) -> Coverage {
-    let next = AtomicU64::new(0);
-    let worker = || {
-        let mut covered = Coverage::default();
-        loop {
-            match next.fetch_add(1, Ordering::Relaxed) {
-                seed if seed < seeds => covered.add(&holds(seed, people)),
-                _ => return covered,
-            }
-        }
-    };
-    let mut covered = Coverage::default();
-    std::thread::scope(|scope| {
-        let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-        let workers: Vec<_> = (0..processors).map(|_| scope.spawn(worker)).collect();
-        for worker in workers {
-            covered.add(&worker.join().unwrap_or_else(|panicked| std::panic::resume_unwind(panicked)));
-        }
-    });
-    covered
+fn holds<S: Simulation>(report: &Report<S::Counts>) -> bool {
+    if let Some(violation) = explain::<S>(report) {
+        panic!("{violation}");
+    }
+    true
 }
 
 #[test]
 fn no_storm_breaks_a_promise_and_every_kind_of_fault_has_happened() {
-    let people = Arc::new(People::new());
-    let seeds = std::env::var("LEDGER_SIM_SEEDS").ok().and_then(|seeds| seeds.parse().ok());
-    let seeds = seeds.unwrap_or(if std::env::var_os("LEDGERD_TEST_LONG").is_some() { SEEDS_LONG } else { SEEDS });
-    let covered = all(seeds, &people);
-    eprintln!("{covered}");
-    let missing = covered.missing();
-    eprintln!("never happened: {missing:?}");
-    assert!(missing.is_empty() || !covered.is_enough(), "in {seeds} seeds never happened: {missing:?}");
+    hold(&Storms(Arc::new(People::new())), "LEDGER_SIM_SEEDS", SEEDS, SEEDS_LONG);
 }
 
 #[test]
@@ -65,7 +45,7 @@ fn what_once_failed_does_not_fail_again() {
     for line in REGRESSIONS.lines().filter(|line| !line.starts_with('#')) {
         let seed = line.split_whitespace().next().and_then(|seed| seed.parse().ok());
         let seed = seed.unwrap_or_else(|| panic!("regressions.txt: no seed in {line:?}"));
-        holds(seed, &people);
+        holds::<Storms>(&run(seed, &people, false));
     }
 }
 

@@ -25,6 +25,8 @@ pub struct Counts {
     pub happened: BTreeMap<&'static str, u64>,
 }
 
+/// Seeds in which every wanted event happens.
+const SEEDS_ENOUGH: u64 = 200;
 /// Everything that must happen in enough seeds.
 const WANTED: [&str; 18] = [
     "a liar votes twice",
@@ -61,6 +63,11 @@ impl Counts {
         for (what, count) in &other.happened {
             *self.happened.entry(what).or_default() += count;
         }
+    }
+
+    /// Were there enough seeds for every wanted event?
+    pub fn is_enough(&self) -> bool {
+        self.seeds >= SEEDS_ENOUGH
     }
 
     /// The wanted events that never happened.
