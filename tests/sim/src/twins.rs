@@ -7,7 +7,9 @@
 //! a liar sends what no copy would: forged proofs, branches, transfers, complaints, acknowledgements; and it withholds control
 //! calls while it leads.
 //!
-//! The real parts are the replica, the certifier, the disputes, the comparison of chains, the block store and the ledger. Nobody
+//! Two robots have the real gate ([`bridges`]), at nodes of which some lie: [`control`] knows what may pass.
+//!
+//! The real parts are the replica, the gate, the certifier, the disputes, the comparison of chains, the block store and the ledger. Nobody
 //! lies but those organisations, so honest nodes may part ways, and one chain of truth is not known in advance. So the
 //! [`judge`] has its own arithmetic over everything that anybody has signed.
 //!
@@ -19,7 +21,9 @@
 //! | the liars are gone, or go on with one story | then everything heals; contradicted nodes rejoin, as they say |
 //! | the last word | the voters that are left serve and certify, if enough of them have one history |
 
+mod bridges;
 mod cast;
+mod control;
 mod copy;
 mod judge;
 mod mischief;

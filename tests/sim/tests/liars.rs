@@ -8,6 +8,8 @@ use ledgerd_sim::seeds::Liars;
 use ledgerd_sim::twins::{Cast, run};
 use std::sync::Arc;
 
+/// Of the gates, judged by `control`.
+const CERTIFIED_STATE: &str = "no gate passes what no certified state of the last second allows";
 /// Seeds of one test run; `LEDGER_LIAR_SEEDS` runs more.
 const SEEDS: u64 = 200;
 /// Seeds of `./test --long`.
@@ -89,4 +91,24 @@ fn an_organisation_that_ends_strict_certificates_alone_is_noticed() {
 #[test]
 fn a_vote_that_is_forgotten_is_noticed() {
     caught(Mutation::ForgetTheVote, 320, &["one vote a term"]);
+}
+
+#[test]
+fn a_gate_that_believes_a_lying_node_about_a_grant_is_noticed() {
+    caught(Mutation::BelieveAGrant, 0, &[CERTIFIED_STATE]);
+}
+
+#[test]
+fn a_gate_that_forgets_a_stop_without_a_verdict_is_noticed() {
+    caught(Mutation::ForgetAnOpenStop, 0, &["a gate that was notified of a stop waits for its verdict"]);
+}
+
+#[test]
+fn a_gate_that_lets_old_answers_count_is_noticed() {
+    caught(Mutation::IgnoreStaleness, 0, &[CERTIFIED_STATE]);
+}
+
+#[test]
+fn a_gate_that_does_not_compare_epochs_is_noticed() {
+    caught(Mutation::IgnoreEpochs, 0, &[CERTIFIED_STATE]);
 }

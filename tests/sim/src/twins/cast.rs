@@ -67,6 +67,11 @@ impl Cast {
     pub fn person(&self, id: &str) -> &Person {
         self.people.get(id).unwrap_or_else(|| panic!("nobody is called {id}"))
     }
+
+    /// The owner of a certificate, by its fingerprint.
+    pub fn by_fingerprint(&self, fingerprint: &Hash) -> Option<&Person> {
+        self.by_certificate.get(fingerprint).map(|id| self.person(id))
+    }
 }
 
 impl Default for Cast {

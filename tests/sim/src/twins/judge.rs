@@ -28,7 +28,7 @@ pub struct Counts {
 /// Seeds in which every wanted event happens.
 const SEEDS_ENOUGH: u64 = 200;
 /// Everything that must happen in enough seeds.
-const WANTED: [&str; 18] = [
+const WANTED: [&str; 23] = [
     "a liar votes twice",
     "a liar leads with two logs",
     "a liar signs two blocks of one height",
@@ -47,6 +47,11 @@ const WANTED: [&str; 18] = [
     "something forged is sent",
     "a control call is withheld",
     "a liar would end strict certificates",
+    "a command passes a gate",
+    "a command passes a gate at a lying node",
+    "a command does not pass a gate",
+    "a gate stops its robot",
+    "a gate is notified of a stop before it is ordered",
 ];
 
 impl Counts {

@@ -129,6 +129,9 @@ impl World {
             if let Some(at) = self.random.pick(&nodes).copied() {
                 (waits.given, waits.node) = (now, self.copies[at].node.id);
                 let transaction = waits.transaction.encoded().clone();
+                if waits.transaction.body().function == "stop" {
+                    self.notify(at, &waits.transaction)?;
+                }
                 self.input(at, Input::Submit { lane: waits.lane, transaction })?;
             }
         }
@@ -186,7 +189,12 @@ impl World {
         let voters = self.plan.voters() as usize;
         // One that is proved to lie does not lead any more, and gives no vote to a shorter log than its own.
         let proved: BTreeSet<u64> = alive.iter().flat_map(|at| self.copies[*at].evidence.liars()).collect();
-        let counts = |at: &&usize| !proved.contains(&self.copies[**at].node.id);
+        // The number of one that comes back votes when a leader has ordered the change.
+        let effective: BTreeSet<u64> = alive.iter().flat_map(|at| self.effective_voters(*at)).collect();
+        let counts = |at: &&usize| {
+            let id = self.copies[**at].node.id;
+            effective.contains(&id) && !proved.contains(&id)
+        };
         if 2 * together.iter().filter(counts).count() > voters {
             return self.serves(&together);
         }
@@ -198,6 +206,12 @@ impl World {
         };
         self.judge.counts.count(what);
         Ok(true)
+    }
+
+    /// The voters that elections ask, as a node knows them.
+    fn effective_voters(&self, at: usize) -> BTreeSet<u64> {
+        let members = self.copies[at].up.as_ref().and_then(|up| up.ledger.members().ok());
+        members.map(|members| members.voters.into_iter().collect()).unwrap_or_default()
     }
 
     /// The voters that run, liars that have become honest among them.

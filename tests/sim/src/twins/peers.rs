@@ -126,6 +126,7 @@ impl World {
                 certifier::Effect::Certified { certificate, .. } => {
                     let height = certificate.statement.height;
                     copy.certificates.insert(height, certificate.clone());
+                    self.control.certified(height, certificate.statement.block, now);
                     if !copy.lies {
                         self.judge.made(id, &certificate, self.lying)?;
                     }

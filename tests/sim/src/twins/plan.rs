@@ -34,6 +34,8 @@ pub struct Plan {
     pub cuts: bool,
     /// Honest nodes crash.
     pub crashes: bool,
+    /// Two robots are driven.
+    pub robots: bool,
     /// When the liars begin.
     pub begins: u64,
     /// When they are gone.
@@ -66,6 +68,7 @@ impl Plan {
             withholds: random.percent(if calm { 60 } else { 20 }),
             cuts: random.percent(70),
             crashes: !calm && random.percent(40),
+            robots: random.percent(40),
             begins,
             ends: begins + if calm { 30 } else { random.between(10, 20) } * SECOND,
             repents: !calm && second.is_none() && random.percent(50),

@@ -158,6 +158,7 @@ impl World {
         let ledger = Arc::clone(&up.ledger);
         let leads = up.replica.leads();
         self.judge.executed(id, (height, entry.term), &entry.data, outcome.hash)?;
+        self.control.executed(outcome);
         if !lies {
             self.done.extend(outcome.ids.iter().copied());
             let strict = ledger.voters().unwrap().rule.strict_since.is_some();

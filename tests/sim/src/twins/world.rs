@@ -1,6 +1,8 @@
 //! The event queue, and the machines that are switched on and off.
 
+use super::bridges::{Bridge, Driver};
 use super::cast::{Cast, Keys};
+use super::control::Control;
 use super::copy::{Copy, Nobody, Up};
 use super::judge::{Counts, Judge};
 use super::operator::Client;
@@ -46,6 +48,10 @@ pub(super) enum Happening {
     Deliver { from: u64, to: usize, bytes: Bytes },
     /// A client looks what it is to do.
     Client { client: usize },
+    /// A robot's bridge looks after itself.
+    Bridge { at: usize },
+    /// A person drives.
+    Drive { driver: usize },
     /// Honest nodes get into other parts.
     Parts,
     /// A liar sends something forged.
@@ -74,7 +80,7 @@ pub(super) struct World {
     pub(super) random: Random,
     pub(super) network: Hash,
     pub(super) genesis: Bytes,
-    founded: Governance,
+    pub(super) founded: Governance,
     access: Arc<dyn Chaincode>,
     /// The part of each honest node, by number.
     pub(super) parts: BTreeMap<u64, usize>,
@@ -83,6 +89,12 @@ pub(super) struct World {
     /// The liars lie now.
     pub(super) lying: bool,
     pub(super) clients: Vec<Client>,
+    /// The robots' bridges; none while one is being looked after.
+    pub(super) bridges: Vec<Option<Bridge>>,
+    pub(super) drivers: Vec<Driver>,
+    pub(super) control: Control,
+    /// Transactions that bridges and drivers have signed.
+    pub(super) nonces: u64,
     /// The transactions that honest nodes have executed.
     pub(super) done: BTreeSet<Hash>,
     /// In calm seeds: the term and the honest leader that must not change.
@@ -143,6 +155,10 @@ impl World {
             is_cut: false,
             lying: false,
             clients: Vec::new(),
+            bridges: Vec::new(),
+            drivers: Vec::new(),
+            control: Control::default(),
+            nonces: 0,
             done: BTreeSet::new(),
             reign: None,
             queue: BTreeMap::new(),
@@ -160,6 +176,7 @@ impl World {
             world.schedule(delay, Happening::Start { at });
         }
         world.employ();
+        world.build_bridges();
         world
     }
 
@@ -216,6 +233,8 @@ impl World {
             }
             Happening::Deliver { from, to, bytes } => self.deliver(from, to, bytes),
             Happening::Client { client } => self.work(client),
+            Happening::Bridge { at } => self.bridge(at),
+            Happening::Drive { driver } => self.drive(driver),
             Happening::Parts => self.change_parts(),
             Happening::Forge => self.forge(),
             Happening::Crash => self.crash(),
