@@ -19,7 +19,7 @@
 //! | the liars' nodes are copied, with their disks | then; in calm seeds they are not, and only send what is forged |
 //! | parts change, honest nodes crash, links between parts are cut | 10 to 20 s |
 //! | the liars are gone, or go on with one story | then everything heals; contradicted nodes rejoin, as they say |
-//! | the last word | the voters that are left serve and certify, if enough of them have one history |
+//! | the last word | the voters that are left serve and certify, if enough of them have one history; proved liars lose their votes |
 
 mod bridges;
 mod cast;
@@ -30,6 +30,7 @@ mod mischief;
 mod operator;
 mod peers;
 mod plan;
+mod removal;
 mod threads;
 mod world;
 
@@ -75,5 +76,6 @@ fn play(world: &mut World) -> Check {
         }
         world.run_until(world.now + 100 * MILLISECOND)?;
     }
-    world.look_back()
+    world.look_back()?;
+    world.remove_liars()
 }

@@ -28,7 +28,7 @@ pub struct Counts {
 /// Seeds in which every wanted event happens.
 const SEEDS_ENOUGH: u64 = 200;
 /// Everything that must happen in enough seeds.
-const WANTED: [&str; 23] = [
+const WANTED: [&str; 24] = [
     "a liar votes twice",
     "a liar leads with two logs",
     "a liar signs two blocks of one height",
@@ -52,6 +52,7 @@ const WANTED: [&str; 23] = [
     "a command does not pass a gate",
     "a gate stops its robot",
     "a gate is notified of a stop before it is ordered",
+    "a voter is removed by the proof of its lie",
 ];
 
 impl Counts {
@@ -99,6 +100,10 @@ pub(super) struct Judge {
     /// Signatures that a certificate needs, and whether that is more than any organisation can complete twice.
     quorum: usize,
     pub(super) strict: bool,
+    /// The network serves after the lies.
+    pub(super) serves: bool,
+    /// Certificates are not judged any more.
+    is_retired: bool,
     /// More than one organisation lies.
     beyond: bool,
     /// The founding number of each number, so that one that comes back counts as what it was.
@@ -134,6 +139,8 @@ impl Judge {
         Self {
             quorum: if strict { wanted } else { voters / 2 + 1 },
             strict,
+            serves: false,
+            is_retired: false,
             beyond: plan.liars.len() > 1,
             places: organisations.keys().map(|node| (*node, *node)).collect(),
             organisations,
@@ -155,6 +162,11 @@ impl Judge {
         if let Some(organisation) = self.organisations.get(&before).copied() {
             self.organisations.insert(after, organisation);
         }
+    }
+
+    /// People change who votes: from now on nothing is said about certificates.
+    pub(super) fn retire(&mut self) {
+        (self.strict, self.is_retired) = (false, true);
     }
 
     /// The signatures that a certificate needs.
@@ -219,6 +231,9 @@ impl Judge {
     /// An honest node has made a certificate.
     pub(super) fn made(&mut self, node: u64, certificate: &Certificate, lying: bool) -> Check {
         let statement = certificate.statement;
+        if self.is_retired {
+            return Ok(());
+        }
         if let Err(why) = self.is_true(certificate) {
             return Err(Violation::new("certificates are true", format!("node {node}, {statement:?}: {why}")));
         }
@@ -261,6 +276,9 @@ impl Judge {
         height: u64,
         own: &BTreeMap<u64, Certificate>,
     ) -> Check {
+        if self.is_retired {
+            return Ok(());
+        }
         let name = "a node stops only for a strict certificate";
         if !self.strict {
             return Err(Violation::new(name, format!("node {node}, height {height}: nothing is strict here")));
@@ -294,7 +312,7 @@ impl Judge {
 
     /// Certificates are strict as of a node's newest block, or not.
     pub(super) fn is_strict(&self, node: u64, height: u64, strict: bool) -> Check {
-        if strict == self.strict {
+        if strict == self.strict || self.is_retired {
             return Ok(());
         }
         let what = format!("node {node}, block {height}: strict is {strict}, and nobody has proposed it");

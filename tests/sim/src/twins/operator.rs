@@ -294,6 +294,7 @@ impl World {
         let healed = is_new && all_there && alive.iter().all(near) && (!certifies || alive.iter().all(certified));
         if healed {
             self.judge.counts.count("the network serves again");
+            self.judge.serves = true;
         }
         Ok(healed)
     }
