@@ -229,7 +229,10 @@ impl Asking {
         let differs =
             |at: &Point| self.monitor.own(at.height).is_some_and(|own| own.height == at.height && own.hash != at.hash);
         let other = said.iter().filter_map(|one| Some((one.who.id, one.at.filter(differs)?.height)));
-        for (id, height) in other.take(BRANCHES_MAX) {
+        // The log may contradict theirs behind what is executed here.
+        let next = self.monitor.own(u64::MAX).map_or(0, |tip| tip.height) + 1;
+        let contradicting = self.monitor.machine().contradicting().into_iter().map(|id| (id, next));
+        for (id, height) in other.chain(contradicting).take(BRANCHES_MAX) {
             let Some(member) = members.iter().find(|member| member.id == id) else { continue };
             if let Some(branch) = self.dialer.certified(member, height).await {
                 self.certificates.branch(branch);

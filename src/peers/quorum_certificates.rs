@@ -272,7 +272,8 @@ impl Certifying {
                         None
                     }
                     Some(Told::Branch(branch)) => {
-                        self.disputes.branch(*branch, self.certificates.certified(), &mut found);
+                        let log = |height| self.ordering.storage.log.store.entry(height).ok().flatten();
+                        self.disputes.branch(*branch, self.certificates.certified(), log, &mut found);
                         None
                     }
                     None => return,

@@ -326,6 +326,10 @@ impl Chaincode for AccessControl {
         URGENT.contains(&function)
     }
 
+    fn asks(&self, function: &str) -> bool {
+        function == "declare"
+    }
+
     /// A caller of release must hold something, and acquiring is refused meanwhile.
     fn ends(&self, function: &str) -> bool {
         matches!(function, "release" | "remove" | "stop")

@@ -12,6 +12,8 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_light::Certificate;
 use ledger_light::certificate::CERTIFICATE_BYTES_MAX;
 use ledger_light::codec::{Reader, put};
+use ledger_storage::entry::Entry;
+use ledger_storage::state::Tip;
 
 const DOMAIN: &[u8] = b"ledgerd branch v1\0";
 /// Longest encoding.
@@ -61,6 +63,37 @@ impl CertifiedBranch {
     /// The block of the branch at [`CertifiedBranch::height`].
     pub fn block(&self) -> Hash {
         self.headers.first().map_or(self.certificate.statement.block, Header::hash)
+    }
+
+    /// Its headers, in order; none where the reader has a block at the height of the certificate.
+    pub fn headers(&self) -> &[Header] {
+        &self.headers
+    }
+
+    /// The part of it from one of its headers on.
+    fn beginning_at(&self, at: usize) -> Self {
+        let headers = self.headers.get(at..).unwrap_or_default().to_vec();
+        Self { headers, certificate: self.certificate.clone() }
+    }
+
+    /// Compares it with the log of a reader that has executed the block before its first one: the part from the first block that
+    /// contradicts an entry, and the block that this entry would be. `log` is the entry at a height.
+    ///
+    /// Only entries of one term contradict: its leader has put one block there. A leader of a later term replaces others.
+    pub fn against_log(&self, tip: &Tip, log: impl Fn(u64) -> Option<Entry>) -> Option<(Self, Hash)> {
+        let (mut height, mut previous, mut time) = (tip.height, tip.hash, tip.time);
+        for (at, header) in self.headers.iter().enumerate() {
+            height = height.saturating_add(1);
+            if header.height != height || at == 0 && header.previous != previous {
+                return None;
+            }
+            let own = Header::following(previous, time, &log(height)?);
+            if own != *header {
+                return (own.term == header.term).then(|| (self.beginning_at(at), own.hash()));
+            }
+            (previous, time) = (own.hash(), own.time);
+        }
+        None
     }
 
     /// The certificate of its last block.
@@ -128,5 +161,34 @@ mod tests {
         let mut bytes = CertifiedBranch::of(certificate).to_bytes().to_vec();
         bytes[DOMAIN.len() + 8] ^= 1;
         assert_eq!(CertifiedBranch::from_bytes(&bytes).unwrap_err().code, Code::Malformed);
+    }
+
+    #[test]
+    fn a_branch_contradicts_the_log_of_a_reader_where_one_term_has_another_entry_and_nowhere_else() {
+        let entry = |height, term, data: u8| Entry {
+            index: height,
+            term,
+            kind: ledger_storage::entry::EntryKind::Normal,
+            data: Bytes::from(vec![data; 3]),
+        };
+        let tip = Tip { height: 6, term: 2, time: 100, hash: Hash([1; 32]), digest: Hash::ZERO };
+        let first = Header::following(tip.hash, tip.time, &entry(7, 3, 1));
+        let second = Header::following(first.hash(), first.time, &entry(8, 3, 2));
+        let certificate = certificate(&second);
+        let branch = CertifiedBranch::new(vec![first.clone(), second.clone()], certificate.clone()).unwrap();
+        let against = |log: [(u64, u8); 2]| {
+            let log = move |height: u64| log.get(height as usize - 7).map(|(term, data)| entry(height, *term, *data));
+            branch.against_log(&tip, log)
+        };
+        assert_eq!(against([(3, 1), (3, 2)]), None, "the same blocks");
+        let (rest, own) = against([(3, 1), (3, 9)]).unwrap();
+        assert_eq!((rest.height(), rest.block()), (8, second.hash()));
+        assert_eq!(own, Header::following(first.hash(), first.time, &entry(8, 3, 9)).hash());
+        assert_eq!(against([(3, 9), (3, 2)]).unwrap().0, branch, "from the first one on");
+        assert_eq!(against([(2, 9), (3, 2)]), None, "the entry of another term is replaced");
+        assert_eq!(branch.against_log(&tip, |_| None), None, "a shorter log");
+        let elsewhere = Tip { hash: Hash([2; 32]), ..tip };
+        assert_eq!(branch.against_log(&elsewhere, |height| Some(entry(height, 3, 9))), None, "another block before");
+        assert_eq!(CertifiedBranch::of(certificate).against_log(&tip, |height| Some(entry(height, 3, 9))), None);
     }
 }

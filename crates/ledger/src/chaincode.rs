@@ -66,6 +66,12 @@ pub trait Chaincode: Send + Sync {
         false
     }
 
+    /// Does a call of this function only ask for certified state, for a robot that stops without an answer? Such a call waits with the
+    /// data. Voters complain about a leader that leaves it out, sooner than with a call that changes something.
+    fn asks(&self, _function: &str) -> bool {
+        false
+    }
+
     /// The service on which a call publishes, as the call names it, and the number of its messages; nothing for other calls.
     fn publishes<'a>(&self, _function: &str, _args: &'a [Bytes]) -> Option<(&'a str, u64)> {
         None

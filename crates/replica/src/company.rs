@@ -186,6 +186,11 @@ impl<C: Chain> Company<C> {
         }
     }
 
+    /// The nodes whose logs contradict the one of this node, as ordering has found.
+    pub fn contradicting(&self) -> Vec<u64> {
+        self.contradicting.keys().copied().collect()
+    }
+
     /// Takes the answers of one round, and says what follows. `asked`: the height of the question, if it was asked again.
     ///
     /// # Errors

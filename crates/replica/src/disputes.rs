@@ -8,7 +8,7 @@
 //! |---|---|
 //! | a proof that a node has lied | it is kept and sent to all; nothing of that node is followed any more |
 //! | a proof that this node has computed a block in two ways | it stops |
-//! | a strict certificate of another block than this node has executed | it stops, unless its own strict certificate covers its block |
+//! | a strict certificate of another block than this node has executed, or has in its log in the same term | it stops, unless its own strict certificate covers its block |
 //! | two strict certificates of two blocks | both are shown; people decide |
 //!
 //! It has no thread, clock, disk or connection of its own.
@@ -26,6 +26,7 @@ use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::Rejection;
 use ledger_light::{Certificate, Governance, Misbehaviour, Signed};
+use ledger_storage::entry::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -178,16 +179,24 @@ impl<S: Signing> Disputes<S> {
         let ledger = Arc::clone(&self.ledger);
         let own = |height| Ok(ledger.block_hashes(height)?.map(|own| own.hash));
         for certificate in self.branches.contradicting(ledger.tip().height, own)? {
-            self.branch(CertifiedBranch::of(certificate), certified, out);
+            self.branch(CertifiedBranch::of(certificate), certified, |_| None, out);
         }
         Ok(())
     }
 
     /// Does the certificate of a branch contradict this node? Then it stops, unless a strict certificate of its own covers its
-    /// block: then both are shown, and people decide.
-    pub fn branch(&self, branch: CertifiedBranch, certified: u64, out: &mut Vec<Effect>) {
-        match self.contradicts(&branch, certified) {
-            Ok(Some(Against::Chain { own })) => out.push(Effect::Contradicted { branch: Box::new(branch), own }),
+    /// block: then both are shown, and people decide. `log` is the entry of this node's log at a height, executed or not.
+    pub fn branch(
+        &self,
+        branch: CertifiedBranch,
+        certified: u64,
+        log: impl Fn(u64) -> Option<Entry>,
+        out: &mut Vec<Effect>,
+    ) {
+        match self.contradicts(&branch, certified, log) {
+            Ok(Some(Against::Chain { branch, own })) => {
+                out.push(Effect::Contradicted { branch: Box::new(branch), own })
+            }
             Ok(Some(Against::Certificate)) => out.push(Effect::TwoCertificates(Box::new(branch))),
             Ok(None) => {}
             Err(reason) => {
@@ -196,17 +205,27 @@ impl<S: Signing> Disputes<S> {
         }
     }
 
-    fn contradicts(&self, branch: &CertifiedBranch, certified: u64) -> Result<Option<Against>, Rejection> {
-        let height = branch.height();
-        let own = self.ledger.block_hashes(height)?.map(|own| own.hash);
-        let Some(own) = own.filter(|own| *own != branch.block()) else { return Ok(None) };
+    fn contradicts(
+        &self,
+        branch: &CertifiedBranch,
+        certified: u64,
+        log: impl Fn(u64) -> Option<Entry>,
+    ) -> Result<Option<Against>, Rejection> {
+        let (height, tip) = (branch.height(), self.ledger.tip());
+        let executed = self.ledger.block_hashes(height)?.map(|own| own.hash);
+        let found = match executed {
+            Some(own) => (own != branch.block()).then(|| (branch.clone(), own)),
+            // What this node has not executed is in its log: a liar may have given it another entry in the same term.
+            None => branch.against_log(&tip, log),
+        };
+        let Some((branch, own)) = found else { return Ok(None) };
         let common = self.governance(certified.min(height.saturating_sub(1)))?;
         if !active(Mutation::StopForAnyCertificate) {
             common.check_strict(branch.certificate())?;
         }
         let is_strict = self.governance(certified)?.certificate_rule()?.strict_since.is_some();
         let is_covered = certified >= height && is_strict && !active(Mutation::DropACertifiedBlock);
-        Ok(Some(if is_covered { Against::Certificate } else { Against::Chain { own } }))
+        Ok(Some(if is_covered { Against::Certificate } else { Against::Chain { branch, own } }))
     }
 
     /// The governance after the own block at a height.
@@ -269,7 +288,9 @@ impl<S: Signing> Disputes<S> {
 enum Against {
     /// Blocks without a strict certificate.
     Chain {
-        /// The own block.
+        /// The branch, from the first block that this node has otherwise.
+        branch: CertifiedBranch,
+        /// The own block there.
         own: Hash,
     },
     /// A strict certificate of this node.

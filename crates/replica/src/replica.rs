@@ -21,8 +21,8 @@ use ledger_base::invariant;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::Misbehaviour;
 use ledger_raft::{
-    Ballots, ClockDoubt, Contradiction, Creators, Desired, Engine, EngineConfig, ExecutedBlocks, Input, Lane,
-    PeerMessage, RoleChange, Secret, Status,
+    Ballots, ClockDoubt, Contradiction, Creators, Desired, Engine, EngineConfig, ExecutedBlocks, Input, PeerMessage,
+    RoleChange, Secret, Status,
 };
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -256,9 +256,9 @@ impl<W: Waiter> Replica<W> {
             Event::Input(Input::Message { from, message: PeerMessage::Unanswered(call) }) => {
                 self.passed_on(now, from, call, out);
             }
-            Event::Input(Input::Submit { lane: Lane::Control, transaction }) => {
-                self.keep_call(now, &transaction);
-                self.order(now, Input::Submit { lane: Lane::Control, transaction }, out);
+            Event::Input(Input::Submit { lane, transaction }) => {
+                self.keep_call(now, lane, &transaction);
+                self.order(now, Input::Submit { lane, transaction }, out);
             }
             Event::Input(input) => self.order(now, input, out),
             Event::Time { full } => self.time(now, full, out),

@@ -1,10 +1,11 @@
-//! Control calls that wait for their verdict, and when a voter complains about the leader because of one.
+//! Control calls and questions of robots that wait for their verdict, and when a voter complains about the leader because of one.
 //!
 //! ```text
 //! kept          the oldest call of each identity: submitted here, or passed on by another node
 //! given         to the leader, again with each new leader and once a second
-//! passed on     to all voters, if this node has it from a client and it is not executed after half a second
-//! complaint     the leader ordered blocks at least two seconds of its own time later, and this call is in none of them;
+//! passed on     to all voters, if this node has it from a client and it is not executed after half a second;
+//!               a question after a quarter of a second, and from then on it is control
+//! complaint     the leader ordered blocks at least two seconds of its own time later (a question: 0.75 s), and this call is in none;
 //!               or for five seconds nothing was executed here but the empty blocks of new terms;
 //!               or it was elected three times in at least five seconds, and nobody else in between
 //! forgotten     with its verdict, after its `not_after`, or if it would be rejected now
@@ -27,9 +28,11 @@ pub(crate) const URGENT_BYTES_MAX: usize = 8 * 1024;
 const CALLS_MAX: usize = 1024;
 /// A call of an own client is passed on after this time, microseconds.
 const PASS_ON_AFTER: u64 = 500_000;
+/// The same of a question: the robot that asks stops after a second without an answer.
+const PASS_ON_QUESTION_AFTER: u64 = 250_000;
 /// A leader may leave a call out of its blocks for this time, microseconds.
 const BOUND: u64 = 2_000_000;
-/// The shortest such time: for calls that end sooner, it is half of the time that they have.
+/// The shortest such time: for questions. For calls that end sooner than in four seconds, it is half of the time that they have.
 const BOUND_MIN: u64 = 750_000;
 /// A leader may order nothing at all for this time while a call waits, microseconds. One that has itself elected again and again
 /// has no longer.
@@ -75,6 +78,15 @@ pub(crate) enum Step {
     Complain(Box<Transaction>),
 }
 
+/// The kinds of calls that are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// It changes who controls, and overtakes data.
+    Control,
+    /// A robot asks for its certified state. It waits with the data for a moment.
+    Question,
+}
+
 /// The calls that wait, by their creators.
 #[derive(Debug, Default)]
 pub(crate) struct Withheld {
@@ -91,6 +103,7 @@ pub(crate) struct Withheld {
 #[derive(Debug)]
 struct Call {
     transaction: Transaction,
+    kind: Kind,
     /// Of the creator; when there is no room, the one with the most calls loses one.
     organisation: String,
     /// Since when it is kept, in time since the node started, microseconds.
@@ -136,6 +149,7 @@ impl Withheld {
     pub(crate) fn keep(
         &mut self,
         transaction: &Transaction,
+        kind: Kind,
         organisation: impl FnOnce() -> String,
         own: bool,
         elapsed: u64,
@@ -151,7 +165,7 @@ impl Withheld {
         let transaction = transaction.clone();
         self.calls.insert(
             creator,
-            Call { transaction, organisation, since: elapsed, passed: !own, submitted: own, given: None },
+            Call { transaction, kind, organisation, since: elapsed, passed: !own, submitted: own, given: None },
         );
     }
 
@@ -201,11 +215,15 @@ impl Withheld {
 
 impl Call {
     fn next(&mut self, view: View, silent_since: u64, steps: &mut Vec<Step>) {
-        if !self.passed && view.elapsed.saturating_sub(self.since) >= PASS_ON_AFTER {
+        let pass_on_after = if self.kind == Kind::Question { PASS_ON_QUESTION_AFTER } else { PASS_ON_AFTER };
+        if !self.passed && view.elapsed.saturating_sub(self.since) >= pass_on_after {
             self.passed = true;
             steps.push(Step::PassOn(self.transaction.encoded().clone()));
+            // The leader has a question as data until now.
+            self.submitted &= self.kind == Kind::Control;
         }
-        let Some(leader) = view.leader else { return };
+        // A question may be late like data before other voters have it.
+        let Some(leader) = view.leader.filter(|_| self.passed || self.kind == Kind::Control) else { return };
         let View { elapsed, clock, .. } = view;
         let given = match self.given {
             Some(given) if given.leader == leader => given,
@@ -224,7 +242,7 @@ impl Call {
             steps.push(Step::Give(self.transaction.encoded().clone()));
         }
         let left = self.transaction.body().not_after.saturating_sub(given.clock);
-        let bound = (left / 2).clamp(BOUND_MIN, BOUND);
+        let bound = if self.kind == Kind::Question { BOUND_MIN } else { (left / 2).clamp(BOUND_MIN, BOUND) };
         let is_overtaken = view.term == leader.0 && view.time >= given.clock.saturating_add(bound);
         let is_late = is_overtaken && elapsed.saturating_sub(given.elapsed) >= bound;
         let is_silent = elapsed.saturating_sub(given.first.max(silent_since)) >= SILENCE_MAX
@@ -265,7 +283,7 @@ mod tests {
 
     fn kept(calls: &[Transaction], own: bool) -> Withheld {
         let mut withheld = Withheld::default();
-        calls.iter().for_each(|call| withheld.keep(call, || "Org1".to_owned(), own, SECOND));
+        calls.iter().for_each(|call| withheld.keep(call, Kind::Control, || "Org1".to_owned(), own, SECOND));
         withheld
     }
 
@@ -404,10 +422,24 @@ mod tests {
             let mut body = call(0, 0).body().clone();
             body.creator = Hash::of(&[&creator.to_be_bytes()]).0.to_vec().into();
             let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-            full.keep(&Transaction::sign(&body, &key).unwrap(), || "Org1".to_owned(), false, 0);
+            full.keep(&Transaction::sign(&body, &key).unwrap(), Kind::Control, || "Org1".to_owned(), false, 0);
         }
         assert_eq!(full.calls.len(), CALLS_MAX);
-        full.keep(&call(9, 9), || "Org2".to_owned(), false, 0);
+        full.keep(&call(9, 9), Kind::Control, || "Org2".to_owned(), false, 0);
         assert!(full.calls.contains_key(&call(9, 9).creator()) && full.calls.len() == CALLS_MAX);
+    }
+
+    #[test]
+    fn a_question_is_passed_on_sooner_becomes_control_then_and_is_complained_about_after_less_than_a_second() {
+        let mut withheld = Withheld::default();
+        let question = call(1, 1);
+        withheld.keep(&question, Kind::Question, || "Org1".to_owned(), true, SECOND);
+        let steps = |withheld: &mut Withheld, after| withheld.tend(view(after), |_| false);
+        assert_eq!(steps(&mut withheld, 200_000), [], "the leader has it as data");
+        let encoded = question.encoded().clone();
+        assert_eq!(steps(&mut withheld, 250_000), [Step::PassOn(encoded.clone()), Step::Give(encoded)]);
+        assert_eq!(steps(&mut withheld, 950_000), [], "it is control for 0.7 s");
+        let complaint = [Step::Complain(Box::new(question))];
+        assert_eq!(steps(&mut withheld, 1_000_000), complaint, "0.75 s");
     }
 }

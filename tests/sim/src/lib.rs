@@ -55,4 +55,5 @@ pub mod run;
 pub mod seeds;
 pub mod trace;
 pub mod twins;
+mod withholding;
 pub mod world;

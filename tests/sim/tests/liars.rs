@@ -40,7 +40,7 @@ fn a_proof_that_is_believed_unread_is_noticed() {
 
 #[test]
 fn a_proof_that_a_node_keeps_for_itself_is_noticed() {
-    caught(Mutation::KeepAProofForItself, 3, &["evidence travels"]);
+    caught(Mutation::KeepAProofForItself, 26, &["evidence travels"]);
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn a_block_that_follows_another_one_than_its_leader_has_is_noticed() {
 
 #[test]
 fn an_acknowledgement_of_another_log_that_counts_is_noticed() {
-    caught(Mutation::CountAnyLog, 42, &["a leader counts only those who have its log"]);
+    caught(Mutation::CountAnyLog, 21, &["a leader counts only those who have its log"]);
 }
 
 #[test]
@@ -90,12 +90,12 @@ fn an_organisation_that_ends_strict_certificates_alone_is_noticed() {
 
 #[test]
 fn a_vote_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetTheVote, 320, &["one vote a term"]);
+    caught(Mutation::ForgetTheVote, 104, &["one vote a term"]);
 }
 
 #[test]
 fn a_gate_that_believes_a_lying_node_about_a_grant_is_noticed() {
-    caught(Mutation::BelieveAGrant, 103, &[CERTIFIED_STATE]);
+    caught(Mutation::BelieveAGrant, 75, &[CERTIFIED_STATE]);
 }
 
 #[test]

@@ -15,7 +15,7 @@ const SEEDS_LONG: u64 = 2000;
 const REGRESSIONS: &str = include_str!("../regressions.txt");
 
 /// Runs seeds, of which none may break a promise: as many as the variable says, more with `--long`.
-pub fn hold<S: Simulation>(simulation: &S, variable: &str, seeds: u64, seeds_long: u64) -> S::Counts {
+pub(crate) fn hold<S: Simulation>(simulation: &S, variable: &str, seeds: u64, seeds_long: u64) -> S::Counts {
     let given = std::env::var(variable).ok().and_then(|seeds| seeds.parse().ok());
     let is_long = std::env::var_os("LEDGERD_TEST_LONG").is_some();
     let seeds = given.unwrap_or(if is_long { seeds_long } else { seeds });

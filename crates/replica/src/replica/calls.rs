@@ -1,8 +1,8 @@
-//! Control calls that the leader has not ordered: given to it again, passed on to the voters, and complained about.
+//! Control calls and questions that the leader has not ordered: given to it again, passed on to the voters, and complained about.
 
 use super::{Effect, Now, Replica};
 use crate::waiters::Waiter;
-use crate::withheld::{Step, URGENT_BYTES_MAX, View};
+use crate::withheld::{Kind, Step, URGENT_BYTES_MAX, View};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
@@ -10,14 +10,17 @@ use ledger_base::mutation::{Mutation, active};
 use ledger_raft::{Input, Lane, PeerMessage, UnansweredCall};
 
 impl<W: Waiter> Replica<W> {
-    /// A client of this node has submitted a control call.
-    pub(super) fn keep_call(&mut self, now: Now, encoded: &Bytes) {
-        if self.leading {
+    /// A client of this node has submitted a call. Control calls are kept, and the questions of robots.
+    pub(super) fn keep_call(&mut self, now: Now, lane: Lane, encoded: &Bytes) {
+        if self.leading || lane == Lane::Data && encoded.len() > URGENT_BYTES_MAX {
             return;
         }
-        if let Ok(transaction) = Transaction::decode(encoded.clone()) {
-            let ledger = self.executor.ledger();
-            self.withheld.keep(&transaction, || organisation(ledger, &transaction), true, now.elapsed);
+        let Ok(transaction) = Transaction::decode(encoded.clone()) else { return };
+        let ledger = self.executor.ledger();
+        let kind = kind(ledger, &transaction);
+        if lane == Lane::Control || kind == Some(Kind::Question) {
+            let kind = kind.unwrap_or(Kind::Control);
+            self.withheld.keep(&transaction, kind, || organisation(ledger, &transaction), true, now.elapsed);
         }
     }
 
@@ -29,11 +32,12 @@ impl<W: Waiter> Replica<W> {
         let Ok(transaction) = Transaction::decode(call.transaction) else {
             return out.push(Effect::Ignored { from, reason: "it passes on a call that cannot be read" });
         };
-        if !is_control(self.executor.ledger(), &transaction) || !self.is_admissible(now, &transaction) {
+        let Some(kind) = kind(self.executor.ledger(), &transaction).filter(|_| self.is_admissible(now, &transaction))
+        else {
             return;
-        }
+        };
         let ledger = self.executor.ledger();
-        self.withheld.keep(&transaction, || organisation(ledger, &transaction), false, now.elapsed);
+        self.withheld.keep(&transaction, kind, || organisation(ledger, &transaction), false, now.elapsed);
         if self.leading {
             let transaction = transaction.encoded().clone();
             self.order(now, Input::Submit { lane: Lane::Control, transaction }, out);
@@ -74,11 +78,16 @@ impl<W: Waiter> Replica<W> {
     }
 }
 
-/// Does this call overtake data?
-fn is_control(ledger: &Ledger, call: &Transaction) -> bool {
+/// The kind of a call that voters keep; none for data.
+fn kind(ledger: &Ledger, call: &Transaction) -> Option<Kind> {
     let body = call.body();
-    let chaincode = ledger.registry().find(&body.chaincode).ok();
-    chaincode.is_some_and(|called| called.urgent(&body.function)) && call.encoded().len() <= URGENT_BYTES_MAX
+    let chaincode =
+        ledger.registry().find(&body.chaincode).ok().filter(|_| call.encoded().len() <= URGENT_BYTES_MAX)?;
+    match () {
+        () if chaincode.urgent(&body.function) => Some(Kind::Control),
+        () if chaincode.asks(&body.function) => Some(Kind::Question),
+        () => None,
+    }
 }
 
 /// The organisation of the creator; empty if the ledger does not know its certificate.

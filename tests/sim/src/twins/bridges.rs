@@ -46,6 +46,8 @@ pub(super) struct Bridge {
     governance: Governance,
     members: Members,
     question: Option<Question>,
+    /// Since when it waits for an answer, at honest nodes without a break.
+    waits_since: Option<u64>,
     /// Messages that were delivered, by their payload.
     delivered: BTreeMap<Bytes, Transaction>,
     /// Signer and epoch of the command that passed last.
@@ -116,6 +118,7 @@ impl World {
             members: Members::of(&self.founded).unwrap(),
             governance: self.founded.clone(),
             question: None,
+            waits_since: None,
             delivered: BTreeMap::new(),
             driver: None,
         }
@@ -233,6 +236,11 @@ impl World {
         if is_late || bridge.home.as_ref().is_none_or(|home| !runs(home)) {
             self.connect(at, bridge);
         }
+        let waits = bridge.waits_since.map_or(0, |since| self.now - since);
+        if self.leader_is_too_late(waits) {
+            let what = format!("bridge {at} has no answer for {waits} us");
+            return Err(Violation::new("no leader withholds a call for good", what));
+        }
         self.read(at, bridge)?;
         self.answer(at, bridge)?;
         self.ask_voters(bridge)
@@ -252,6 +260,7 @@ impl World {
         let tip = up.ledger.tip().height;
         let (start, label) = (copy.node.start, self.label(home));
         self.note(format_args!("bridge {at} connects to {label}"));
+        bridge.waits_since = bridge.waits_since.filter(|_| !self.copies[home].lies);
         bridge.home = Some(Home { at: home, start, next: tip + 1, heads: tip, shown: BTreeSet::new() });
     }
 
@@ -393,6 +402,7 @@ impl World {
         bridge.question = None;
         match standing {
             Ok((governance, members, standing)) => {
+                bridge.waits_since = None;
                 (bridge.governance, bridge.members) = (governance, members);
                 self.judge.counts.count("the voters answer a gate");
                 self.note(format_args!("bridge {at} learns the state of block {height}"));
@@ -423,7 +433,10 @@ impl World {
         let (nonce, not_after) = (self.next_nonce(), EPOCH + self.now + 5 * SECOND);
         let signed = sign_knowing(self.cast.person("Org1/admin"), self.network, nonce, not_after, call, true, None);
         bridge.question = Some(Question { id: signed.id(), asked: self.now });
-        self.input(home, Input::Submit { lane: Lane::Control, transaction: signed.encoded().clone() })
+        if !self.copies[home].lies {
+            bridge.waits_since.get_or_insert(self.now);
+        }
+        self.input(home, Input::Submit { lane: Lane::Data, transaction: signed.encoded().clone() })
     }
 
     /// A stop has arrived at a node, which notifies the robots before it is ordered (`src/peers/early_stop.rs`): directly, or through

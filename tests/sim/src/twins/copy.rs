@@ -14,7 +14,7 @@ use ledger_replica::company::{Company, Point};
 use ledger_replica::disputes::{Disputes, Evidence};
 use ledger_replica::{Answer, Event, Executor, Replica, Waiter};
 use ledger_storage::block_store::BlockStore;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 /// A machine and its process.
@@ -58,8 +58,8 @@ pub(super) struct Up {
     pub(super) turn_at: u64,
     /// Since when most voters have another history that nobody has certified.
     pub(super) forked: Option<u64>,
-    /// The engine has said that the log of another node contradicts its own.
-    pub(super) is_contradicted: bool,
+    /// The nodes whose logs contradict its own, as the engine has found.
+    pub(super) contradicting: BTreeSet<u64>,
     /// Counts its looks at the time.
     pub(super) beats: u64,
 }

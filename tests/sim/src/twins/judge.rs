@@ -28,7 +28,7 @@ pub struct Counts {
 /// Seeds in which every wanted event happens.
 const SEEDS_ENOUGH: u64 = 200;
 /// Everything that must happen in enough seeds.
-const WANTED: [&str; 24] = [
+const WANTED: [&str; 25] = [
     "a liar votes twice",
     "a liar leads with two logs",
     "a liar signs two blocks of one height",
@@ -53,6 +53,7 @@ const WANTED: [&str; 24] = [
     "a gate stops its robot",
     "a gate is notified of a stop before it is ordered",
     "a voter is removed by the proof of its lie",
+    "the power of a voter fails after its vote",
 ];
 
 impl Counts {

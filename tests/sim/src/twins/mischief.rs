@@ -4,6 +4,7 @@ use super::copy::Copy;
 use super::world::{Happening, World};
 use crate::clock::{MILLISECOND, SECOND};
 use crate::invariant::{Check, Violation};
+use crate::withholding::withhold;
 use bytes::Bytes;
 use ledger::branch::CertifiedBranch;
 use ledger_base::hash::Hash;
@@ -141,6 +142,24 @@ impl World {
         Ok(())
     }
 
+    /// A node has voted: sometimes its power fails soon, and it is asked again in the same term.
+    pub(super) fn voted(&mut self, at: usize) {
+        if self.lying && self.plan.crashes && !self.copies[at].lies && self.votes.percent(20) {
+            let delay = self.votes.between(1, 20) * MILLISECOND;
+            self.schedule(delay, Happening::FailsAfterVote { at });
+        }
+    }
+
+    pub(super) fn fail_power(&mut self, at: usize) -> Check {
+        if self.lying && self.copies[at].up.is_some() {
+            self.stop(at, true);
+            self.judge.counts.count("the power of a voter fails after its vote");
+            let delay = self.votes.between(5, 100) * MILLISECOND;
+            self.schedule(delay, Happening::Start { at });
+        }
+        Ok(())
+    }
+
     /// A liar that leads takes control calls, and orders other things.
     pub(super) fn withholds(&mut self, at: usize, event: &mut Event) -> bool {
         let copy = &self.copies[at];
@@ -150,19 +169,11 @@ impl World {
         if !copy.up.as_ref().is_some_and(|up| up.replica.leads()) {
             return false;
         }
-        let withheld = match event {
-            Event::Input(Input::Submit { lane: Lane::Control, .. })
-            | Event::Input(Input::Message { message: PeerMessage::Unanswered(_), .. }) => true,
-            Event::Input(Input::Message { message: PeerMessage::Forward(forwarded), .. }) => {
-                forwarded.control.clear();
-                false
-            }
-            _ => false,
-        };
-        if withheld {
+        let (is_gone, is_less) = withhold(event);
+        if is_less {
             self.judge.counts.count("a control call is withheld");
         }
-        withheld
+        is_gone
     }
 
     /// A liar sends something that no rule of the product makes.
@@ -308,7 +319,7 @@ impl World {
         self.note(format_args!("{label} shows a forged branch of height {}", branch.height()));
         let (certified, mut found) = (self.copies[victim].certified(), Vec::new());
         if let Some(up) = self.up(victim) {
-            up.disputes.branch(branch, certified, &mut found);
+            up.disputes.branch(branch, certified, |_| None, &mut found);
         }
         self.follow(victim, found)
     }

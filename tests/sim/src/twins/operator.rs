@@ -105,12 +105,17 @@ impl World {
         sign(cast.person(person), self.network, nonce, EPOCH + self.now + CALL_TIME, call, true)
     }
 
+    /// In a calm network: must a call that waits for this time, microseconds, have been ordered?
+    pub(super) fn leader_is_too_late(&self, waited: u64) -> bool {
+        let liars = self.copies.iter().filter(|copy| copy.lies).count() as u64;
+        let is_calm = self.plan.calm && self.lying && self.plan.can_depose();
+        is_calm && waited > CALM_MAX * (liars + 1)
+    }
+
     fn waits_on(&mut self, client: usize, mut waits: Waits) -> Check {
         let now = self.now;
         let waited = now - waits.since;
-        let calm = self.plan.calm && self.lying && self.plan.can_depose();
-        let liars = self.copies.iter().filter(|copy| copy.lies).count() as u64;
-        if calm && waits.lane == Lane::Control && waited > CALM_MAX * (liars + 1) && waits.must_be_ordered {
+        if waits.lane == Lane::Control && waits.must_be_ordered && self.leader_is_too_late(waited) {
             let what = format!("{} was called {waited} us ago", waits.transaction.id());
             return Err(Violation::new("no leader withholds a call for good", what));
         }
@@ -261,7 +266,7 @@ impl World {
 
     /// Where people must decide, a node says so.
     fn is_shown(&self, alive: &[usize]) -> Check {
-        let shows = |at: &usize| self.copies[*at].up.as_ref().is_some_and(|up| up.is_contradicted);
+        let shows = |at: &usize| self.copies[*at].up.as_ref().is_some_and(|up| !up.contradicting.is_empty());
         if alive.iter().any(shows) || self.copies.iter().any(|copy| copy.ended.is_some()) {
             return Ok(());
         }

@@ -11,8 +11,9 @@ use ledger_light::Signed;
 use ledger_raft::{Evidence as SentEvidence, Input, PeerMessage, RaftKind, SignedStatement};
 use ledger_replica::catch_up::{Holding, Who};
 use ledger_replica::certifier;
-use ledger_replica::company::{Follows, Place, Said};
+use ledger_replica::company::{Follows, Place, Point, Said};
 use ledger_replica::disputes::{self, View};
+use std::sync::Arc;
 
 /// Most statements in the record of a node.
 const SIGNED_MAX: usize = 256;
@@ -42,7 +43,10 @@ impl World {
         if let PeerMessage::Raft(raft) = message {
             let (kind, id) = (raft.kind(), self.copies[at].node.id);
             match kind {
-                RaftKind::VoteResponse if !raft.reject => self.judge.votes(id, raft.term, to)?,
+                RaftKind::VoteResponse if !raft.reject => {
+                    self.judge.votes(id, raft.term, to)?;
+                    self.voted(at);
+                }
                 RaftKind::Vote => self.judge.votes(id, raft.term, id)?,
                 _ => {}
             }
@@ -267,19 +271,23 @@ impl World {
     }
     /// Asks those that have another block for the certificate that covers it.
     pub(super) fn ask_for_certificates(&mut self, at: usize, said: &[Said]) -> Check {
-        for one in said {
-            let Some(there) = one.at else { continue };
-            let Some(own) = self.copies[at].up.as_ref().and_then(|up| up.point(there.height)) else { return Ok(()) };
-            if own.height != there.height || own.hash == there.hash {
-                continue;
-            }
-            let Some(target) = self.heard_by(at, one.who.id).into_iter().next() else { continue };
+        let Some(up) = &self.copies[at].up else { return Ok(()) };
+        let differs = |there: &Point| {
+            up.point(there.height).is_some_and(|own| own.height == there.height && own.hash != there.hash)
+        };
+        let other = said.iter().filter_map(|one| Some((one.who.id, one.at.filter(differs)?.height)));
+        // The log may contradict theirs behind what is executed here.
+        let next = up.ledger.tip().height + 1;
+        let asked: Vec<_> = other.chain(up.contradicting.iter().map(|id| (*id, next))).collect();
+        for (id, height) in asked {
+            let Some(target) = self.heard_by(at, id).into_iter().next() else { continue };
             let copy = &self.copies[target];
-            let branch = copy.up.as_ref().and_then(|up| up.branch(there.height, &copy.certificates));
+            let branch = copy.up.as_ref().and_then(|up| up.branch(height, &copy.certificates));
             let Some(branch) = branch else { continue };
             let (certified, mut found) = (self.copies[at].certified(), Vec::new());
             if let Some(up) = self.up(at) {
-                up.disputes.branch(branch, certified, &mut found);
+                let store = Arc::clone(&up.store);
+                up.disputes.branch(branch, certified, |height| store.entry(height).ok().flatten(), &mut found);
             }
             self.follow(at, found)?;
         }

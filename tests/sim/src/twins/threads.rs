@@ -86,7 +86,7 @@ impl World {
             Effect::Contradicted(found) => {
                 self.note(format_args!("{} contradicted by {found:?}", self.label(at)));
                 if let Some(up) = self.up(at) {
-                    up.is_contradicted = true;
+                    up.contradicting.insert(found.node);
                 }
             }
             Effect::Ignored { from, reason } => {

@@ -58,6 +58,8 @@ pub(super) enum Happening {
     Forge,
     /// An honest node crashes.
     Crash,
+    /// The power of a node that has just voted fails for a moment.
+    FailsAfterVote { at: usize },
 }
 
 /// The work of a process at its own time.
@@ -78,6 +80,8 @@ pub(super) struct World {
     pub(super) judge: Judge,
     pub(super) trace: Trace,
     pub(super) random: Random,
+    /// Decides which voters fail.
+    pub(super) votes: Random,
     pub(super) network: Hash,
     pub(super) genesis: Bytes,
     pub(super) founded: Governance,
@@ -165,6 +169,7 @@ impl World {
             sequence: 0,
             copies,
             random,
+            votes: Random::new(seed, "votes"),
             network,
             genesis,
             plan,
@@ -238,6 +243,7 @@ impl World {
             Happening::Parts => self.change_parts(),
             Happening::Forge => self.forge(),
             Happening::Crash => self.crash(),
+            Happening::FailsAfterVote { at } => self.fail_power(at),
         }
     }
 
@@ -302,7 +308,7 @@ impl World {
             inbox: VecDeque::new(),
             turn_at: u64::MAX,
             forked: None,
-            is_contradicted: false,
+            contradicting: BTreeSet::new(),
             beats: 0,
         });
         self.note(format_args!("{} starts", self.label(at)));

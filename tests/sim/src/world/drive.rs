@@ -5,8 +5,9 @@ use crate::clock::SECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Running, Verdict};
+use crate::withholding::withhold;
 use bytes::Bytes;
-use ledger_raft::{Input, Lane, PeerMessage, RaftKind, Role, RoleChange};
+use ledger_raft::{Input, PeerMessage, RaftKind, Role, RoleChange};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::Happened;
 use ledger_replica::{Circumstances, Effect, Event, Now, WAIT_MAX, Work};
@@ -66,15 +67,7 @@ impl World {
         if !replica.is_some_and(|replica| replica.leads()) {
             return false;
         }
-        match event {
-            Event::Input(Input::Submit { lane: Lane::Control, .. })
-            | Event::Input(Input::Message { message: PeerMessage::Unanswered(_), .. }) => true,
-            Event::Input(Input::Message { message: PeerMessage::Forward(forwarded), .. }) => {
-                forwarded.control.clear();
-                false
-            }
-            _ => false,
-        }
+        withhold(event).0
     }
 
     /// A voter complains about its leader.
