@@ -213,6 +213,7 @@ pub fn service(mode: &str) -> Service {
         stop_hex: None,
         epoch: 0,
         confidential: false,
+        speeds: Speeds::default(),
     }
 }
 

@@ -112,20 +112,21 @@ pub(crate) fn people_of(ctx: &mut Context<'_>, paging: &Paging) -> Result<Page<P
     Ok(Page { items, next: page.next })
 }
 
-/// Enters the rights that people gain, lose or keep with other limits on some robots in a difference of policies.
+/// Enters the rights that people gain, lose or keep with other limits in a difference of policies, on some robots as they are now and
+/// then.
 ///
 /// # Errors
 /// As [`rights`].
 pub(crate) fn compare(
     ctx: &mut Context<'_>,
     decider: &Decider,
-    robots: &[Robot],
+    robots: &[(Option<Robot>, Option<Robot>)],
     (before, after): (&TextSet, &TextSet),
     time: u64,
     diff: &mut PolicyDiff,
 ) -> Result<(), Rejection> {
-    let of_robot = |robot: &Robot| 2 * (robot.services.len() * OF_SERVICE + OF_ROBOT);
-    let of_person: usize = robots.iter().map(of_robot).sum();
+    let of_robot = |robot: &Robot| robot.services.len() * OF_SERVICE + OF_ROBOT;
+    let of_person: usize = robots.iter().flat_map(|(now, then)| [now, then]).flatten().map(of_robot).sum();
     let steps = before.steps.max(after.steps).max(1);
     let most = QUESTIONS_MAX.min(usize::try_from(STEPS_MAX / steps).unwrap_or(QUESTIONS_MAX));
     let (mut asked, mut after_name) = (0, None);
@@ -137,9 +138,12 @@ pub(crate) fn compare(
                 diff.incomplete = true;
                 return Ok(());
             }
-            for robot in robots {
-                let now = rights(ctx, decider, &principal, robot, before, time)?;
-                let then = rights(ctx, decider, &principal, robot, after, time)?;
+            for (now, then) in robots {
+                let ask = |robot: &Option<Robot>, set| match robot {
+                    Some(robot) => rights(ctx, decider, &principal, robot, set, time),
+                    None => Ok(Vec::new()),
+                };
+                let (now, then) = (ask(now, before)?, ask(then, after)?);
                 enter(&principal.id(), now, then, diff);
             }
         }

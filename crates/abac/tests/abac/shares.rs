@@ -258,9 +258,14 @@ fn only_the_owner_shares_its_robots_and_names_that_are_none_are_refused() {
     assert_eq!(late.unknown.iter().map(|name| name.name.as_str()).collect::<Vec<_>>(), ["Org1/Late"]);
     assert_eq!(preview(&mut fleet, &terms("Husky", "Org9")).unknown[0].kind, "Organisation");
     // A name that would end a literal, and the policy.
-    let evil = "Org1/x\", action, resource); permit (principal, action, resource); //";
-    let shown = preview(&mut fleet, &terms("Husky", evil));
-    assert_eq!((shown.meaning.len(), shown.unknown[0].name.as_str()), (1, evil));
+    let evil = "Org1/x\", action, resource); permit (principal, action, resource) when { \"a\" == \"";
+    match fleet.simulate(&owner(), "share_preview", &[text(&terms("Husky", evil)).into()]) {
+        Ok(answer) => {
+            let shown: SharePreview = serde_json::from_slice(&answer).unwrap();
+            assert_eq!((shown.meaning.len(), shown.unknown[0].name.as_str()), (1, evil));
+        }
+        Err(refused) => assert_eq!(refused.code, Code::PolicyInvalid, "{refused}"),
+    }
 }
 
 #[test]
