@@ -14,7 +14,6 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Format, Output, printable, printable_lines, warn};
 use crate::session::{self, ABAC, Session};
-use crate::time;
 use crate::words::Words;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyDiff, PolicyMeaning, SharePreview, ShareTerms, UnknownName};
@@ -82,7 +81,7 @@ impl Share {
             (Some(Shares::List(list)), _) => list.run(&session, output).await,
             (Some(Shares::Show(show)), _) => show.run(&session, output).await,
             (None, Some(terms)) => {
-                let terms = terms.read(time::now())?;
+                let terms = terms.read(session.client.now())?;
                 let preview = preview(&session, &terms).await?;
                 check_names(&preview.unknown, &self.expect)?;
                 finish(&session, output, terms, preview, &self.how).await
