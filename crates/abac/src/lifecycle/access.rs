@@ -13,6 +13,7 @@ use ledger::{Context, Page, Paging};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{LimitChange, PolicyDiff, Right, RightOf};
+use std::collections::BTreeSet;
 
 /// Most questions to the policies in one comparison.
 const QUESTIONS_MAX: usize = 16 * 1024;
@@ -95,7 +96,9 @@ fn given_by(of: &str, action: &str, rule: String) -> Right {
 fn both(one: Verdict, other: &Verdict) -> Verdict {
     match (one, other) {
         (Verdict::Permit(one), Verdict::Permit(other)) => Verdict::Permit(one.and(other.clone())),
-        (Verdict::Closed(one), Verdict::Closed(other)) => Verdict::Closed([one, other.clone()].concat()),
+        (Verdict::Closed(one), Verdict::Closed(other)) => {
+            Verdict::Closed(BTreeSet::from_iter(one.into_iter().chain(other.clone())).into_iter().collect())
+        }
         (Verdict::Permit(_), other) => other.clone(),
         (one, _) => one,
     }
