@@ -60,9 +60,10 @@ pub use ledger_contract::{
     MessageEvent, Mode, OnConflict, PassOptions, Pending, Permitted, Place, Point, PolicyApproval, PolicyApprovals,
     PolicyChange, PolicyCheck, PolicyDiff, PolicyDigest, PolicyDraft, PolicyEntry, PolicyFault, PolicyMeaning,
     PolicyNeed, PolicyProposal, PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText, Published, Publishing,
-    Reader, ReaderTold, Readers, Reason, Released, Right, RightOf, RobotAsset, RobotChange, RobotEvent, RobotSettings,
-    RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Share, ShareEntry, SharePreview, ShareTerms,
-    Sharing, SideDoor, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told, UnsharePreview, Wrapped,
+    Reader, ReaderTold, Readers, Reason, Released, RemovedRobot, Right, RightOf, RobotAsset, RobotChange, RobotEvent,
+    RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Share, ShareEntry, SharePreview,
+    ShareTerms, Sharing, SideDoor, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told, UnsharePreview,
+    Wrapped,
 };
 pub use policy::defaults::{DEFAULT_POLICY, SCHEMA};
 pub use policy::limits::POLICY_BYTES_MAX;

@@ -63,7 +63,7 @@ impl Printed {
         let robot =
             "[robot.Leo]\nattr-required = 'Leo'\n[robot.Leo.service.'/cmd_vel']\ntype = 'geometry_msgs/msg/Twist'\n";
         let share = "[[share]]\nresource = 'Husky'\nwith = 'Org1'\nattr = 'Turtlebot4'\n";
-        std::fs::write(&path, format!("{robot}{share}[robot.Husky.attributes]\nkind = 'rover'\n")).unwrap();
+        fs::write(&path, format!("{robot}{share}[robot.Husky.attributes]\nkind = 'rover'\n")).unwrap();
         self.run(owner, "diff", &[file]);
         self.run(owner, "apply", &[file, "--yes"]);
         owner.run(&["unshare", "Husky", "--with", "Org1", "--yes"]).ok();

@@ -151,7 +151,7 @@ pub(crate) fn check_service(decider: &Decider, spec: ServiceSpec) -> Result<Serv
     let mode = spec.mode.unwrap_or_else(|| rules::default_mode(spec.direction));
     terms::check(decider.rules.chosen(&mode)?, &spec.sharing, topic)?;
     check_confidential(&spec.sharing, &spec.type_name, topic)?;
-    check_speeds(&spec, topic)?;
+    check_speeds(spec.direction, &spec.type_name, &spec.sharing, topic)?;
     let attributes = attributes::described(spec.attributes, attributes::OF_SERVICE_BYTES_MAX)?;
     Ok(Service {
         topic: spec.topic,
@@ -168,17 +168,16 @@ pub(crate) fn check_service(decider: &Decider, spec: ServiceSpec) -> Result<Serv
 }
 
 /// A maximum that no gate could enforce would be worse than none.
-fn check_speeds(spec: &ServiceSpec, topic: &str) -> Result<(), Rejection> {
+fn check_speeds(direction: Direction, type_name: &str, sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
     const LINEAR: [&str; 2] = ["ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"];
     const BOTH: [&str; 2] = ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"];
-    let type_name = spec.type_name.as_str();
-    let is_command = spec.direction == Direction::Command;
+    let is_command = direction == Direction::Command;
     let has_angular = is_command && BOTH.contains(&type_name);
     let has_linear = has_angular || (is_command && LINEAR.contains(&type_name));
-    let Sharing { max_linear_mm_s, max_angular_mrad_s, .. } = spec.sharing;
+    let Sharing { max_linear_mm_s, max_angular_mrad_s, .. } = sharing;
     let refused = |key: &str, wanted: &str| {
         Err(Rejection::new(Code::BadArgument, format!("service {topic} cannot have {key}"))
-            .found(format!("{} of {type_name}", spec.direction))
+            .found(format!("{direction} of {type_name}"))
             .wanted(format!("commands of {wanted}"))
             .next(format!("leave {key} out: the gate knows no such speed in these messages")))
     };

@@ -17,6 +17,9 @@ use ledger_contract::{FleetChange, FleetPlan, PolicyDiff, RemovedRobot, RobotCha
 
 /// Longest plan, in bytes.
 const PLAN_BYTES_MAX: usize = 4 * 1024 * 1024;
+/// A robot as it was, unless it is new, and as it is to be, unless it goes.
+type BeforeAndAfter = (Option<Robot>, Option<Robot>);
+
 /// Most robots of one plan.
 const ROBOTS_MAX: usize = 256;
 
@@ -83,7 +86,7 @@ fn entered(
     decider: &Decider,
     organisation: &str,
     spec: RobotSpec,
-) -> Result<(Option<Robot>, Option<Robot>), Rejection> {
+) -> Result<BeforeAndAfter, Rejection> {
     let admin = robots::admin(ctx, "change robots")?;
     let before = description::registered(ctx, &spec.name)?;
     match &before {
@@ -104,9 +107,9 @@ fn entered(
 fn with_unchanged(
     ctx: &Context<'_>,
     organisation: &str,
-    mut pairs: Vec<(Option<Robot>, Option<Robot>)>,
+    mut pairs: Vec<BeforeAndAfter>,
     all: bool,
-) -> Result<Vec<(Option<Robot>, Option<Robot>)>, Rejection> {
+) -> Result<Vec<BeforeAndAfter>, Rejection> {
     if all {
         let is_in_plan =
             |name: &str| pairs.iter().flat_map(|(now, then)| [now, then]).flatten().any(|one| one.name == name);
