@@ -21,6 +21,7 @@ use std::sync::Arc;
 /// | `setup ROBOT_JSON...` | an admin of the owner | the assets |
 /// | `configure ROBOT[/TOPIC] SETTINGS_JSON` | an admin of the owner | [`crate::RobotChange`] |
 /// | `replace ROBOT_JSON...` | an admin of the owner | a [`crate::RobotChange`] each |
+/// | `reconcile PLAN_JSON` of [`crate::FleetPlan`] | an admin of the owner | [`crate::FleetChange`]; all of it or nothing |
 /// | `remove ROBOT` | an admin of the owner | the grants it ended |
 /// | `acquire SERVICE [LEASE_MS\|OPTIONS_JSON]` | whom policies permit | [`crate::Acquired`] |
 /// | `acquire_all OPTIONS_JSON SERVICE...` | whom policies permit all of them | [`crate::Grant`]s |
@@ -40,7 +41,11 @@ use std::sync::Arc;
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `can ASK_JSON` of [`crate::Ask`] | anybody | [`crate::Can`] |
 /// | `could ASK_JSON PAGE_JSON` | an admin, about their organisation | page of [`crate::Could`] |
+/// | `access ACCESS_JSON [PAGE_JSON]` of [`crate::AskAccess`] | anybody about themselves, an admin about their organisation, an admin of the owner about all | page of [`crate::Access`] |
 /// | `check TEXT` | anybody | [`crate::PolicyCheck`]: the faults of a policy, or its meaning |
+/// | `shares [PAGE_JSON]` | anybody | [`crate::ShareEntry`]s |
+/// | `share_preview TERMS_JSON` of [`crate::ShareTerms`] | an admin of the owner | [`crate::SharePreview`], whose set is for `policy apply` |
+/// | `unshare_preview ID` | an admin of the owner | [`crate::UnsharePreview`], whose set is for `policy apply` |
 /// | `diff POLICIES_JSON` of [`crate::PolicyText`] | anybody, about the robots of their organisation | [`crate::PolicyDiff`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
@@ -75,8 +80,9 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 47] = [
+const FUNCTIONS: [&str; 52] = [
     "GetSubmittingClientIdentity",
+    "access",
     "acquire",
     "acquire_all",
     "authorize",
@@ -105,6 +111,7 @@ const FUNCTIONS: [&str; 47] = [
     "reader",
     "readers",
     "recall",
+    "reconcile",
     "release",
     "remove",
     "renew",
@@ -118,16 +125,20 @@ const FUNCTIONS: [&str; 47] = [
     calls::set_policy_approvals::SET,
     "setup",
     "share",
+    "share_preview",
+    "shares",
     "stop",
     "submit",
     "take",
     "task",
     "tasks",
+    "unshare_preview",
 ];
 
 /// Those of them that only read.
-const READS: [&str; 21] = [
+const READS: [&str; 25] = [
     "GetSubmittingClientIdentity",
+    "access",
     "authorize",
     "can",
     "check",
@@ -146,12 +157,15 @@ const READS: [&str; 21] = [
     "robot",
     "robots",
     "service",
+    "share_preview",
+    "shares",
     "task",
     "tasks",
+    "unshare_preview",
 ];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
-const URGENT: [&str; 18] = [
+const URGENT: [&str; 19] = [
     "acquire",
     "acquire_all",
     "cancel",
@@ -163,6 +177,7 @@ const URGENT: [&str; 18] = [
     "policy",
     "progress",
     "recall",
+    "reconcile",
     "release",
     "remove",
     "renew",
@@ -269,6 +284,10 @@ impl Chaincode for AccessControl {
             "task" => calls::task::task(ctx, args),
             "can" => calls::can::can(ctx, decider, args),
             "could" => calls::could::could(ctx, decider, args),
+            "access" => calls::access::access(ctx, decider, args),
+            "shares" => calls::shares::list(ctx, args),
+            "share_preview" => calls::share_preview::preview(ctx, decider, args),
+            "unshare_preview" => calls::unshare_preview::preview(ctx, decider, args),
             "check" => calls::check::check(ctx, decider, args),
             "diff" => calls::diff::diff(ctx, decider, args),
             "release" => calls::release::release(ctx, decider, args),
@@ -277,6 +296,7 @@ impl Chaincode for AccessControl {
             "setup" => calls::setup::setup(ctx, decider, args),
             "configure" => calls::configure::configure(ctx, decider, args),
             "replace" => calls::replace::replace(ctx, decider, args),
+            "reconcile" => calls::reconcile::reconcile(ctx, decider, args),
             "remove" => calls::remove::remove(ctx, args),
             "robots" => calls::robots::robots(ctx, decider, args),
             "robot" => calls::robot::robot(ctx, decider, args),
