@@ -99,7 +99,7 @@ impl Site {
         let network = Network::start_with(PAPER, LIMITS).await;
         let site = Self { home: tempfile::tempdir().unwrap(), network };
         let robot = |number: usize| founding::robot(&format!("Robot{number}"), "Fleet");
-        let camera = r#"{"name":"Camera","attribute_required":"Fleet","services":
+        let camera = r#"{"name":"Camera","attribute_required":"Fleet","trusted":["Org1","Org2"],"services":
             [{"topic":"/image","type":"sensor_msgs/msg/Image","mode":"exclusive"}]}"#;
         let robots: Vec<_> = (0..ROUTES[2]).map(robot).chain([Bytes::from_static(camera.as_bytes())]).collect();
         let owner = site.network.owner_at(0).await;

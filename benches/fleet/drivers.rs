@@ -38,7 +38,8 @@ pub(crate) struct Drivers {
 /// A robot with one `/cmd_vel` in this mode, for those who carry the attribute `Fleet`.
 pub(crate) fn robot(name: &str, mode: &str) -> Bytes {
     let service = format!(r#"{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"{mode}"}}"#);
-    format!(r#"{{"name":"{name}","attribute_required":"Fleet","services":[{service}]}}"#).into()
+    format!(r#"{{"name":"{name}","attribute_required":"Fleet","trusted":["Org1","Org2"],"services":[{service}]}}"#)
+        .into()
 }
 
 /// Registers robots in calls of a size that is accepted.

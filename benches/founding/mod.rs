@@ -160,7 +160,10 @@ pub(crate) fn robots() -> Vec<Bytes> {
 /// A robot that who has the attribute may drive, with one exclusive `/cmd_vel`.
 pub(crate) fn robot(name: &str, attribute: &str) -> Bytes {
     let service = r#"{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}"#;
-    format!(r#"{{"name":"{name}","attribute_required":"{attribute}","services":[{service}]}}"#).into()
+    format!(
+        r#"{{"name":"{name}","attribute_required":"{attribute}","trusted":["Org1","Org2"],"services":[{service}]}}"#
+    )
+    .into()
 }
 
 /// A `geometry_msgs/msg/Twist` in CDR: header and six doubles, 52 bytes.

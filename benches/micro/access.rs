@@ -192,7 +192,7 @@ impl Fleet {
 fn robot(number: usize) -> Bytes {
     let name = robot_name(number);
     Bytes::from(format!(
-        r#"{{"name":"{name}","attribute_required":"driver","services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}}]}}"#
+        r#"{{"name":"{name}","attribute_required":"driver","trusted":["Org1","Org2"],"services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}}]}}"#
     ))
 }
 

@@ -12,7 +12,7 @@ use ledger_storage::state::{MemoryState, Overlay, StateRead};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-const ROBOT: &str = r#"{"name":"Husky","attribute_required":"Husky",
+const ROBOT: &str = r#"{"name":"Husky","attribute_required":"Husky","trusted":["Org1","Org2"],
     "services":[{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}]}"#;
 const SERVICE: &str = "Husky/cmd_vel";
 /// Block time.

@@ -225,15 +225,16 @@ async fn register_robots(home: &Path, admin: Option<&String>) -> Result<Vec<Stri
     Ok(names)
 }
 
-/// Turtlebot4 and Husky with their `/cmd_vel`, OptiTrack with its poses (paper, "Task").
+/// Turtlebot4 and Husky with their `/cmd_vel`, OptiTrack with its poses (paper, "Task"). They trust both organisations.
 pub(crate) fn paper_robots(mode: &str) -> Vec<(&'static str, serde_json::Value)> {
     let mobile = |name: &'static str| {
         let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": mode});
-        (name, json!({"name": name, "attribute_required": name, "services": [service]}))
+        (name, json!({"name": name, "attribute_required": name, "trusted": ORGANISATIONS, "services": [service]}))
     };
     let poses =
         json!({"topic": "/poses", "type": "geometry_msgs/msg/PoseStamped", "mode": "open", "direction": "feed"});
-    let optitrack = json!({"name": "OptiTrack", "attribute_required": "OptiTrack", "services": [poses]});
+    let optitrack =
+        json!({"name": "OptiTrack", "attribute_required": "OptiTrack", "trusted": ORGANISATIONS, "services": [poses]});
     vec![mobile("Turtlebot4"), mobile("Husky"), ("OptiTrack", optitrack)]
 }
 

@@ -20,7 +20,7 @@ pub(crate) async fn with_light(mode: &str) -> (World, Client) {
     let owner = owner_of(&world).await;
     let service = |topic: &str, direction: &str, mode: &str| serde_json::json!({ "topic": topic, "type": TYPE, "direction": direction, "mode": mode, "max_age_ms": 5000 });
     let services = [service("/light", "command", mode), service("/light/_reply", "feed", "open")];
-    let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "services": services });
+    let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "trusted": ["Org1", "Org2"], "services": services });
     call(&owner, "replace", &[&spec.to_string()]).await;
     (world, owner)
 }

@@ -24,7 +24,7 @@ const ROVERS_PAGE: &str = "127.0.0.1:7462";
 fn description(robot: &str, organisation_attribute: &str) -> String {
     let service = |topic: &str, direction: &str| serde_json::json!({"topic": topic, "type": TYPE, "direction": direction, "max_age_ms": 5000, "lease_ms": 4000});
     let services = [service("/cmd_vel", "command"), service("/odom", "feed")];
-    serde_json::json!({"name": robot, "attribute_required": organisation_attribute, "services": services}).to_string()
+    serde_json::json!({"name": robot, "attribute_required": organisation_attribute, "trusted": ["Org1", "Org2"], "services": services}).to_string()
 }
 
 fn start(world: &World, name: &str, domain: u16, discover: &str) -> Process {

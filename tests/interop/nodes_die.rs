@@ -89,7 +89,7 @@ impl Trio {
     pub(crate) async fn register(&self) -> Client {
         let owner = self.until("the owner connects", async || Client::connect(&self.context("Owner")).await.ok()).await;
         let service = serde_json::json!({"topic": "/cmd_vel", "type": TYPE, "mode": "exclusive", "max_age_ms": 5000});
-        let rover = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "services": [service]});
+        let rover = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "trusted": ORGANISATIONS, "services": [service]});
         let registered = owner.invoke("abac", "setup", vec![Bytes::from(rover.to_string())]).await.unwrap();
         self.has_caught_up(0, registered.height).await;
         owner

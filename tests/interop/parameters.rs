@@ -40,7 +40,7 @@ fn parameters_of_a_robots_node_are_set_and_read_by_its_holder_and_by_nobody_else
             ]
         });
         let services: Vec<_> = services.collect();
-        let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "services": services });
+        let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "trusted": ["Org1", "Org2"], "services": services });
         call(&owner_of(&world).await, "replace", &[&spec.to_string()]).await;
         let salma = world.start_bridge_as("Salma", &routes(1, "service_server"), &[]);
         let robot = world.start_bridge_as("Rover", &routes(3, "service_client"), &[]);

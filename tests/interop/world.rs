@@ -393,7 +393,7 @@ async fn register_rover(owner: &Client, topic: &str, kind: &str, mode: &str) -> 
 
 async fn register(owner: &Client, robot: &str, topic: &str, kind: &str, mode: &str) -> u64 {
     let service = serde_json::json!({"topic": topic, "type": kind, "mode": mode, "max_age_ms": 5000, "lease_ms": 4000});
-    let spec = serde_json::json!({"name": robot, "attribute_required": "Rover", "services": [service]});
+    let spec = serde_json::json!({"name": robot, "attribute_required": "Rover", "trusted": ["Org1", "Org2"], "services": [service]});
     owner.invoke("abac", "setup", vec![Bytes::from(spec.to_string())]).await.unwrap().height
 }
 

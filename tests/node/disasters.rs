@@ -10,7 +10,7 @@ use serde_json::json;
 
 fn robot(name: &str) -> String {
     let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "exclusive"});
-    json!({"name": name, "attribute_required": name, "services": [service]}).to_string()
+    json!({"name": name, "attribute_required": name, "trusted": ["Org1", "Org2"], "services": [service]}).to_string()
 }
 
 fn answers(ctl: &Ctl) {

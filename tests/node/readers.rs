@@ -201,7 +201,7 @@ async fn costly_questions_of_one_identity_keep_no_other_reader_waiting() {
         .map(|number| {
             let services = json!([{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]);
             Bytes::from(
-                json!({"name": format!("Fleet{number}"), "attribute_required": "Fleet", "services": services})
+                json!({"name": format!("Fleet{number}"), "attribute_required": "Fleet", "trusted": ["Org1", "Org2"], "services": services})
                     .to_string(),
             )
         })

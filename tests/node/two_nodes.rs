@@ -95,7 +95,7 @@ async fn what_one_node_has_told_anybody_no_other_node_refuses() {
     for round in 0..60_usize {
         let (robot, way) = (format!("Robot{round}"), round % 2);
         let setup = format!(
-            r#"{{"name":"{robot}","attribute_required":"Robot","services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"}}]}}"#
+            r#"{{"name":"{robot}","attribute_required":"Robot","trusted":["Org1","Org2"],"services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"}}]}}"#
         );
         told[way].invoke("abac", "setup", vec![setup.into()]).await.unwrap();
         match round % 3 {

@@ -287,11 +287,15 @@ pub async fn connect(context: &Context) -> Client {
     .await
 }
 
-/// The robots of the paper, with `/cmd_vel` in this mode.
+/// The robots of the paper, with `/cmd_vel` in this mode. They trust each organisation of the network.
 pub async fn register_robots(owner: &Client, mode: &str) {
+    let members = owner.query("msp", "organisations", vec![]).await.unwrap().response;
+    let members: Vec<String> = serde_json::from_slice(&members).unwrap();
     let robot = |name: &str| {
         let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": mode});
-        Bytes::from(json!({"name": name, "attribute_required": name, "services": [service]}).to_string())
+        Bytes::from(
+            json!({"name": name, "attribute_required": name, "trusted": members, "services": [service]}).to_string(),
+        )
     };
     owner.invoke("abac", "setup", vec![robot("Turtlebot4"), robot("Husky")]).await.unwrap();
 }

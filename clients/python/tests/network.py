@@ -236,7 +236,7 @@ class Three(Place):
         self.ctl("admin", "network", "approve", found[1])
         self.until_whole()
         service = {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "exclusive"}
-        robot = {"name": "Turtlebot4", "attribute_required": "Turtlebot4", "services": [service]}
+        robot = {"name": "Turtlebot4", "attribute_required": "Turtlebot4", "trusted": ["Org1", "Org2"], "services": [service]}
         self.ctl("Org2-admin", "invoke", "abac", "setup", json.dumps(robot))
 
     def _voters(self) -> int:

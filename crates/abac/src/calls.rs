@@ -1,6 +1,7 @@
 //! The functions of the contract, a file each: it parses the arguments, checks who calls, and answers. Changes of the state are in
 //! [`lifecycle`](crate::lifecycle).
 
+pub(crate) mod access;
 pub(crate) mod acquire;
 pub(crate) mod acquire_all;
 pub(crate) mod attributes;
@@ -50,11 +51,14 @@ pub(crate) mod set;
 pub(crate) mod set_policy_approvals;
 pub(crate) mod setup;
 pub(crate) mod share;
+pub(crate) mod share_preview;
+pub(crate) mod shares;
 pub(crate) mod stop;
 pub(crate) mod submit;
 pub(crate) mod take;
 pub(crate) mod task;
 pub(crate) mod tasks;
+pub(crate) mod unshare_preview;
 pub(crate) mod views;
 
 /// Name of the chaincode.

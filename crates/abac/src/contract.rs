@@ -40,7 +40,11 @@ use std::sync::Arc;
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `can ASK_JSON` of [`crate::Ask`] | anybody | [`crate::Can`] |
 /// | `could ASK_JSON PAGE_JSON` | an admin, about their organisation | page of [`crate::Could`] |
+/// | `access ACCESS_JSON [PAGE_JSON]` of [`crate::AskAccess`] | anybody about themselves, an admin about their organisation, an admin of the owner about all | page of [`crate::Access`] |
 /// | `check TEXT` | anybody | [`crate::PolicyCheck`]: the faults of a policy, or its meaning |
+/// | `shares [PAGE_JSON]` | anybody | [`crate::ShareEntry`]s |
+/// | `share_preview TERMS_JSON` of [`crate::ShareTerms`] | an admin of the owner | [`crate::SharePreview`], whose set is for `policy apply` |
+/// | `unshare_preview ID` | an admin of the owner | [`crate::UnsharePreview`], whose set is for `policy apply` |
 /// | `diff POLICIES_JSON` of [`crate::PolicyText`] | anybody, about the robots of their organisation | [`crate::PolicyDiff`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
@@ -75,8 +79,9 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 47] = [
+const FUNCTIONS: [&str; 51] = [
     "GetSubmittingClientIdentity",
+    "access",
     "acquire",
     "acquire_all",
     "authorize",
@@ -118,16 +123,20 @@ const FUNCTIONS: [&str; 47] = [
     calls::set_policy_approvals::SET,
     "setup",
     "share",
+    "share_preview",
+    "shares",
     "stop",
     "submit",
     "take",
     "task",
     "tasks",
+    "unshare_preview",
 ];
 
 /// Those of them that only read.
-const READS: [&str; 21] = [
+const READS: [&str; 25] = [
     "GetSubmittingClientIdentity",
+    "access",
     "authorize",
     "can",
     "check",
@@ -146,8 +155,11 @@ const READS: [&str; 21] = [
     "robot",
     "robots",
     "service",
+    "share_preview",
+    "shares",
     "task",
     "tasks",
+    "unshare_preview",
 ];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
@@ -269,6 +281,10 @@ impl Chaincode for AccessControl {
             "task" => calls::task::task(ctx, args),
             "can" => calls::can::can(ctx, decider, args),
             "could" => calls::could::could(ctx, decider, args),
+            "access" => calls::access::access(ctx, decider, args),
+            "shares" => calls::shares::list(ctx, args),
+            "share_preview" => calls::share_preview::preview(ctx, decider, args),
+            "unshare_preview" => calls::unshare_preview::preview(ctx, decider, args),
             "check" => calls::check::check(ctx, decider, args),
             "diff" => calls::diff::diff(ctx, decider, args),
             "release" => calls::release::release(ctx, decider, args),

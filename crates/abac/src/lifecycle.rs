@@ -11,8 +11,9 @@
 //! | `acquisition`, `delegation`, `departures`, `task_ends` | how a right is acquired, passed on and lost |
 //! | `undecided`, `turns`, `ends`, `robots`, `registration` | what begins without a call of the holder: turns, expiry, revocation, other policies or robots |
 //! | `publishing`, `subscribing`, `content_keys` | the rights to publish and to read |
-//! | `policy_approvals`, `policy_sets`, `policy_proposals`, `reachable` | the sets of policies |
+//! | `policy_approvals`, `policy_sets`, `policy_proposals`, `reachable`, `access` | the sets of policies, and whom they let do what |
 
+pub(crate) mod access;
 pub(crate) mod acquisition;
 pub(crate) mod capacity;
 pub(crate) mod confirmation;

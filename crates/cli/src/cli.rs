@@ -2,8 +2,8 @@
 
 use crate::command::{
     audit, bridge, ca, can, chaincode, completions, console, context, denials, doctor, emergency, enroll, explain,
-    grant, identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, task, top,
-    watch, whoami,
+    grant, identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, share, task,
+    top, watch, whoami,
 };
 use crate::failure::Failure;
 use crate::global::Global;
@@ -71,6 +71,8 @@ enum Command {
     Bridge(bridge::Bridge),
     #[command(subcommand)]
     Policy(policy::Policy),
+    Share(share::Share),
+    Unshare(share::unshare::Unshare),
     Can(can::Can),
     Console(console::Console),
     Invoke(chaincode::Invoke),
@@ -138,6 +140,8 @@ impl Cli {
             Command::Replay(command) => command.run(output).await,
             Command::Bridge(command) => command.run(global, output).await,
             Command::Policy(command) => command.run(global, output).await,
+            Command::Share(command) => command.run(global, output).await,
+            Command::Unshare(command) => command.run(global, output).await,
             Command::Can(command) => command.run(global, output).await,
             Command::Console(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,

@@ -26,6 +26,7 @@ pub(crate) mod readers;
 pub(crate) mod record;
 pub(crate) mod replay;
 pub(crate) mod robot;
+pub(crate) mod share;
 pub(crate) mod task;
 pub(crate) mod top;
 pub(crate) mod watch;

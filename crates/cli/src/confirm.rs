@@ -18,12 +18,31 @@ pub(crate) fn confirm(what: &str, lost: &[String], i_mean_it: bool) -> Result<()
             .wanted(found)
             .next("if you mean it: the same command with --i-mean-it")
     };
+    ask(lost, refused)
+}
+
+/// Asks whether a change that was shown is to be made, on a terminal; without one it has to be said in the command.
+///
+/// # Errors
+/// [`Code::LastOne`] if it is not to be made.
+pub(crate) fn agree(what: &str, yes: bool) -> Result<(), Rejection> {
+    if yes {
+        return Ok(());
+    }
+    ask(&[], |wanted| {
+        Rejection::new(Code::LastOne, format!("{what} was not put in force"))
+            .wanted(wanted)
+            .next("to put it in force without being asked: the same command with --yes")
+    })
+}
+
+fn ask(sentences: &[String], refused: impl Fn(&str) -> Rejection) -> Result<(), Rejection> {
     let mut answer = String::new();
     if !io::stdin().is_terminal() {
         return Err(refused("a terminal, to ask whether that is meant"));
     }
     let mut screen = io::stderr();
-    for sentence in lost {
+    for sentence in sentences {
         let _shown = writeln!(screen, "{sentence}");
     }
     let _asked = write!(screen, "type yes if you mean it: ").and_then(|()| screen.flush());

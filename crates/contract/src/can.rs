@@ -1,5 +1,6 @@
 //! May somebody do something, and why: the question `can`, and its answer.
 
+use crate::limits::Limits;
 use crate::policy::PolicyText;
 use serde::{Deserialize, Serialize};
 
@@ -145,7 +146,7 @@ pub struct PolicyMeaning {
 }
 
 /// The answer of `diff`: how a set of policies differs from the one in force.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PolicyDiff {
     /// The organisation whose policies they are to be.
     pub organisation: String,
@@ -164,6 +165,63 @@ pub struct PolicyDiff {
     /// Robots to which nobody whom the ledger knows could publish any more.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unreachable: Vec<String>,
+    /// Rights that people have with the set, and do not have now.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gained: Vec<RightOf>,
+    /// Rights that people have now, and do not have with the set.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lost: Vec<RightOf>,
+    /// Rights that stay, with other limits.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub limited: Vec<LimitChange>,
+    /// There are more people and services than it asks about: rights and limits of some are not compared.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub incomplete: bool,
+}
+
+/// A right that somebody has.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Right {
+    /// The service; for stop and resume the robot.
+    pub of: String,
+    /// The action. `acquire` is the right to acquire and to publish.
+    pub action: String,
+    /// The policies that give it.
+    pub policies: Vec<String>,
+    /// The reason why they have it without a policy; empty if policies give it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub rule: String,
+    /// The limits that go with it.
+    #[serde(default, skip_serializing_if = "Limits::is_none")]
+    pub limits: Limits,
+    /// The windows of time outside of which it is not theirs, if all of them are closed now.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub closed: Vec<String>,
+}
+
+/// A right, and who has it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RightOf {
+    /// The person.
+    pub who: String,
+    /// The right.
+    #[serde(flatten)]
+    pub right: Right,
+}
+
+/// A right that comes with other limits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LimitChange {
+    /// The person.
+    pub who: String,
+    /// The service.
+    pub of: String,
+    /// The action.
+    pub action: String,
+    /// The limits now.
+    pub before: Limits,
+    /// The limits with the set.
+    pub after: Limits,
 }
 
 /// A grant that a set of policies would end.

@@ -28,13 +28,17 @@ mod policy;
 mod robot;
 mod service;
 mod settings;
+mod share;
 mod sharing;
 mod side_door;
 mod task;
 mod word;
 
 pub use attribute::{Attribute, AttributeChanges, Attributes};
-pub use can::{Ask, Can, Condition, Could, PolicyCheck, PolicyDiff, PolicyFault, PolicyMeaning, UnknownName, WouldEnd};
+pub use can::{
+    Ask, Can, Condition, Could, LimitChange, PolicyCheck, PolicyDiff, PolicyFault, PolicyMeaning, Right, RightOf,
+    UnknownName, WouldEnd,
+};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confidential::{
     Envelope, KeyPlace, Keyed, NONCE_BYTES, READERS_MAX, READING_KEY_BYTES, Reader, ReaderTold, Readers, Share,
@@ -54,6 +58,7 @@ pub use policy::{
 pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, ServiceSpec, ServiceState, is_called, replies};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
+pub use share::{Access, AskAccess, ShareEntry, SharePreview, ShareTerms, UnsharePreview};
 pub use sharing::{Mode, OnConflict, Sharing, read_from, readers};
 pub use side_door::SideDoor;
 pub use task::{

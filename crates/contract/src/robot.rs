@@ -15,8 +15,7 @@ pub struct RobotSpec {
     pub name: String,
     /// The attribute a user's certificate must carry: `KEY=VALUE`, or `KEY` for `KEY=true`.
     pub attribute_required: String,
-    /// Organisations whose attributes count. By default those that are members when the robot is first registered,
-    /// so that an organisation that joins later cannot grant itself access.
+    /// Organisations whose attributes count. By default the owner alone, so that no other organisation grants itself access.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trusted: Option<Vec<String>>,
     /// Its services.

@@ -40,6 +40,21 @@ impl Printed {
         self.run(owner, "policy withdraw", &[proposed["id"].as_str().unwrap()]);
     }
 
+    /// A robot that is shared, and no longer.
+    fn shares(&mut self, owner: &Ctl) {
+        self.run(
+            owner,
+            "share",
+            &["Husky", "--with", "Org1/Farhad", "--attr", "Turtlebot4", "--max-linear", "0.3", "--yes"],
+        );
+        self.run(owner, "share", &["Husky", "--with", "Org1", "--read-only", "--dry-run"]);
+        self.run(owner, "share list", &[]);
+        self.run(owner, "share show", &["share-Husky-Org1-Farhad-Turtlebot4"]);
+        self.run(owner, "unshare", &["share-Husky-Org1-Farhad-Turtlebot4", "--yes"]);
+        self.run(owner, "can --matrix", &[]);
+        self.run(owner, "can --as", &["Org1/Salma"]);
+    }
+
     /// Sets of policies to which another organisation must agree.
     fn agrees_about_sets(&mut self, (owner, other): (&Ctl, &Ctl), [night, day]: [&str; 2]) {
         owner.run(&["policy", "apply", day, "--approvals", "organisations = 2"]).ok();
@@ -123,7 +138,15 @@ pub(super) fn play(it: &mut Printed) {
         it.run(&admin, name, rest);
     }
     assert!(invited["secret"].is_string(), "{invited}");
-    let spec = ["Spot", "--attr-required", "Husky", "--service", "/cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue"];
+    let spec = [
+        "Spot",
+        "--attr-required",
+        "Husky",
+        "--trust",
+        "Org1",
+        "--service",
+        "/cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue",
+    ];
     it.run(&owner, "robot add", &spec);
     it.run(&owner, "robot set", &["Spot/cmd_vel", "lease=30s"]);
     it.run(&owner, "robot list", &[]);
@@ -163,6 +186,7 @@ pub(super) fn play(it: &mut Printed) {
     farhad.run(&["acquire", "Husky/cmd_vel"]).refused(2, &[]);
     it.run(&owner, "denials", &[]);
     it.run(&owner, "can", &["Org1/Farhad", "acquire", "Husky/cmd_vel"]);
+    it.shares(&owner);
     let night = file("night.cedar", "permit(principal, action, resource);");
     it.run(&owner, "policy check", &[&night]);
     it.run(&owner, "policy put", &["night", &format!("@{night}")]);

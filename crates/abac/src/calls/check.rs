@@ -13,7 +13,7 @@ use ledger::{Context, Page, Paging};
 use ledger_base::hash::Hash;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::Rejection;
-use ledger_contract::UnknownName;
+use ledger_contract::{PolicyCheck, UnknownName};
 
 /// Most questions to find out whom a policy concerns.
 const QUESTIONS_MAX: usize = 4096;
@@ -26,7 +26,11 @@ const NAMES_MAX: usize = 256;
 /// the network does not know today.
 pub(crate) fn check(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("check TEXT", args, 1, 1)?;
-    let text = args.document(0, "TEXT", ASK_BYTES_MAX)?;
+    store::json(&checked(ctx, decider, args.document(0, "TEXT", ASK_BYTES_MAX)?)?)
+}
+
+/// The same for a text.
+pub(crate) fn checked(ctx: &mut Context<'_>, decider: &Decider, text: &str) -> Result<PolicyCheck, Rejection> {
     let mut checked = decider.diagnose(text);
     checked.unknown.truncate(NAMES_MAX);
     let mut unknown = Vec::new();
@@ -44,7 +48,7 @@ pub(crate) fn check(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
             policy.unmatched = !matched;
         }
     }
-    store::json(&checked)
+    Ok(checked)
 }
 
 /// For each policy: does it apply to anybody of today, and to a robot of the caller's organisation? Nothing where that would take too

@@ -58,7 +58,25 @@ pub(crate) fn read_spec(args: Arguments<'_>, index: usize) -> Result<RobotSpec, 
     })
 }
 
-/// Checks a description and fills in what it leaves out. Without another word a robot trusts whom it trusted before.
+/// Rejects the name of a new robot that differs from that of another one only in the case of its letters: people mix them up, and
+/// the identity of a robot has its exact name.
+pub(crate) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
+    let keys = ctx.range(b"robot/", usize::MAX);
+    let names = keys.iter().filter_map(|(key, _)| std::str::from_utf8(key).ok()?.strip_prefix("robot/"));
+    match names.into_iter().find(|known| known.eq_ignore_ascii_case(name) && *known != name) {
+        None => Ok(()),
+        Some(known) => Err(Rejection::new(
+            Code::AlreadyExists,
+            format!("{name} differs from a robot's name only in the case of its letters"),
+        )
+        .found(format!("robot {known}"))
+        .wanted("a name that people can tell from those of other robots")
+        .next(format!("choose another name; or use {known}, exactly so"))),
+    }
+}
+
+/// Checks a description and fills in what it leaves out. Without another word a robot trusts whom it trusted before, and a new one
+/// its owner alone.
 pub(crate) fn describe(
     ctx: &mut Context<'_>,
     decider: &Decider,
@@ -70,7 +88,7 @@ pub(crate) fn describe(
     let trusted = match (spec.trusted, before) {
         (Some(trusted), _) => check_trusted(ctx, trusted)?,
         (None, Some(robot)) => robot.trusted.clone(),
-        (None, None) => organisations(ctx)?,
+        (None, None) => vec![organisation.to_owned()],
     };
     let attributes = attributes::described(spec.attributes, attributes::OF_ROBOT_BYTES_MAX)?;
     Ok(Robot {

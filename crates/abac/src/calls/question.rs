@@ -23,9 +23,6 @@ pub(crate) const ASK_BYTES_MAX: usize = 1024 * 1024;
 /// An explained decision takes the steps of N others.
 const EXPLAINED_STEPS: u64 = 8;
 
-/// Those whom no policy is asked about.
-const OF_OWNER: &str = "an admin of the owner";
-
 /// Actions on services, as policies name them.
 pub(crate) const OF_SERVICE: [Action; 5] =
     [Action::Acquire, Action::Publish, Action::Subscribe, Action::Override, Action::Confirm];
@@ -101,9 +98,9 @@ impl Case {
         let (mut denial, mut rule) = (None, String::new());
         match &self.asked {
             Asked::Service(_, actions) if self.owner_may(principal) && actions.iter().all(Action::is_of_owner) => {
-                OF_OWNER.clone_into(&mut rule);
+                by_rule::OF_OWNER.clone_into(&mut rule);
             }
-            Asked::Robot(..) if self.owner_may(principal) => OF_OWNER.clone_into(&mut rule),
+            Asked::Robot(..) if self.owner_may(principal) => by_rule::OF_OWNER.clone_into(&mut rule),
             Asked::Service(target, actions) => {
                 for action in actions {
                     match explain(Object::Service(target, *action))? {

@@ -18,8 +18,9 @@ pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     for index in 0..args.rest(0).len() {
         let spec = description::read_spec(args, index)?;
         let before = description::registered(ctx, &spec.name)?;
-        if let Some(robot) = &before {
-            robots::check_owner(robot, admin)?;
+        match &before {
+            Some(robot) => robots::check_owner(robot, admin)?,
+            None => description::check_look(ctx, &spec.name)?,
         }
         let after = description::describe(ctx, decider, &admin.organisation, spec, before.as_ref())?;
         changes.push(robot_change::change(ctx, decider, before, after)?);

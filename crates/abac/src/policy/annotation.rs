@@ -14,8 +14,8 @@ use ledger_contract::Limits;
 const PRIORITY: &str = "priority";
 /// The window of time in which it permits.
 const BETWEEN: &str = "between";
-/// Annotations for people.
-const FOR_PEOPLE: [&str; 2] = ["id", "description"];
+/// Annotations for people, and the mark of a share.
+const FOR_PEOPLE: [&str; 3] = ["id", "description", "share"];
 /// Annotations that mean something.
 const MEANT: [&str; 6] = [PRIORITY, "max_rate", "max_age", "max_linear", "max_angular", BETWEEN];
 /// Largest rate (Hz) and speed (m/s, rad/s) of a limit.

@@ -9,6 +9,9 @@ use ledger_base::rejection::Rejection;
 use ledger_contract::Direction;
 use ledger_identity::Role;
 
+/// The reason for which an admin of the owner needs no policy.
+pub(crate) const OF_OWNER: &str = "an admin of the owner";
+
 /// The reason for which somebody may stop a robot by rule: they are the robot itself, or hold one of its command services.
 /// Only a `forbid` that names the action takes this right.
 pub(crate) fn stops(ctx: &Context<'_>, principal: &Principal, robot: &Robot) -> Result<Option<String>, Rejection> {

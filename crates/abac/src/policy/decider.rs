@@ -3,7 +3,7 @@
 use super::action::{Action, Object, RobotAction};
 use super::explain::{Explanation, WORK_OF_QUESTION, WORK_OF_REFUSAL};
 use super::limits;
-use super::texts::{self, Version};
+use super::texts::{self, TextSet, Version};
 use super::{Answer, Engine, Permit, Question, Resource, Texts, User, Verdict, by_rule, refusal};
 use crate::records::Records;
 use crate::records::grant::Holding;
@@ -232,6 +232,22 @@ impl Decider {
     ) -> Result<(Verdict, Explanation), Rejection> {
         let question = question(principal, object, texts::hash(texts), milliseconds(time));
         self.aside()?.explain(question, WORK_OF_QUESTION, || Ok(texts.clone()))
+    }
+
+    /// What do these policies decide at a time (microseconds)?
+    ///
+    /// # Errors
+    /// [`ledger_base::rejection::Code::Internal`] if nothing can decide.
+    pub(crate) fn decide_by(
+        &self,
+        ctx: &Context<'_>,
+        principal: &Principal,
+        object: Object<'_>,
+        set: &TextSet,
+        time: u64,
+    ) -> Result<Verdict, Rejection> {
+        let question = question(principal, object, set.hash, milliseconds(time));
+        Ok(self.engine_for(ctx)?.decide(question, || Ok(set.texts.clone()))?.verdict)
     }
 
     /// Would these policies permit it, now or when a window opens?

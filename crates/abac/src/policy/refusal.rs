@@ -66,7 +66,13 @@ pub(crate) fn explain(
         return Rejection::new(Code::DeniedByPolicy, format!("{refused}: {owner} does not trust its organisation"))
             .found(format!("organisation {}", principal.organisation))
             .wanted(format!("one of {}", robot.trusted.join(", ")))
-            .next(format!("{ask_owner} to add {} to the robot's trusted organisations", principal.organisation));
+            .next(format!(
+                "{ask_owner}: ledgerctl share {name} --with {who}, or, so that all attributes of {org} count, ledgerctl robot set \
+                 {name} trust={trusted},{org}",
+                name = robot.name,
+                org = principal.organisation,
+                trusted = robot.trusted.join(",")
+            ));
     }
     if of_required && principal.attributes.get(attribute).map(String::as_str) != Some(value) {
         let carried: Vec<String> = principal.attributes.iter().map(|(key, value)| format!("{key}={value}")).collect();

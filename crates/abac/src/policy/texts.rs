@@ -23,6 +23,26 @@ pub(crate) fn built_in() -> Texts {
     vec![(DEFAULT_ID.to_owned(), DEFAULT_POLICY.to_owned())]
 }
 
+/// Policies that decide together, in force or not.
+pub(crate) struct TextSet {
+    pub(crate) texts: Texts,
+    /// Over the texts.
+    pub(crate) hash: Hash,
+    /// Steps of a decision.
+    pub(crate) steps: u64,
+}
+
+impl TextSet {
+    /// These policies; the built-in one if there are none.
+    ///
+    /// # Errors
+    /// [`Code::PolicyInvalid`] if a decision by all would take too many steps.
+    pub(crate) fn of(texts: Texts) -> Result<Self, Rejection> {
+        let texts = if texts.is_empty() { built_in() } else { texts };
+        Ok(Self { hash: hash(&texts), steps: limits::steps_of_all(&texts)?, texts })
+    }
+}
+
 /// The set of policies that decides about the robots of an organisation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Version {

@@ -5,6 +5,7 @@ use super::expression::{operands, split, text};
 use super::naming::named;
 use crate::arguments::shown;
 use cedar_policy::{Effect, EntityUid, Policy, PolicySet, PrincipalConstraint, ResourceConstraint};
+use ledger_base::moment::rfc3339_seconds;
 use ledger_contract::PolicyMeaning;
 use serde_json::Value;
 
@@ -19,7 +20,7 @@ const OF_SERVICE: [(&str, &str); 5] = [
 /// Actions on robots.
 const OF_ROBOT: [&str; 2] = ["stop", "resume"];
 /// Conditions that most policies have, in Cedar and in words.
-const PHRASES: [(&str, &str); 6] = [
+const PHRASES: [(&str, &str); 7] = [
     ("resource.trusted.contains(principal.organisation)", "the owner of the robot trusts their organisation"),
     ("principal.hasTag(resource.requiredAttribute)", "their certificate has the attribute that the robot requires"),
     (
@@ -29,6 +30,10 @@ const PHRASES: [(&str, &str); 6] = [
     ("principal.organisation == resource.owner", "they belong to the owner of the robot"),
     ("resource.direction == \"command\"", "it is a command service"),
     ("resource.direction == \"feed\"", "it is a feed of the robot"),
+    (
+        "action == Action::\"subscribe\" || resource.direction == \"command\"",
+        "it is a command service, or they only subscribe",
+    ),
 ];
 
 /// The meaning of each policy of a text, in the order of the text.
@@ -191,7 +196,19 @@ fn in_words(part: &Value, phrases: &[(Value, &str)]) -> String {
             return format!("their {attribute} is {value}");
         }
     }
-    text(part).unwrap_or_else(|| part.to_string())
+    moment(part).or_else(|| text(part)).unwrap_or_else(|| part.to_string())
+}
+
+/// A bound of the time of the ledger.
+fn moment(part: &Value) -> Option<String> {
+    let bound = |operator: &str, words: &str| {
+        let (left, right) = operands(part, operator)?;
+        let access = left.get(".")?;
+        let is_time = access.get("left")?.get("Var")?.as_str()? == "context" && access.get("attr")?.as_str()? == "time";
+        let milliseconds = right.get("Value")?.as_u64().filter(|_| is_time)?;
+        Some(format!("it is {words} {}", rfc3339_seconds(milliseconds.checked_mul(1000)?)))
+    };
+    bound("<", "before").or_else(|| bound(">=", "not before"))
 }
 
 /// A limit in words; none for annotations that are for people.
@@ -255,7 +272,7 @@ mod tests {
                 "their certificate has the attribute guest",
                 "their attribute guest is yes",
                 "their role is member",
-                "context.time < 5",
+                "it is before 1970-01-01T00:00:00Z",
                 "not: principal.name like \"A*\"",
             ]
         );

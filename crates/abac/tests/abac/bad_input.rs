@@ -103,7 +103,7 @@ fn a_line_and_a_holder_of_what_is_no_more_are_told_so() {
     submit(&mut fleet, &salma(), TWO);
     fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
     // The service goes, the robot stays.
-    let other = r#"{"name":"Turtlebot4","attribute_required":"Turtlebot4","services":
+    let other = r#"{"name":"Turtlebot4","attribute_required":"Turtlebot4","trusted":["Org1","Org2"],"services":
         [{"topic":"/gripper","type":"geometry_msgs/msg/Twist"}]}"#;
     fleet.ok(&owner(), "replace", &[other]);
     fleet.tick();
@@ -224,7 +224,10 @@ fn crowded(services: usize, places: usize) -> Fleet {
         format!(r#"{{"topic":"/t{n}","type":"geometry_msgs/msg/Twist","mode":"limited","sharing":{sharing}}}"#)
     };
     let all: Vec<String> = (0..services).map(service).collect();
-    let spec = format!(r#"{{"name":"R","attribute_required":"Turtlebot4","services":[{}]}}"#, all.join(","));
+    let spec = format!(
+        r#"{{"name":"R","attribute_required":"Turtlebot4","trusted":["Org1","Org2"],"services":[{}]}}"#,
+        all.join(",")
+    );
     fleet.ok(&owner(), "setup", &[&spec]);
     fleet
 }

@@ -370,7 +370,7 @@ fn calls_are_not_confidential_and_messages_of_every_mode_may_be() {
     let mut fleet = Fleet::of_the_paper();
     let arm = |kind: &str| {
         format!(
-            r#"{{"name":"Arm","attribute_required":"Arm","services":[{{"topic":"/home","type":"{kind}","sharing":{{"confidential":true}}}}]}}"#
+            r#"{{"name":"Arm","attribute_required":"Arm","trusted":["Org1","Org2"],"services":[{{"topic":"/home","type":"{kind}","sharing":{{"confidential":true}}}}]}}"#
         )
     };
     for kind in ["std_srvs/srv/Trigger", "nav2_msgs/action/NavigateToPose"] {

@@ -21,7 +21,10 @@ fn user(number: usize) -> Identity {
 fn with_services(name: &str, described: &str, count: usize) -> String {
     let service = |n| format!(r#"{{"topic":"/t{n}","type":"geometry_msgs/msg/Twist",{described}}}"#);
     let services: Vec<String> = (0..count).map(service).collect();
-    format!(r#"{{"name":"{name}","attribute_required":"Turtlebot4","services":[{}]}}"#, services.join(","))
+    format!(
+        r#"{{"name":"{name}","attribute_required":"Turtlebot4","trusted":["Org1","Org2"],"services":[{}]}}"#,
+        services.join(",")
+    )
 }
 
 /// Blocks as the leader orders them, until nothing is due at once.

@@ -142,12 +142,12 @@ pub(crate) fn camera() -> Identity {
 /// The JSON of a robot with one command service on `/cmd_vel`.
 pub(crate) fn robot(name: &str, mode: &str) -> String {
     format!(
-        r#"{{"name":"{name}","attribute_required":"{name}",
+        r#"{{"name":"{name}","attribute_required":"{name}","trusted":["Org1","Org2"],
             "services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"{mode}"}}]}}"#
     )
 }
 
-pub(crate) const OPTITRACK: &str = r#"{"name":"OptiTrack","attribute_required":"OptiTrack","services":
+pub(crate) const OPTITRACK: &str = r#"{"name":"OptiTrack","attribute_required":"OptiTrack","trusted":["Org1","Org2"],"services":
     [{"topic":"/poses","type":"geometry_msgs/msg/PoseStamped","direction":"feed"}]}"#;
 
 /// Text and bytes as arguments.

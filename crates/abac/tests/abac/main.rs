@@ -38,6 +38,7 @@ mod reads;
 mod rights;
 mod robots;
 mod settings;
+mod shares;
 mod sharing;
 mod side_door;
 mod starving;

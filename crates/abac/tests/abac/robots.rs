@@ -50,10 +50,11 @@ fn an_organisation_that_joins_later_is_not_trusted_until_the_owner_says_so() {
     let mallory = identity("Org3", "Mallory", Role::Member, &["Turtlebot4", "Husky"], 66);
     let refusal = fleet.refused(&mallory, Code::DeniedByPolicy, "acquire", &[HUSKY]);
     assert_eq!((refusal.found.as_str(), refusal.wanted.as_str()), ("organisation Org3", "one of Org1, Org2"));
+    assert!(refusal.advice().contains("ledgerctl robot set Husky trust=Org1,Org2,Org3"), "{}", refusal.advice());
     // Updating the robot does not let it in by accident.
     fleet.ok(&owner(), "replace", &[&robot("Husky", "exclusive")]);
     fleet.refused(&mallory, Code::DeniedByPolicy, "acquire", &[HUSKY]);
-    let trusting = robot("Husky", "exclusive").replacen('{', r#"{"trusted":["Org3"],"#, 1);
+    let trusting = robot("Husky", "exclusive").replace(r#"["Org1","Org2"]"#, r#"["Org3"]"#);
     fleet.ok(&owner(), "replace", &[&trusting]);
     fleet.ok(&mallory, "acquire", &[HUSKY]);
     fleet.ok(&mallory, "release", &[HUSKY]);
@@ -61,9 +62,34 @@ fn an_organisation_that_joins_later_is_not_trusted_until_the_owner_says_so() {
 }
 
 #[test]
+fn a_robot_trusts_nobody_but_its_owner_until_the_owner_names_others_and_keeps_its_trust_when_it_is_replaced() {
+    let mut fleet = Fleet::empty();
+    let plain = robot("Husky", "exclusive").replace(r#""trusted":["Org1","Org2"],"#, "");
+    let trusted = |fleet: &mut Fleet| fleet.get::<RobotAsset>(&owner(), "robot", &["Husky"]).trusted;
+    fleet.ok(&owner(), "setup", &[&plain]);
+    assert_eq!(trusted(&mut fleet), ["Org2"]);
+    fleet.refused(&salma(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
+    fleet.ok(&owner(), "configure", &["Husky", r#"{"trusted":["Org2","Org1"]}"#]);
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    fleet.ok(&owner(), "replace", &[&plain]);
+    assert_eq!(trusted(&mut fleet), ["Org1", "Org2"]);
+}
+
+#[test]
+fn a_name_that_differs_from_a_robots_only_in_case_is_rejected() {
+    let mut fleet = Fleet::of_the_paper();
+    for function in ["setup", "replace"] {
+        let refused = fleet.refused(&owner(), Code::AlreadyExists, function, &[&robot("turtlebot4", "open")]);
+        assert_eq!(refused.found, "robot Turtlebot4");
+        assert!(refused.message.contains("case of its letters"), "{refused}");
+    }
+    fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "open")]);
+}
+
+#[test]
 fn a_trusted_organisation_must_exist() {
     let mut fleet = Fleet::empty();
-    let spec = robot("Husky", "open").replacen('{', r#"{"trusted":["Org1","Org22"],"#, 1);
+    let spec = robot("Husky", "open").replace(r#"["Org1","Org2"]"#, r#"["Org1","Org22"]"#);
     let refusal = fleet.refused(&owner(), Code::BadArgument, "setup", &[&spec]);
     assert_eq!(refusal.advice(), r#"did you mean "Org2"?"#);
 }
@@ -106,7 +132,7 @@ fn an_unknown_name_is_answered_with_the_nearest_one() {
 #[test]
 fn the_name_of_a_robot_stands_for_its_only_service() {
     let mut fleet = Fleet::of_the_paper();
-    let two = r#"{"name":"Husky","attribute_required":"Husky","services":[
+    let two = r#"{"name":"Husky","attribute_required":"Husky","trusted":["Org1","Org2"],"services":[
         {"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"},{"topic":"/arm/joint","type":"std_msgs/msg/Float64"}]}"#;
     fleet.ok(&owner(), "replace", &[two]);
     let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &["Husky"]);
@@ -157,7 +183,10 @@ fn what_is_no_ros_name_or_out_of_range_is_refused() {
         (good.replace(mode, r#""stop_hex":"xyz""#), Code::BadArgument),
         (good.replace(mode, r#""colour":"red""#), Code::BadArgument),
         (good.replace("\"services\":[", "\"services\":[],\"x\":["), Code::BadArgument),
-        (r#"{"name":"Husky","attribute_required":"x","services":[]}"#.to_owned(), Code::BadArgument),
+        (
+            r#"{"name":"Husky","attribute_required":"x","trusted":["Org1","Org2"],"services":[]}"#.to_owned(),
+            Code::BadArgument,
+        ),
     ];
     for (spec, code) in cases {
         assert_ne!(spec, good, "the case changes nothing");

@@ -5,7 +5,7 @@ use ledger_abac::{DEFAULT_POLICY, Grant, Mode, Reason, RobotAsset, RobotChange, 
 use ledger_base::rejection::Code;
 use ledger_identity::Role;
 
-const TWO: &str = r#"{"name":"Spot","attribute_required":"Husky","services":[
+const TWO: &str = r#"{"name":"Spot","attribute_required":"Husky","trusted":["Org1","Org2"],"services":[
     {"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"},{"topic":"/arm","type":"std_msgs/msg/Float64"}]}"#;
 
 fn change(topic: &str, setting: &str, before: &str, after: &str) -> SettingChange {

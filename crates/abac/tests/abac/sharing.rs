@@ -290,8 +290,10 @@ fn a_certificate_waits_in_a_bounded_number_of_lines() {
         .map(|n| format!(r#"{{"topic":"/t{n}","type":"geometry_msgs/msg/Twist","sharing":{{"on_conflict":"queue"}}}}"#))
         .collect();
     for robot in ["A", "B"] {
-        let spec =
-            format!(r#"{{"name":"{robot}","attribute_required":"Turtlebot4","services":[{}]}}"#, services.join(","));
+        let spec = format!(
+            r#"{{"name":"{robot}","attribute_required":"Turtlebot4","trusted":["Org1","Org2"],"services":[{}]}}"#,
+            services.join(",")
+        );
         fleet.ok(&owner(), "setup", &[&spec]);
     }
     let id = |n: usize| if n < 64 { format!("A/t{n}") } else { "B/t0".to_owned() };

@@ -46,12 +46,12 @@ pub(crate) fn tell(rules: u32) -> Chain {
 
 fn robot(name: &str, mode: &str) -> String {
     let service = json!({ "topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": mode });
-    json!({ "name": name, "attribute_required": name, "services": [service] }).to_string()
+    json!({ "name": name, "attribute_required": name, "trusted": ["Org1", "Org2"], "services": [service] }).to_string()
 }
 
 fn robots(teller: &mut Teller) {
     let poses = json!({ "topic": "/poses", "type": "geometry_msgs/msg/PoseStamped", "direction": "feed" });
-    let camera = json!({ "name": "OptiTrack", "attribute_required": "OptiTrack", "services": [poses] }).to_string();
+    let camera = json!({ "name": "OptiTrack", "attribute_required": "OptiTrack", "trusted": ["Org1", "Org2"], "services": [poses] }).to_string();
     let (turtlebot, husky) = (robot("Turtlebot4", "exclusive"), robot("Husky", "open"));
     teller.call(SALMA, Code::NotAdmin, "abac", "setup", &[&turtlebot]);
     teller.call(OWNER, Ok, "abac", "setup", &[&turtlebot, &husky, &camera]);

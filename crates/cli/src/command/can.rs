@@ -1,5 +1,6 @@
 //! `can`: may somebody do something, why, and who could instead.
 
+use super::grant::limits_text;
 use crate::answer;
 use crate::argument::policies;
 use crate::argument::when::When;
@@ -13,9 +14,8 @@ use bytes::Bytes;
 use ledger::Page;
 use ledger_api::pages::PageBound;
 use ledger_base::rejection::{Class, Rejection};
-use ledger_contract::{Ask, Can as Answer, Could, Direction, RobotAsset};
+use ledger_contract::{Access, Ask, AskAccess, Can as Answer, Could, PolicyText, Right, RobotAsset};
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
@@ -37,16 +37,17 @@ Actions: acquire, publish, subscribe, override, confirm; of a robot stop and res
 Example:
   ledgerctl can Org1/Farhad acquire Husky/cmd_vel --who-could
   ledgerctl can Org1/Salma publish Turtlebot4/cmd_vel --at 2027-05-01T22:00:00+02:00 --policy night.cedar
-  ledgerctl can --matrix")]
+  ledgerctl can --matrix
+  ledgerctl can --as Org1/Salma")]
 pub(crate) struct Can {
     /// The person, such as Org1/Farhad; a name alone is of your organisation
-    #[arg(required_unless_present = "matrix")]
+    #[arg(required_unless_present_any = ["matrix", "as"])]
     who: Option<String>,
     /// An action, such as acquire
-    #[arg(required_unless_present = "matrix")]
+    #[arg(required_unless_present_any = ["matrix", "as"])]
     action: Option<String>,
     /// The service, or the robot
-    #[arg(value_name = "ROBOT[/TOPIC]", required_unless_present = "matrix")]
+    #[arg(value_name = "ROBOT[/TOPIC]", required_unless_present_any = ["matrix", "as"])]
     service: Option<String>,
     /// At this time instead of now: 10m from now, or a time such as 2027-05-01T22:00:00+02:00
     #[arg(long, value_name = "TIME")]
@@ -57,9 +58,12 @@ pub(crate) struct Can {
     /// Also tell who of your organisation could do it; for its admins
     #[arg(long)]
     who_could: bool,
-    /// Tell who of your organisation may acquire or read which service; for its admins
+    /// Tell who may do what on every robot: of each organisation for admins of its owner, of their own for other admins
     #[arg(long, conflicts_with_all = ["who", "action", "service", "who_could"])]
     matrix: bool,
+    /// Tell all that this person may do, such as Org1/Salma
+    #[arg(long = "as", id = "as", value_name = "ORG/PERSON", conflicts_with_all = ["who", "action", "service", "who_could"])]
+    person: Option<String>,
 }
 
 /// The words of the command line where the chaincode has other names.
@@ -78,7 +82,7 @@ impl Can {
             policies: policies.clone(),
         };
         let (Some(who), Some(action), Some(service)) = (self.who, self.action, self.service) else {
-            return output.show(&matrix(&session, ask).await?);
+            return output.show(&matrix(&session, self.person, at, policies).await?);
         };
         let who = if who.contains('/') { who } else { format!("{}/{who}", session.identity()?.organisation) };
         let ask = ask(&action, &service);
@@ -118,24 +122,68 @@ async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
     }
 }
 
-/// The rights of everybody of the organisation to every service.
-async fn matrix(session: &Session, ask: impl Fn(&str, &str) -> Ask) -> Result<Matrix, Rejection> {
+/// The rights of everybody, or of one person, on every robot.
+async fn matrix(
+    session: &Session,
+    who: Option<String>,
+    at: Option<u64>,
+    policies: Option<Vec<PolicyText>>,
+) -> Result<Matrix, Rejection> {
+    let who = match who {
+        Some(name) if !name.contains('/') => Some(format!("{}/{name}", session.identity()?.organisation)),
+        who => who,
+    };
     let robots: Vec<RobotAsset> = session.list(ABAC, "robots").await?;
-    let mut may: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();
-    for service in robots.iter().flat_map(|robot| &robot.services) {
-        let actions: &[&str] = match service.direction.known() {
-            Some(Direction::Feed) => &["subscribe"],
-            _ => &["acquire", "subscribe"],
-        };
-        for action in actions {
-            for Could { who, allowed, .. } in could(session, &ask(action, &service.service)).await? {
-                let actions = may.entry((who, service.service.clone())).or_default();
-                actions.extend(allowed.then(|| (*action).to_owned()));
-            }
+    let mut rows = Vec::new();
+    for robot in robots {
+        let ask = AskAccess { robot: robot.name.clone(), who: who.clone(), at, policies: policies.clone() };
+        for Access { who, rights, .. } in access(session, &ask).await? {
+            rows.extend(rows_of(&who, &robot.name, rights));
         }
     }
-    let row = |((who, service), actions)| Row { who, service, actions };
-    Ok(Matrix(may.into_iter().map(row).collect()))
+    rows.sort_by(|one: &Row, other| (&one.who, &one.service).cmp(&(&other.who, &other.service)));
+    Ok(Matrix(rows))
+}
+
+/// Those of whom a node says what they may do on a robot.
+async fn access(session: &Session, ask: &AskAccess) -> Result<Vec<Access>, Rejection> {
+    let ask = session::argument(ask)?;
+    let (mut all, mut after, mut bound) = (Vec::new(), None, PageBound::default());
+    loop {
+        let page = serde_json::json!({"after": after, "most": PAGE});
+        let args: Vec<Bytes> = vec![ask.clone(), session::argument(&page)?];
+        let response = session.ask(ABAC, "access", args).await.map_err(|refused| WORDS.told(refused))?;
+        let page: Page<Access> = answer::parse(&response, "who may do what")?;
+        let count = page.items.len();
+        all.extend(page.items);
+        after = page.next;
+        if after.is_none() {
+            return Ok(all);
+        }
+        bound.count("those who may", count)?;
+    }
+}
+
+/// A row for the services and one for the robot, with each limit; one for the robot of who has no right.
+fn rows_of(who: &str, robot: &str, rights: Vec<Right>) -> Vec<Row> {
+    let row = |service: &str, limits: &str| Row {
+        who: who.to_owned(),
+        service: service.to_owned(),
+        actions: Vec::new(),
+        limits: limits.to_owned(),
+    };
+    let mut rows: Vec<Row> = Vec::new();
+    for Right { of, action, limits, closed, .. } in rights {
+        let limits = match closed.is_empty() {
+            true => limits_text(&limits),
+            false => format!("only within {}", closed.join(" or ")),
+        };
+        match rows.iter_mut().find(|row| row.service == of && row.limits == limits) {
+            Some(row) => row.actions.push(action),
+            None => rows.push(Row { actions: vec![action], ..row(&of, &limits) }),
+        }
+    }
+    if rows.is_empty() { vec![row(robot, "")] } else { rows }
 }
 
 #[derive(Serialize)]
@@ -186,11 +234,13 @@ impl Facts for Told {
 #[derive(Serialize)]
 struct Matrix(Vec<Row>);
 
-#[derive(Serialize)]
+#[derive(Clone, Serialize)]
 struct Row {
     who: String,
     service: String,
     actions: Vec<String>,
+    #[serde(skip_serializing_if = "String::is_empty")]
+    limits: String,
 }
 
 impl Facts for Matrix {
@@ -198,10 +248,10 @@ impl Facts for Matrix {
         if self.0.is_empty() {
             return writeln!(out, "there is no robot, or {UNLISTED}");
         }
-        let mut table = Table::new(["WHO", "SERVICE", "MAY"]);
-        for Row { who, service, actions } in &self.0 {
+        let mut table = Table::new(["WHO", "OF", "MAY", "LIMITS"]);
+        for Row { who, service, actions, limits } in &self.0 {
             let may = if actions.is_empty() { "-".to_owned() } else { actions.join(", ") };
-            table.row([who.clone(), service.clone(), may]);
+            table.row([who.clone(), service.clone(), may, limits.clone()]);
         }
         table.write(out, 0)
     }
@@ -211,7 +261,7 @@ impl Facts for Matrix {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::Condition;
+    use ledger_contract::{Condition, Limits};
 
     fn text(facts: &impl Facts) -> String {
         let mut out = Vec::new();
@@ -273,15 +323,28 @@ mod tests {
     }
 
     #[test]
-    fn the_matrix_has_a_line_for_each_user_and_service() {
-        let row = |who: &str, actions: &[&str]| Row {
-            who: who.into(),
-            service: "Husky/cmd_vel".into(),
-            actions: actions.iter().map(|&action| action.into()).collect(),
+    fn the_matrix_has_a_line_for_each_user_object_and_limit() {
+        let right = |of: &str, action: &str, limits: Limits| Right {
+            of: of.into(),
+            action: action.into(),
+            policies: vec![],
+            rule: String::new(),
+            limits,
+            closed: vec![],
         };
-        let matrix = Matrix(vec![row("Org1/Farhad", &[]), row("Org1/Salma", &["acquire", "subscribe"])]);
-        let wanted = "WHO          SERVICE        MAY\nOrg1/Farhad  Husky/cmd_vel  -\n\
-                      Org1/Salma   Husky/cmd_vel  acquire, subscribe\n";
+        let slow = Limits { max_linear_mm_s: Some(300), ..Limits::default() };
+        let rights = vec![
+            right("Husky/cmd_vel", "acquire", slow),
+            right("Husky/cmd_vel", "subscribe", Limits::default()),
+            right("Husky/cmd_vel", "override", Limits::default()),
+            right("Husky", "stop", Limits::default()),
+        ];
+        let matrix = Matrix([rows_of("Org1/Farhad", "Husky", vec![]), rows_of("Org1/Salma", "Husky", rights)].concat());
+        let wanted = "WHO          OF             MAY                  LIMITS\n\
+                      Org1/Farhad  Husky          -\n\
+                      Org1/Salma   Husky/cmd_vel  acquire              0.3 m/s\n\
+                      Org1/Salma   Husky/cmd_vel  subscribe, override\n\
+                      Org1/Salma   Husky          stop\n";
         assert_eq!(text(&matrix), wanted);
     }
 }

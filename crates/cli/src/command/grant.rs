@@ -160,7 +160,7 @@ impl Facts for Granted {
 }
 
 /// Limits for people: `50 Hz, 0.5 m/s, within 08:00-18:00 Mon-Fri +02:00`.
-pub(super) fn limits_text(limits: &Limits) -> String {
+pub(in crate::command) fn limits_text(limits: &Limits) -> String {
     let Limits { max_rate_mhz, max_age_ms, max_linear_mm_s, max_angular_mrad_s, between } = limits;
     let thousandths = |value: u64, unit: &str| {
         let text = format!("{}.{:03}", value / 1000, value % 1000);

@@ -5,6 +5,7 @@ mod import;
 mod list;
 mod registrar;
 mod renew;
+mod robots;
 
 use crate::argument::attribute::Attribute;
 use crate::argument::span::Milliseconds;
@@ -83,6 +84,8 @@ pub(crate) struct Show {
 }
 
 /// Cancel a registration: the one-time secret of a name that has not enrolled is void. For admins.
+///
+/// It also forgets a revoked name that has never signed anything, so that the name can be registered again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl identity cancel Salma")]
 pub(crate) struct Cancel {
@@ -159,7 +162,7 @@ async fn find(session: &Session, name: &str) -> Result<Person, Rejection> {
 
 /// A new registration, with all that its owner needs.
 #[derive(Serialize)]
-struct Invitation {
+pub(super) struct Invitation {
     name: String,
     organisation: String,
     role: Role,
@@ -198,27 +201,33 @@ impl Register {
             }
         }
         let session = Session::open(global).await?;
-        let role = Some(self.role).filter(|_| !self.reissue);
+        if !self.reissue {
+            robots::check_name(&session, &self.name, self.role, output).await?;
+        }
         let life = Duration::from_millis(self.span.0);
-        let registered = session.client.register_for(&self.name, role, &wanted, life).await?;
+        output.show(&Invitation::make(&session, self.name, (self.role, self.reissue), wanted, life).await?)
+    }
+}
+
+impl Invitation {
+    /// Registers a name, or gives it a new secret.
+    pub(super) async fn make(
+        session: &Session,
+        name: String,
+        (role, reissue): (Role, bool),
+        attributes: BTreeMap<String, String>,
+        life: Duration,
+    ) -> Result<Self, Rejection> {
+        let registered = session.client.register_for(&name, Some(role).filter(|_| !reissue), &attributes, life).await?;
         // Registering works through any node; who enrols is sent to one that carries the CA, by an address of it.
-        let (node, ca_fingerprint) = ca::door(&session, &registered.organisation).await?;
+        let (node, ca_fingerprint) = ca::door(session, &registered.organisation).await?;
         let command = format!(
             "ledgerctl enroll {} --node {node} --ca-fingerprint {ca_fingerprint} --secret {}",
-            shell_word(&self.name),
+            shell_word(&name),
             shell_word(&registered.secret),
         );
-        output.show(&Invitation {
-            name: self.name,
-            organisation: registered.organisation,
-            role: self.role,
-            attributes: wanted,
-            secret: registered.secret,
-            expires: registered.expires,
-            node,
-            ca_fingerprint,
-            command,
-        })
+        let (organisation, secret, expires) = (registered.organisation, registered.secret, registered.expires);
+        Ok(Self { name, organisation, role, attributes, secret, expires, node, ca_fingerprint, command })
     }
 }
 

@@ -1,12 +1,15 @@
 //! `policy …`: the Cedar policies by which an organisation decides about its robots, and the numbered sets that they form.
 
 mod apply;
+pub(in crate::command) mod change;
 mod check;
 mod diff;
 mod history;
+pub(in crate::command) mod meaning;
 mod one;
 mod propose;
 mod recorded;
+pub(in crate::command) mod rights;
 mod set;
 mod test;
 pub(in crate::command) mod unknown;

@@ -5,6 +5,7 @@ mod change;
 use crate::answer;
 use crate::argument::capability::{self, Capability};
 use crate::argument::service;
+use crate::command::identity::Invitation;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, Table};
@@ -12,11 +13,14 @@ use crate::session::{self, ABAC, Session};
 use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
+use ledger_api::SECRET_LIFE;
 use ledger_api::json;
-use ledger_base::rejection::Rejection;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
+use ledger_identity::Role;
 use serde::Serialize;
 use serde_json::value::RawValue;
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 /// Register robots and see them.
@@ -32,10 +36,12 @@ pub(crate) enum Robot {
 /// Register a robot of your organisation; for admins.
 ///
 /// A name that is registered already is refused: `robot set` changes settings of that robot, `--replace` all of it.
+///
+/// Without --trust only attributes of your own organisation count. To let others use the robot: `ledgerctl share`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  ledgerctl robot add Turtlebot4 --attr-required Turtlebot4 --service /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive
+  ledgerctl robot add Turtlebot4 --attr-required Turtlebot4 --service /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive --enrol
   ledgerctl robot add OptiTrack --attr-required OptiTrack --service /pose=geometry_msgs/msg/PoseStamped,direction=feed
   ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1
   ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue
@@ -59,7 +65,7 @@ pub(crate) struct Add {
         help = "TOPIC=TYPE[,KEY=VALUE]…, such as mode=limited,publishers=2; the keys are those of `robot set`"
     )]
     services: Vec<ServiceSpec>,
-    /// An organisation whose attributes count; otherwise all that are members now
+    /// An organisation whose attributes count; without, your own alone, and with --replace those that counted before
     #[arg(long = "trust", value_name = "ORG")]
     trusted: Vec<String>,
     /// A fact for policies: kind=crane is a text, payload_kg=20 a number, zones=a,b a set; give it once for each
@@ -68,6 +74,9 @@ pub(crate) struct Add {
     /// Put this description in the place of the robot's present one; grants that it does not allow end
     #[arg(long)]
     replace: bool,
+    /// Register the robot's identity, too, and print the line with which the robot's machine enrols
+    #[arg(long)]
+    enrol: bool,
 }
 
 /// List the robots and who operates them.
@@ -102,18 +111,20 @@ impl Robot {
         let session = Session::open(global).await?;
         match self {
             Self::Add(add) => {
-                let (name, replace) = (add.name.clone(), add.replace);
+                let (name, replace, enrol) = (add.name.clone(), add.replace, add.enrol);
                 let spec = session::argument(&add.into_spec()?)?;
                 if replace {
-                    return change::replace(&session, &name, spec, output).await;
+                    change::replace(&session, &name, spec, output).await?;
+                } else {
+                    let done =
+                        session.call(ABAC, "setup", vec![spec]).await.map_err(change::in_words_of_the_command_line)?;
+                    let robots: Vec<RobotAsset> = answer::parse(&done.response, "robots")?;
+                    for robot in &robots {
+                        change::enter_readers(&session, robot, output).await?;
+                    }
+                    output.show(&Robots(robots, time::now()))?;
                 }
-                let done =
-                    session.call(ABAC, "setup", vec![spec]).await.map_err(change::in_words_of_the_command_line)?;
-                let robots: Vec<RobotAsset> = answer::parse(&done.response, "robots")?;
-                for robot in &robots {
-                    change::enter_readers(&session, robot, output).await?;
-                }
-                output.show(&Robots(robots, time::now()))
+                if enrol { output.show(&identity_of(&session, name).await?) } else { Ok(()) }
             }
             Self::Set(set) => set.run(&session, output).await,
             Self::List(_) => output.show(&Robots(session.list(ABAC, "robots").await?, time::now())),
@@ -130,6 +141,21 @@ impl Robot {
             }
         }
     }
+}
+
+/// The identity of a robot that is registered: it has the robot's exact name.
+async fn identity_of(session: &Session, name: String) -> Result<Invitation, Rejection> {
+    let made = Invitation::make(session, name.clone(), (Role::Robot, false), BTreeMap::new(), SECRET_LIFE).await;
+    made.map_err(|mut refused| {
+        refused.message = format!("the robot is registered, its identity is not: {}", refused.message);
+        match refused.code {
+            Code::AlreadyRegistered if refused.found.starts_with("role robot") => {
+                refused.next(format!("give it a new secret: ledgerctl identity register {name} --reissue"))
+            }
+            Code::AlreadyRegistered => refused,
+            _ => refused.next(format!("try again: ledgerctl identity register {name} --role robot")),
+        }
+    })
 }
 
 impl Add {

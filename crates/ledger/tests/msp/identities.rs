@@ -183,7 +183,35 @@ fn a_registration_is_cancelled_and_ends_in_block_time() {
     register(&mut network, 1, "Salma", "").unwrap();
     network.time += 2 * DAY;
     assert_eq!(code(&by_secret(&mut network, &salma)), Code::EnrolmentRefused);
-    assert_eq!(code(&network.admin(1, "cancel_registration", &[r#"{"name":"Salma"}"#])), Code::NotFound);
+    network.admin(1, "cancel_registration", &[r#"{"name":"Salma"}"#]).unwrap();
+    assert_eq!(one(&network, "Salma"), None, "a secret that has ended holds no name");
+}
+
+#[test]
+fn a_revoked_name_that_has_never_signed_anything_becomes_free_and_one_that_has_does_not() {
+    let mut network = carried();
+    register(&mut network, 1, "Turtlebot4", "").unwrap();
+    let robot = member(&network, "Turtlebot4");
+    by_secret(&mut network, &robot).unwrap();
+    assert_eq!(code(&register(&mut network, 1, "turtlebot4", "")), Code::AlreadyRegistered);
+    let refused = network.admin(1, "cancel_registration", &[r#"{"name":"Turtlebot4"}"#]).unwrap_err();
+    assert!(refused.found.contains("not revoked") && refused.advice().contains("identity revoke"), "{refused}");
+    network.admin(1, "revoke_identity", &[r#"{"name":"Turtlebot4"}"#]).unwrap();
+    let refused = register(&mut network, 1, "turtlebot4", "").unwrap_err();
+    assert!(refused.advice().contains("ledgerctl identity cancel Turtlebot4"), "{refused}");
+    network.admin(1, "cancel_registration", &[r#"{"name":"Turtlebot4"}"#]).unwrap();
+    assert_eq!(one(&network, "Turtlebot4"), None);
+    assert_eq!(code(&by_secret(&mut network, &robot)), Code::NotFound);
+    register(&mut network, 1, "turtlebot4", "").unwrap();
+    assert_eq!(code(&network.call(&robot, "nodes", &[])), Code::Revoked, "its certificate stays revoked");
+
+    register(&mut network, 1, "Salma", "").unwrap();
+    let salma = member(&network, "Salma");
+    by_secret(&mut network, &salma).unwrap();
+    let _signed = network.call(&salma, "attest", &["{}"]);
+    network.admin(1, "revoke_identity", &[r#"{"name":"Salma"}"#]).unwrap();
+    let refused = network.admin(1, "cancel_registration", &[r#"{"name":"Salma"}"#]).unwrap_err();
+    assert!(refused.code == Code::NotFound && refused.found.contains("signed"), "{refused}");
 }
 
 #[test]

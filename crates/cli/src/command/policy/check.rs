@@ -1,13 +1,12 @@
 //! `policy check`: the faults of policies, with a caret under each place, or their meaning in words.
 
+use super::meaning::{check, meaning};
 use super::unknown::shown;
-use crate::answer;
 use crate::argument::policies;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, printable};
-use crate::session::{ABAC, Session};
-use bytes::Bytes;
+use crate::session::Session;
 use ledger_base::rejection::Code;
 use ledger_contract::{PolicyCheck, PolicyFault, PolicyMeaning, UnknownName};
 use serde::Serialize;
@@ -32,8 +31,7 @@ impl Check {
         let session = Session::open(global).await?;
         let mut checked = Vec::new();
         for (path, text) in self.files.iter().zip(texts) {
-            let response = session.ask(ABAC, "check", vec![Bytes::from(text)]).await?;
-            let PolicyCheck { faults, policies, unknown } = answer::parse(&response, "the faults of a policy")?;
+            let PolicyCheck { faults, policies, unknown } = check(&session, &text).await?;
             checked.push(File { file: path.display().to_string(), faults, policies, unknown });
         }
         let are_fine = checked.iter().all(|file| file.faults.is_empty());
@@ -83,26 +81,6 @@ impl Facts for Checked {
             }
         }
         Ok(())
-    }
-}
-
-/// A policy in words.
-fn meaning(out: &mut dyn Write, policy: &PolicyMeaning) -> io::Result<()> {
-    let PolicyMeaning { line, effect, meaning, when, limits, except, unmatched } = policy;
-    writeln!(out, "  line {line}: {}", printable(meaning))?;
-    for condition in when {
-        writeln!(out, "    when {}", printable(&condition.replace('\n', " ")))?;
-    }
-    if !limits.is_empty() {
-        writeln!(out, "    with {}", printable(&limits.join(", ")))?;
-    }
-    if *unmatched {
-        writeln!(out, "    warning: it applies to nobody of today, as far as the ledger knows people")?;
-    }
-    match effect.as_str() {
-        _ if except.is_empty() => Ok(()),
-        "permit" => writeln!(out, "    without {}: a permit must name them", except.join(", ")),
-        _ => writeln!(out, "    without {} by the robot and by holders: a forbid must name it", except.join(", ")),
     }
 }
 

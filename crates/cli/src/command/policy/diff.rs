@@ -1,6 +1,7 @@
 //! `policy diff`: the grants that a set of policies would end, and the decisions of the past that it would change.
 
 use super::recorded::{Compared, compare};
+use super::rights::changes;
 use crate::answer;
 use crate::argument::{number, policies};
 use crate::failure::Failure;
@@ -58,7 +59,7 @@ struct Told {
 
 impl Facts for Told {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended, unreachable } = &self.diff;
+        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended, unreachable, .. } = &self.diff;
         for (what, ids) in [("added", added), ("changed", changed), ("removed", removed)] {
             if !ids.is_empty() {
                 writeln!(out, "{what}: {}", printable(&ids.join(", ")))?;
@@ -72,6 +73,7 @@ impl Facts for Told {
         for robot in unreachable {
             writeln!(out, "nobody whom the ledger knows could publish to {} any more", printable(robot))?;
         }
+        changes(out, &PolicyDiff { ends: Vec::new(), unreachable: Vec::new(), ..self.diff.clone() })?;
         self.recorded.as_ref().map_or(Ok(()), |recorded| recorded.text(out))
     }
 }
@@ -100,13 +102,15 @@ mod tests {
             ends: vec![end],
             ended: 1,
             unreachable: vec!["Husky".into()],
+            ..PolicyDiff::default()
         };
         let mut out = Vec::new();
         Told { diff, recorded: None }.text(&mut out).unwrap();
         let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
-                      nobody whom the ledger knows could publish to Husky any more\n";
+                      nobody whom the ledger knows could publish to Husky any more\n\
+                      nobody whom the ledger lists can do more or less afterwards\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

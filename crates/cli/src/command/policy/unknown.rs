@@ -1,11 +1,10 @@
 //! Names in policies that the network does not know today: a slip, or somebody who comes later.
 
-use crate::answer;
+use super::meaning::check;
 use crate::output::printable;
-use crate::session::{ABAC, Session};
-use bytes::Bytes;
+use crate::session::Session;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{PolicyCheck, PolicyText, UnknownName};
+use ledger_contract::{PolicyText, UnknownName};
 
 /// The names that come later.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -23,8 +22,7 @@ impl Expected {
     pub(super) async fn check(&self, session: &Session, policies: &[PolicyText]) -> Result<(), Rejection> {
         let mut unknown = Vec::new();
         for policy in policies {
-            let response = session.ask(ABAC, "check", vec![Bytes::from(policy.text.clone())]).await?;
-            let checked: PolicyCheck = answer::parse(&response, "the faults of a policy")?;
+            let checked = check(session, &policy.text).await?;
             unknown.extend(checked.unknown.into_iter().map(|name| (policy.id.clone(), name)));
         }
         unknown.retain(|(_, name)| !self.expect.contains(&name.name));

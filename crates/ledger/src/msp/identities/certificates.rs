@@ -253,6 +253,7 @@ fn add(ctx: &mut Context<'_>, record: &mut IdentityRecord, issued: IssuedCertifi
         let (kept, expired) = std::mem::take(&mut record.certificates).into_iter().partition(|c| c.not_after >= now);
         record.certificates = kept;
         let expired: Vec<IssuedCertificate> = expired;
+        record.stays |= !expired.is_empty();
         expired.iter().for_each(|old| ctx.delete(&issued_key(&old.fingerprint)));
     }
     if record.certificates.len() >= CERTIFICATES_MAX {
@@ -282,6 +283,7 @@ fn created(
         secret: None,
         local: None,
         voided: 0,
+        stays: false,
         changed: 0,
         certificates: Vec::new(),
     }

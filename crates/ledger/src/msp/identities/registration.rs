@@ -2,9 +2,9 @@
 
 use super::super::caller::object;
 use super::super::quotas;
-use super::super::store::{self, identity_key, json, look_keys};
+use super::super::store::{self, identity_key, issued_key, json, look_keys};
 use super::registrar::{self, Registering};
-use super::{IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
+use super::{IdentityRecord, IssuedCertificate, REGISTRATION_LIFE_MAX, Secret, count, find, is_revoked, shown, write};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
@@ -96,6 +96,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
                 secret,
                 local: None,
                 voided: 0,
+                stays: false,
                 changed: 0,
                 certificates: Vec::new(),
             }
@@ -106,8 +107,8 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     json(&shown(ctx, record))
 }
 
-/// `cancel_registration {name}`: the secret of a name that has not enrolled with it is void; a name that never had a
-/// certificate is forgotten.
+/// `cancel_registration {name}`: the secret of a name that has not enrolled with it is void. A name is forgotten if it never had a
+/// certificate, or if all of its certificates are revoked and none has ever signed a transaction.
 pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let CancelRegistration { name } = object("cancel_registration", argument, "{\"name\": NAME}")?;
     let registering = Registering::of(ctx, "cancel registrations")?;
@@ -117,13 +118,58 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     };
     registering.check_cancel(&record)?;
     if record.pending(now).is_none() {
-        return Err(Rejection::new(Code::NotFound, format!("no secret of {} can be cancelled", record.id()))
-            .found(if record.certificates.is_empty() { "one that has expired" } else { "a name that has enrolled" })
-            .wanted("a registration whose secret was not used yet")
-            .next(format!("to end its rights: ledgerctl identity revoke {name}")));
+        if let Some(found) = kept_because(ctx, &record) {
+            let next = match record.certificates.iter().all(|issued| is_revoked(ctx, issued)) {
+                true => "register another name".to_owned(),
+                false => format!("to end its rights: ledgerctl identity revoke {name}"),
+            };
+            return Err(Rejection::new(Code::NotFound, format!("nothing of {} can be cancelled", record.id()))
+                .found(found)
+                .wanted(
+                    "a registration whose secret was not used yet, or a revoked name that has never signed anything",
+                )
+                .next(next));
+        }
+        forget(ctx, &record)?;
+        ctx.emit("registration_cancelled", &record.id(), json(&told(&record))?);
+        return Ok(Bytes::new());
     }
     void(ctx, record, false)?;
     Ok(Bytes::new())
+}
+
+/// The reason why a name without an open secret is kept; none if it can be free again, because nothing on the ledger was signed
+/// under it.
+fn kept_because(ctx: &Context<'_>, record: &IdentityRecord) -> Option<&'static str> {
+    let has_signed = |issued: &IssuedCertificate| ctx.get(&store::known_certificate_key(&issued.fingerprint)).is_some();
+    if record.role == Role::Node {
+        Some("a node, whose name its network knows")
+    } else if !record.certificates.iter().all(|issued| is_revoked(ctx, issued)) {
+        Some("a name that has enrolled, and whose certificate is not revoked")
+    } else if record.stays
+        || record.local.is_some()
+        || record.registered == 0
+        || record.certificates.iter().any(has_signed)
+    {
+        Some("a name under which something was signed, or may have been")
+    } else {
+        None
+    }
+}
+
+/// Forgets a name, so that it can be registered again.
+fn forget(ctx: &mut Context<'_>, record: &IdentityRecord) -> Result<(), Rejection> {
+    for issued in &record.certificates {
+        ctx.delete(&issued_key(&issued.fingerprint));
+    }
+    ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
+    for look in look_keys(&record.organisation, &record.name) {
+        if store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
+            ctx.delete(look.as_bytes());
+        }
+    }
+    count(ctx, &record.organisation, |number| number.saturating_sub(1))?;
+    Ok(())
 }
 
 /// A new name looks like no other one of its organisation.
@@ -137,7 +183,10 @@ fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<()
                 format!("{name:?} looks like a name that is registered"),
             )
             .found(format!("{known:?} of {organisation}"))
-            .wanted("a name that people can tell from the others, whatever the case of its letters (UTS 39)"));
+            .wanted("a name that people can tell from the others, whatever the case of its letters (UTS 39)")
+            .next(format!(
+                "choose another name; a revoked one that has never signed anything becomes free by ledgerctl identity cancel {known}"
+            )));
         }
     }
     keys.iter().try_for_each(|key| store::write(ctx, key, &name))
@@ -161,18 +210,13 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord, revoked: bool)
     // A node at which a secret lies has to learn that it is void: then the name stays.
     let marked = revoked || record.local.is_some();
     let voided = if marked { now } else { record.voided };
-    let record = IdentityRecord { secret: None, local: None, voided, ..record };
+    let stays = record.stays || record.local.is_some();
+    let record = IdentityRecord { secret: None, local: None, voided, stays, ..record };
     if never || revoked {
         registrar::forget(ctx, &record.organisation, &record.name);
     }
     if never {
-        ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
-        for look in look_keys(&record.organisation, &record.name) {
-            if store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
-                ctx.delete(look.as_bytes());
-            }
-        }
-        count(ctx, &record.organisation, |number| number.saturating_sub(1))?;
+        forget(ctx, &record)?;
     } else {
         write(ctx, &record)?;
     }
