@@ -14,7 +14,7 @@ import { invoke, query } from "./ledger.js";
 const PAGES_MAX = 64;
 
 /**
- * Everybody who may do something, as far as the reader may know it.
+ * All people with rights on a robot, as far as the reader may see them.
  * @param {string} robot
  * @returns {Promise<{ people: PersonRights[], isWhole: boolean }>}
  */

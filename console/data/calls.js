@@ -93,9 +93,9 @@ export function happened({ transactions, events }) {
     add(transaction.code === "OK" ? words : { ...words, action: `${words.action}: rejected, ${transaction.code}` });
   }
   for (const { chaincode, name, subject, payload } of events) {
-    const told = payload.encoding === "json" ? payload.response : undefined;
+    const facts = payload.encoding === "json" ? payload.response : undefined;
     const about = chaincode === "abac" ? ofRobot(subject) : ofNone(subject);
-    add({ who: told?.holder ?? told?.contender ?? told?.submitter ?? "", action: told?.reason ? `${name}: ${told.reason}` : name, about: subject ? [about] : [] });
+    add({ who: facts?.holder ?? facts?.contender ?? facts?.submitter ?? "", action: facts?.reason ? `${name}: ${facts.reason}` : name, about: subject ? [about] : [] });
   }
   return [...found.values()];
 }

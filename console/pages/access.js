@@ -160,7 +160,7 @@ export function open({ parts: [asked = ""], identity, session }) {
       const own = shared.answer?.filter(({ resource = "", id }) => (resource.split("/")[0] || id.split("-")[1]) === Name) ?? [];
       return page(
         "Access",
-        h("a", { href: address("can", Name) }, "Can somebody do something?"),
+        h("a", { href: address("can", Name) }, "May a person do something, and why?"),
         h(
           "label.search",
           "Robot",

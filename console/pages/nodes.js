@@ -23,7 +23,7 @@ export function open() {
       const own = live.status;
       if (!own) return page("Nodes", null, empty("Asking the node…"));
       const nodes = asked.answer?.nodes ?? [];
-      // Of one answer: the node of this page goes on meanwhile, and its next report would make each of them seem behind.
+      // Of one answer: a later report of the node of this page would make each of them seem behind.
       const newest = Math.max(0, ...nodes.map(({ status }) => status?.height ?? 0));
       return page(
         "Nodes",

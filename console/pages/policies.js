@@ -112,7 +112,7 @@ class Checks {
     return this.#known.get(text);
   }
 
-  /** How much of a text applies to no one of today; empty if all of it applies to somebody. @param {string} text */
+  /** How much of a text applies to no one of today; empty if all of it applies to a person. @param {string} text */
   unmatched(text) {
     const all = this.of(text)?.policies ?? [];
     const count = all.filter(({ unmatched }) => unmatched).length;

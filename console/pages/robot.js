@@ -76,7 +76,7 @@ export function open({ parts: [name = ""], identity, session }) {
   /** @param {Service} service */
   const overrides = ({ service: id, holders }) => ({
     title: `Override ${id}?`,
-    about: holders.length ? `Takes it from ${holders.join(", ")}, whose commands end at once.` : "Nobody holds it. Acquire is enough, unless policies deny it.",
+    about: holders.length ? `Takes it from ${holders.join(", ")}, whose commands end at once.` : "No one holds it. Acquire is enough, unless policies deny it.",
     confirm: "Override",
     run: async (/** @type {string} */ why) => {
       await invoke(identity, "abac", "take", id, why);

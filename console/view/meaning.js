@@ -7,7 +7,7 @@ import { h } from "./dom.js";
  * @typedef {import("../answers.js").UnknownName} UnknownName
  */
 
-/** What is true of a policy today, in words: none is said of one that applies to somebody. @param {Meaning} meaning */
+/** Marks a policy that applies to no one of today. @param {Meaning} meaning */
 const unmatched = (meaning) => meaning.unmatched && [" ", h("span.what.warn", "applies to no one today")];
 
 /** @param {Meaning[]} meanings */

@@ -1,4 +1,4 @@
-// A question before an act that sets a robot in motion or takes it from somebody. It needs a reason, and is answered at another place
+// A question before an act that sets a robot in motion or takes it from its holder. It needs a reason, and is answered at another place
 // and at another time than the button that asks: a double click there never answers it. The page behind it stays usable.
 
 import { h, refresh } from "./dom.js";
