@@ -103,7 +103,7 @@ export function table(label, head, rows) {
   return h(
     "div.scroll",
     { key: label, role: "region", "aria-label": label, tabindex: 0 },
-    h("table", h("caption.unseen", label), h("thead", h("tr", head.map((name) => h("th", { scope: "col" }, name)))), h("tbody", rows)),
+    h("table", h("caption.unseen", label), h("thead", h("tr", head.map((name) => (name ? h("th", { scope: "col" }, name) : h("td"))))), h("tbody", rows)),
   );
 }
 

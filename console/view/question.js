@@ -94,29 +94,33 @@ export class Question {
       void this.#answer();
     };
     return h(
-      `form.question.${this.#isRight ? "right" : "left"}`,
-      { key: "question", role: "dialog", "aria-labelledby": "question", onsubmit: submit },
-      h("h2", { id: "question" }, act.title),
-      h("p", act.about),
+      `div.question.${this.#isRight ? "right" : "left"}`,
+      { key: "question", role: "dialog", "aria-labelledby": "question" },
       h(
-        "label",
-        h("span", "Reason"),
-        h("input", {
-          name: "reason",
-          value: this.#reason,
-          required: true,
-          maxlength: REASON_MAX,
-          autocomplete: "off",
-          placeholder: "why, for the others",
-          oninput: typed,
-          mounted: (/** @type {HTMLElement} */ field) => (this.#field = field).focus(),
-        }),
-      ),
-      rejected(this.#error),
-      h(
-        "div.actions",
-        h("button.plain", { type: "button", onclick: () => this.#close() }, "Cancel"),
-        h("button.danger", { type: "submit", disabled: !this.#isReady(), "aria-busy": this.#isBusy }, act.confirm),
+        "form",
+        { onsubmit: submit },
+        h("h2", { id: "question" }, act.title),
+        h("p", act.about),
+        h(
+          "label",
+          h("span", "Reason"),
+          h("input", {
+            name: "reason",
+            value: this.#reason,
+            required: true,
+            maxlength: REASON_MAX,
+            autocomplete: "off",
+            placeholder: "why, for the others",
+            oninput: typed,
+            mounted: (/** @type {HTMLElement} */ field) => (this.#field = field).focus(),
+          }),
+        ),
+        rejected(this.#error),
+        h(
+          "div.actions",
+          h("button.plain", { type: "button", onclick: () => this.#close() }, "Cancel"),
+          h("button.danger", { type: "submit", disabled: !this.#isReady(), "aria-busy": this.#isBusy }, act.confirm),
+        ),
       ),
     );
   }

@@ -1,4 +1,4 @@
-//! What `ledgerd lab` prints.
+//! The output of `ledgerd lab`.
 
 use super::layout::{NodeLayout, admin_context};
 use ledger_base::hash::Hash;

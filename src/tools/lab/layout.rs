@@ -1,4 +1,4 @@
-//! What a network for trials consists of: its nodes with their addresses and files, and its people.
+//! The parts of a network for trials: its nodes with their addresses and files, and its people.
 
 use crate::tools::setup::{NetworkPlan, PlannedNode, PlannedOrganisation};
 use ledger_base::rejection::{Code, Rejection};

@@ -32,8 +32,8 @@ const HEARTBEAT_MS: u32 = 1_000;
 /// Show robots, holders, rates, latencies and nodes on the whole screen, as they are now.
 ///
 /// Rates and latencies are those of the services that you may subscribe to, over the last ten seconds. A latency is the time from the
-/// signature of a message to its arrival here. The arrow keys choose a service, `s` stops its robot at once, `u` resumes it once you
-/// have typed a reason and Enter, `r` releases your grant of it, `q` ends.
+/// signature of a message to its arrival here. The arrow keys choose a service. `s` stops its robot at once. `u` resumes it once you
+/// have typed a reason and Enter. `r` releases your grant of it, and `q` ends.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl top")]
 pub(crate) struct Top {}

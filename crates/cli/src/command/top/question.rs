@@ -11,7 +11,7 @@ pub(super) struct Question {
     reason: String,
 }
 
-/// What becomes of a question after a key.
+/// The state of a question after a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Progress {
     Open,

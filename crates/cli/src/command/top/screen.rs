@@ -94,7 +94,7 @@ impl Screen {
         out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(unusable)
     }
 
-    /// What is typed next. Safe to cancel.
+    /// The next bytes that are typed. Safe to cancel.
     pub(super) async fn typed(&mut self) -> Typed {
         let mut bytes = [0; TYPED_MAX];
         let count = self.keys.read(&mut bytes).await.unwrap_or_default();
