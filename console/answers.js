@@ -18,7 +18,7 @@
 
 /**
  * @typedef {{ encoding: "json", response: any } | { encoding: "text" | "hex", response: string }} Answer
- * @typedef {{ id: string, index: number, chaincode: string, function: string, args: Answer[], not_after: number }} Call
+ * @typedef {{ id: string, index: number, chaincode: string, function: string, args: Answer[], not_after: number, creator?: string }} Call
  * @typedef {{ chaincode: string, name: string, subject: string, payload: Answer, transaction?: Call }} LedgerEvent
  * @typedef {{ height: number, time: number, events: LedgerEvent[], early?: boolean }} Delivery
  * @typedef {Call & { height: number, time: number, creator: string, code: string, message: string, events: LedgerEvent[] }} Transaction
@@ -42,9 +42,16 @@
  *   Name: string, organisation: string, attribute_required: string, services: Service[],
  *   stopped?: { by: string, reason: string, since: number }
  * }} Robot
- * @typedef {{ contender: string, position: number, priority: number, since: number, expected?: number }} Position
+ * @typedef {{ contender: string, position: number, priority: number, since: number, expected?: number, task?: number }} Position
  * @typedef {{ line: Position[] }} Queue
+ * @typedef {{
+ *   id: number, service: string, submitter: string, state: string, reached: number, total: number, frame: string, priority: number,
+ *   not_before?: number, deadline?: number, submitted: number, started?: number, ended?: number, reason?: string
+ * }} Task
  * @typedef {{ organisation: string, id: string, text: string }} Policy
+ * @typedef {{ line: number, effect: string, meaning: string, when: string[], limits: string[], except: string[], unmatched: boolean }} Meaning
+ * @typedef {{ line: number, kind: string, name: string, near?: string }} UnknownName
+ * @typedef {{ policies: Meaning[], unknown: UnknownName[] }} PolicyCheck
  * @typedef {{
  *   version: number, by: string, message: string, time: number, height: number, break_glass?: boolean, restores?: number,
  *   policies?: { id: string, text?: string }[]
@@ -58,6 +65,26 @@
  *   name: string, organisation: string, role: string, attributes: Record<string, string>, by: string,
  *   secret?: { expires: number } | null, certificates: { not_after: number, revoked: boolean }[]
  * }} Registered
+ */
+
+/**
+ * @typedef {{ of: string, action: string, policies: string[], rule?: string, limits?: Record<string, unknown>, closed?: string[] }} Right
+ * @typedef {{ who: string, role: string, rights: Right[] }} PersonRights
+ * @typedef {{
+ *   resource: string, with: string, attribute?: string, from?: number, until?: number, hours?: string, max_linear?: string,
+ *   max_angular?: string, rate?: string, priority?: string, read_only?: boolean
+ * }} ShareTerms
+ * @typedef {Partial<ShareTerms> & { organisation: string, id: string, text: string, edited?: boolean }} Share
+ * @typedef {{ who: string, of: string, action: string, limits?: Record<string, unknown> }} RightChange
+ * @typedef {{
+ *   gained?: RightChange[], lost?: RightChange[], incomplete?: boolean,
+ *   limited?: { who: string, of: string, action: string, before: Record<string, unknown>, after: Record<string, unknown> }[]
+ * }} RightsDiff
+ * @typedef {{
+ *   id: string, text: string, meaning: Meaning[], replaces?: string, keeps_built_in: boolean, trusted: boolean,
+ *   unknown: UnknownName[], set: unknown, diff: RightsDiff
+ * }} SharePreview
+ * @typedef {{ id: string, text: string, set: unknown, diff: RightsDiff, still: PersonRights[] }} UnsharePreview
  */
 
 export {};

@@ -18,10 +18,19 @@ import { action, page, rejected } from "./view/parts.js";
  * @typedef {{ open: (visit: Visit) => Page }} Module
  */
 
-const PLACES = { robots: "Robots", feed: "Feed", blocks: "Blocks", policies: "Policies", identities: "Identities", nodes: "Nodes" };
+const PLACES = {
+  robots: "Robots",
+  tasks: "Tasks",
+  feed: "Feed",
+  access: "Access",
+  policies: "Policies",
+  identities: "Identities",
+  blocks: "Blocks",
+  nodes: "Nodes",
+};
 
 /** The places that belong to others. @type {Record<string, string>} */
-const WITHIN = { tx: "blocks", search: "blocks", can: "policies" };
+const WITHIN = { tx: "blocks", search: "blocks", can: "access" };
 
 /**
  * The module of a place. All but that of the start page is loaded when it is visited.
@@ -39,6 +48,10 @@ function moduleOf(place, parts) {
       return import("./pages/blocks.js");
     case "tx":
       return import("./pages/transaction.js");
+    case "tasks":
+      return import("./pages/tasks.js");
+    case "access":
+      return import("./pages/access.js");
     case "policies":
       return import("./pages/policies.js");
     case "can":
@@ -142,11 +155,17 @@ function moved() {
   void (isLink(where) ? welcome(where) : visit());
 }
 
+/** What stays in sight stays below the header. @param {HTMLElement} header */
+function measured(header) {
+  new ResizeObserver(() => document.documentElement.style.setProperty("--header", `${header.offsetHeight}px`)).observe(header);
+}
+
 function header() {
   const place = route()[0] ?? "robots";
   const { status, connected } = live;
   return h(
     "header",
+    { mounted: measured },
     h("a.brand", { href: "#/robots" }, "ledgerd ", h("span", status?.network_label)),
     h(
       "nav",

@@ -7,7 +7,7 @@ use crate::process::config::{Config, Fault, OfBridge};
 use crate::process::terminal::{eprint_line, print_line, stop_signal};
 use crate::process::{memory, telemetry};
 use crate::tools::ca_commands;
-use crate::tools::{backup, demo, dev, join, recover, setup, verify};
+use crate::tools::{backup, demo, dev, join, lab, recover, setup, verify};
 use clap::{CommandFactory, Parser, Subcommand};
 use futures::{Stream, stream};
 use ledger_api::report;
@@ -45,6 +45,11 @@ enum Command {
     Demo(demo::Options),
     /// Starts a network of one node for playing, with both organisations and the robots of the paper.
     Dev(dev::Options),
+    /// Starts a network of several nodes and organisations on this machine for trials, and removes it at the end.
+    ///
+    /// Each node is a process of its own. Contexts for admins, users and robots are in a home of their own, which it prints:
+    /// nothing is written into yours. Ctrl-C ends all processes and removes all files.
+    Lab(lab::Options),
     /// Starts a configured node.
     Run(RunOptions),
     /// Checks a configuration and names every fault at once.
@@ -151,6 +156,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
     match command {
         Command::Demo(options) => block_on(demo::run(options)),
         Command::Dev(options) => block_on(dev::run(builder, options)),
+        Command::Lab(options) => block_on(lab::run(options)),
         Command::Run(RunOptions { config: path, trust_clock }) => {
             let config = load(&path)?;
             let builder = if trust_clock { builder.clone().trust_clock() } else { builder.clone() };

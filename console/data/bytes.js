@@ -50,12 +50,25 @@ export const part = (bytes) => concat(u32(bytes.length), bytes);
 /** @param {...Uint8Array} parts @returns {Promise<Bytes>} */
 export const sha256 = async (...parts) => new Uint8Array(await crypto.subtle.digest("SHA-256", concat(...parts)));
 
-// Times are microseconds since the UNIX epoch.
-/** @param {number} us */
-export const clock = (us) => new Date(us / 1000).toLocaleTimeString(undefined, { hour12: false });
+// Times are microseconds since the UNIX epoch. People read those of their own time zone.
+
+/** @param {number} number */
+const two = (number) => String(number).padStart(2, "0");
+
+/** The day where this browser is. @param {number} us */
+export function day(us) {
+  const at = new Date(us / 1000);
+  return `${at.getFullYear()}-${two(at.getMonth() + 1)}-${two(at.getDate())}`;
+}
+
+/** The time of day where this browser is. @param {number} us */
+export function clock(us) {
+  const at = new Date(us / 1000);
+  return `${two(at.getHours())}:${two(at.getMinutes())}:${two(at.getSeconds())}`;
+}
 
 /** @param {number} us */
-export const moment = (us) => new Date(us / 1000).toISOString().replace("T", " ").replace(/\.\d+Z$/, " UTC");
+export const utc = (us) => new Date(us / 1000).toISOString().replace("T", " ").replace("Z", " UTC");
 
 /** A span in microseconds, in one or two words. @param {number} us */
 export function span(us) {

@@ -5,7 +5,7 @@ import { unhex, utf8 } from "./bytes.js";
 import { now } from "./ledger.js";
 import { shown } from "./payload.js";
 
-/** @typedef {{ at: number, seq: number, latencyMs: number, words: string }} Message */
+/** @typedef {{ at: number, sender: string, seq: number, latencyMs: number, words: string }} Message */
 /** One point of the charts. @typedef {{ at: number, count: number, latencies: number[] }} Second */
 
 // Bridges and ledgerctl sign a message for this long, microseconds: so its signature says when it was made.
@@ -78,7 +78,7 @@ export class Messages {
     const latencyMs = Math.max(0, (now() - (transaction.not_after - SIGNED_FOR)) / 1000);
     const last = transaction.args.at(-1);
     const bytes = last?.encoding === "hex" ? unhex(last.response) : utf8(String(last?.response ?? ""));
-    this.last.unshift({ at: Date.now() * 1000, seq: first + count - 1, latencyMs, words: shown(bytes, this.isTwist) });
+    this.last.unshift({ at: Date.now() * 1000, sender: transaction.creator ?? "", seq: first + count - 1, latencyMs, words: shown(bytes, this.isTwist) });
     this.last.length = Math.min(this.last.length, LAST_MAX);
     const second = this.#second();
     second.count += count;

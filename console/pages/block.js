@@ -1,10 +1,10 @@
 // A block with its transactions.
 
 import { get } from "../data/api.js";
-import { moment } from "../data/bytes.js";
+import { wordsOf } from "../data/calls.js";
 import { h } from "../view/dom.js";
-import { Asked, address, empty, facts, page, rejected, table } from "../view/parts.js";
-import { callOf, eventsOf, verdict } from "./transaction.js";
+import { Asked, address, atMoment, empty, facts, page, rejected, subjects, table } from "../view/parts.js";
+import { eventsOf, verdict } from "./transaction.js";
 
 /**
  * @typedef {import("../answers.js").Block} Block
@@ -26,7 +26,7 @@ function contents({ height, time, term, hash, previous_hash: previous, root, sta
   const before = address("blocks", String(Math.max(0, height - 1)));
   return [
     facts(
-      ["Time", moment(time)],
+      ["Time", atMoment(time)],
       ["Term", term],
       ["Hash", h("code", hash)],
       ["Block before", h("a", { href: before }, h("code", previous))],
@@ -35,7 +35,7 @@ function contents({ height, time, term, hash, previous_hash: previous, root, sta
     ),
     h("h2", "Transactions"),
     transactions.length === 0 && empty(`None: ${kind}.`),
-    transactions.length > 0 && table("Transactions", ["Position", "Call", "Signer", "Verdict", "Id"], transactions.map(row)),
+    transactions.length > 0 && table("Transactions", ["Position", "Who", "Action", "About", "Verdict", "Id"], transactions.map(row)),
     events.length > 0 && [h("h2", "Events of the block itself"), eventsOf(events)],
   ];
 }
@@ -43,12 +43,14 @@ function contents({ height, time, term, hash, previous_hash: previous, root, sta
 /** @param {Transaction} transaction */
 function row(transaction) {
   const { id, index, creator } = transaction;
+  const { action, about } = wordsOf(transaction);
   return h(
     "tr",
     { key: id },
     h("td", index),
-    h("td.wide", callOf(transaction)),
     h("td", creator),
+    h("td", action),
+    h("td", subjects(about)),
     h("td", verdict(transaction)),
     h("td", h("a", { href: address("tx", id) }, h("code", id.slice(0, 16)))),
   );

@@ -1,11 +1,10 @@
 // The newest blocks, and a search.
 
 import { get } from "../data/api.js";
-import { clock, moment } from "../data/bytes.js";
+import { happened } from "../data/calls.js";
 import { live } from "../data/live.js";
 import { h, refresh } from "../view/dom.js";
-import { Asked, address, empty, page, rejected, table } from "../view/parts.js";
-import { callOf } from "./transaction.js";
+import { Asked, address, atMoment, atTime, empty, page, rejected, subjects, table, withTimes } from "../view/parts.js";
 
 /**
  * @typedef {import("../answers.js").Block} Block
@@ -15,6 +14,8 @@ import { callOf } from "./transaction.js";
 
 const BLOCKS = 20;
 const ROWS = 200;
+// Most lines of a block.
+const LINES_MAX = 6;
 
 /** @param {import("../main.js").Visit} visit */
 export function open({ place, parts }) {
@@ -82,7 +83,7 @@ class Newest {
   show() {
     void this.#read();
     if (this.#error !== undefined) return rejected(this.#error);
-    return table("The newest blocks", ["Height", "Time", "Calls", "Rejected", "Hash"], [...this.#blocks.values()].map(block));
+    return table("The newest blocks", ["Height", "Time", "What happened", "Rejected", "Hash"], [...this.#blocks.values()].map(block));
   }
 }
 
@@ -93,20 +94,23 @@ function block(block) {
     "tr",
     { key: height },
     h("td", h("a", { href: address("blocks", String(height)) }, height)),
-    h("td", clock(time)),
+    h("td", atTime(time)),
     h("td.wide", summary(block)),
     h("td", transactions.filter(({ code }) => code !== "OK").length || ""),
     h("td", h("code", hash.slice(0, 12))),
   );
 }
 
-/** Its calls, each kind once with its number. @param {Block} block */
-function summary({ transactions, events, kind }) {
-  if (transactions.length === 0) return events.length ? "rights that ended" : kind === "transactions" ? "empty" : kind;
-  /** @type {Map<string, number>} */
-  const counts = new Map();
-  for (const call of transactions.map(callOf)) counts.set(call, (counts.get(call) ?? 0) + 1);
-  return [...counts].map(([call, count]) => (count > 1 ? `${count} × ${call}` : call)).join(", ");
+/** Who did what with which robot. @param {Block} block */
+function summary(block) {
+  const found = happened(block);
+  if (found.length === 0) return h("span.dim", block.kind === "transactions" ? "empty" : block.kind);
+  const shown = found.slice(0, LINES_MAX);
+  return h(
+    "ul.happened",
+    shown.map(({ who, action, about, count }) => h("li", who && [h("b", who), " "], action, " ", subjects(about), count > 1 && h("span.dim", ` ×${count}`))),
+    found.length > LINES_MAX && h("li.dim", `and ${found.length - LINES_MAX} more`),
+  );
 }
 
 /** Rows of the audit about a robot or a user. */
@@ -140,11 +144,11 @@ class Found {
 function decision({ time, decision, count, subject, robot, who, code, detail, transaction, height }) {
   return h(
     "tr",
-    h("td", moment(time)),
+    h("td", atMoment(time)),
     h("td", count > 1 ? `${decision} ×${count}` : decision),
     h("td", subject || robot),
     h("td", who),
-    h("td.wide", code && [h("code", code), " "], detail),
+    h("td.wide", code && [h("code", code), " "], withTimes(detail)),
     h("td", transaction ? h("a", { href: address("tx", transaction) }, h("code", transaction.slice(0, 12))) : h("a", { href: address("blocks", String(height)) }, `block ${height}`)),
   );
 }

@@ -1,9 +1,8 @@
 // What happened: grants, rejections, revocations, stops.
 
-import { clock } from "../data/bytes.js";
 import { live } from "../data/live.js";
 import { h, refresh } from "../view/dom.js";
-import { address, empty, page, table } from "../view/parts.js";
+import { address, atTime, empty, page, table, withTimes } from "../view/parts.js";
 
 /** @typedef {import("../data/live.js").Entry} Entry */
 
@@ -42,16 +41,22 @@ export function entries(shown) {
   return table("Entries", ["Time", "What", "About", "Who", "Detail", "Block"], shown.map(row));
 }
 
+/** The robot of a robot's or a service's name. @param {string} subject */
+const robotOf = (subject) => subject.split("/")[0] ?? "";
+
+/** @param {string} subject */
+const isAboutRobot = (subject) => live.robots?.some(({ Name }) => Name === robotOf(subject)) === true;
+
 /** @param {Entry} entry */
 function row({ key, time, name, subject, who, code, detail, transaction, height }) {
   return h(
     "tr",
     { key },
-    h("td", { title: String(time) }, clock(time)),
+    h("td", atTime(time)),
     h("td", h("span.what", { class: TONES[name] }, name)),
-    h("td", subject),
+    h("td", isAboutRobot(subject) ? h("a", { href: address("robots", robotOf(subject)) }, subject) : subject),
     h("td", who),
-    h("td.wide", code && [h("code", code), " "], detail),
+    h("td.wide", code && [h("code", code), " "], withTimes(detail)),
     h("td", h("a", { href: transaction ? address("tx", transaction) : address("blocks", String(height)) }, height)),
   );
 }

@@ -1,10 +1,9 @@
 // The messages of a service: rate and latency of the last minute, and the last ones.
 
-import { clock } from "../data/bytes.js";
 import { Messages, WINDOW_S, quantile } from "../data/messages.js";
 import { chart } from "../view/chart.js";
 import { h, refresh } from "../view/dom.js";
-import { rejected, table } from "../view/parts.js";
+import { atTime, rejected, table } from "../view/parts.js";
 
 const TWIST = "geometry_msgs/msg/Twist";
 // The rate is the mean of these seconds; the newest one is not over yet.
@@ -62,12 +61,12 @@ export class Flow {
           ),
         ),
       ),
-      last.length > 0 && table(`Last messages of ${this.service}`, ["Time", "Sequence", "Latency", "Message"], last.map(row)),
+      last.length > 0 && table(`Last messages of ${this.service}`, ["Time", "Sender", "Sequence", "Latency", "Message"], last.map(row)),
     ];
   }
 }
 
 /** @param {import("../data/messages.js").Message} message */
-function row({ at, seq, latencyMs, words }) {
-  return h("tr", h("td", clock(at)), h("td", seq), h("td", milliseconds(latencyMs)), h("td", h("code", words)));
+function row({ at, sender, seq, latencyMs, words }) {
+  return h("tr", h("td", atTime(at)), h("td", sender), h("td", seq), h("td", milliseconds(latencyMs)), h("td.wide", h("code", words)));
 }

@@ -1,11 +1,11 @@
 // The identities of the own organisation, and when their certificates end.
 
-import { moment, span } from "../data/bytes.js";
+import { span } from "../data/bytes.js";
 import { endOf, idOf } from "../data/identity.js";
 import { list, now } from "../data/ledger.js";
 import { abandon } from "../data/session.js";
 import { h } from "../view/dom.js";
-import { Asked, action, facts, page, rejected, table } from "../view/parts.js";
+import { Asked, action, facts, onDay, page, rejected, table } from "../view/parts.js";
 
 /** @typedef {import("../answers.js").Registered} Registered */
 
@@ -83,5 +83,5 @@ function stateOf(person) {
 function ends(at) {
   if (!at) return null;
   const left = at - now();
-  return h("span", { class: left < SOON ? "soon" : undefined }, `${moment(at).slice(0, 10)} `, h("span.dim", `in ${span(left)}`));
+  return h("span", { class: left < SOON ? "soon" : undefined }, onDay(at), " ", h("span.dim", `in ${span(left)}`));
 }

@@ -1,11 +1,11 @@
 // The nodes of the network: each by its own report to the node of this console, and its links as that node sees them.
 
 import { get } from "../data/api.js";
-import { moment, size, span } from "../data/bytes.js";
+import { size, span } from "../data/bytes.js";
 import { now } from "../data/ledger.js";
 import { live } from "../data/live.js";
 import { h } from "../view/dom.js";
-import { Asked, empty, facts, page, table } from "../view/parts.js";
+import { Asked, empty, facts, onDay, page, table } from "../view/parts.js";
 
 /**
  * @typedef {import("../answers.js").Status} Status
@@ -23,7 +23,8 @@ export function open() {
       const own = live.status;
       if (!own) return page("Nodes", null, empty("Asking the node…"));
       const nodes = asked.answer?.nodes ?? [];
-      const newest = Math.max(own.committed, ...nodes.map(({ status }) => status?.committed ?? 0));
+      // Of one answer: a later report of the node of this page would make each of them seem behind.
+      const newest = Math.max(0, ...nodes.map(({ status }) => status?.height ?? 0));
       return page(
         "Nodes",
         h("span.dim", `as ${own.organisation}/${own.node_name} sees them`),
@@ -76,7 +77,7 @@ function certificates(own) {
   const shown = own.certificates.filter(({ kind }) => kind !== "list").sort((one, other) => one.not_after - other.not_after);
   const rows = shown.map(({ kind, name, not_after: notAfter }) => {
     const left = notAfter - now();
-    return h("tr", { key: `${kind}/${name}` }, h("td", kind), h("td.wide", name), h("td", moment(notAfter).slice(0, 10)), h("td", { class: warning(own, "certificate", name) }, span(left)));
+    return h("tr", { key: `${kind}/${name}` }, h("td", kind), h("td.wide", name), h("td", onDay(notAfter)), h("td", { class: warning(own, "certificate", name) }, span(left)));
   });
   return table("Certificates", ["Kind", "Name", "Ends", "In"], rows);
 }

@@ -1,11 +1,11 @@
 // One robot: its holders and queues, the flow of its messages, and the actions on it.
 
-import { clock, moment } from "../data/bytes.js";
-import { Rejection, rejectionOf } from "../data/api.js";
 import { invoke, openStops, query } from "../data/ledger.js";
 import { live, readRobots } from "../data/live.js";
+import { stop } from "../data/stop.js";
 import { h, refresh } from "../view/dom.js";
-import { Asked, action, address, empty, facts, page, rejected, remaining, table } from "../view/parts.js";
+import { Asked, action, address, atMoment, atTime, empty, facts, page, rejected, remaining, table } from "../view/parts.js";
+import { Question } from "../view/question.js";
 import { entries } from "./feed.js";
 import { Flow } from "./flow.js";
 import { mark } from "./robots.js";
@@ -20,7 +20,6 @@ import { mark } from "./robots.js";
 const TICK_MS = 500;
 const QUEUE_MS = 5000;
 const LATELY = 20;
-const AGAIN_MS = 1000;
 
 /** A service as it is shown: its queue, which is asked for again when its record changes, and its messages. */
 class Shown {
@@ -50,6 +49,7 @@ export function open({ parts: [name = ""], identity, session }) {
   const timer = setInterval(refresh, TICK_MS);
   /** @type {Map<string, Shown>} */
   const shown = new Map();
+  const question = new Question();
   let reason = "";
   let hasEnded = false;
   /** @type {unknown} */
@@ -62,36 +62,27 @@ export function open({ parts: [name = ""], identity, session }) {
     await readRobots();
   };
 
-  /** Signs and sends the stop again until it is in force, or the page is left. @param {...string} args */
-  const stop = (...args) => async () => {
-    for (;;) {
-      try {
-        await invoke(identity, "abac", "stop", ...args);
-        break;
-      } catch (found) {
-        const rejection = rejectionOf(found);
-        const isOpen = rejection.status === 0 || /^LGR-(4|1006|1007)/.test(rejection.code);
-        if (!isOpen) throw found;
-        const message = hasEnded ? "The stop is not in force: repeat it" : "The stop is not in force yet";
-        const next = "stay on this page: the stop is signed and sent again until it is in force";
-        failed(new Rejection({ message, code: rejection.code, found: rejection.message, next }));
-        if (hasEnded) return;
-        refresh();
-        await new Promise((done) => setTimeout(done, AGAIN_MS));
-      }
-    }
-    failed(undefined);
+  const stops = async () => {
+    await stop(identity, name, reason, { isOver: () => hasEnded, delayed: (found) => (failed(found), refresh()) });
     reason = "";
+  };
+
+  /** Also cancels the stops of the robot that have no verdict. @param {string} why */
+  const resume = async (why) => {
+    await invoke(identity, "abac", "resume", name, why, ...(await openStops(name)));
     await readRobots();
   };
 
-  /** Also cancels the stops of the robot that have no verdict. */
-  const resume = async () => {
-    const open = await openStops(name);
-    await invoke(identity, "abac", "resume", name, ...(open.length ? [reason, ...open] : []));
-    reason = "";
-    await readRobots();
-  };
+  /** @param {Service} service */
+  const overrides = ({ service: id, holders }) => ({
+    title: `Override ${id}?`,
+    about: holders.length ? `Takes it from ${holders.join(", ")}, whose commands end at once.` : "No one holds it. Acquire is enough, unless policies deny it.",
+    confirm: "Override",
+    run: async (/** @type {string} */ why) => {
+      await invoke(identity, "abac", "take", id, why);
+      await readRobots();
+    },
+  });
 
   /** @param {Service} service @param {boolean} isStopped */
   function section(service, isStopped) {
@@ -103,7 +94,7 @@ export function open({ parts: [name = ""], identity, session }) {
       { key: service.service, "aria-label": service.service },
       h("div.head", h("h2", service.topic), h("span.dim", `${service.type} · ${service.mode} · ${service.direction}`)),
       service.direction === "command" && control(service, known.queue.answer, isStopped),
-      service.side_door && h("p.warning", `Since ${moment(service.side_door.since)}, others publish on ${service.side_door.topic} around the ledger.`),
+      service.side_door && h("p.warning", "Since ", atMoment(service.side_door.since), `, others publish on ${service.side_door.topic} around the ledger.`),
       known.flow.show(),
       h("p.dim", h("a", { href: address("can", service.service) }, "Who may use it, and why?")),
     );
@@ -118,18 +109,29 @@ export function open({ parts: [name = ""], identity, session }) {
       h("p", service.holders.length ? ["Held by ", h("b", service.holders.join(", ")), `, epoch ${service.epoch}, `, remaining(service.expires)] : "Not held."),
       h(
         "div.actions",
-        !holds && !waits && action(`acquire ${id}`, { kind: "main", run: act("acquire", id), failed, disabled: isStopped }, "Acquire"),
-        holds && action(`renew ${id}`, { run: act("renew", id), failed }, "Renew"),
-        (holds || waits) && action(`release ${id}`, { run: act("release", id), failed }, holds ? "Release" : "Leave the queue"),
-        !holds && action(`take ${id}`, { kind: "danger", run: act("take", id, reason || "taken in the console"), failed, disabled: isStopped }, "Take"),
+        // Each button stays where it is: the second click of a double click does the same as the first one, or nothing.
+        action(`acquire ${id}`, { kind: "main", run: act("acquire", id), failed, disabled: isStopped || holds || waits }, "Acquire"),
+        action(`renew ${id}`, { run: act("renew", id), failed, disabled: !holds }, "Renew"),
+        action(`release ${id}`, { run: act("release", id), failed, disabled: !holds && !waits }, waits ? "Leave the queue" : "Release"),
+        h("button.danger", { key: `override ${id}`, type: "button", disabled: isStopped || holds, onclick: question.asks(overrides(service)) }, "Override…"),
       ),
       queue && queue.line.length > 0 && table(`Queue of ${id}`, ["Position", "Contender", "Priority", "Since", "Expected"], queue.line.map(place)),
     ];
   }
 
+  /** @param {NonNullable<import("../answers.js").Robot["stopped"]>} stopped */
+  const stoppage = ({ by, since, reason: why }) =>
+    h(
+      "section",
+      { key: "stopped", "aria-label": "Stopped" },
+      h("p.warning", h("strong", "Stopped"), ` by ${by} at `, atTime(since), why && `: ${why}`),
+      h("div.actions", h("button.plain", { key: "resume", type: "button", onclick: question.asks({ title: `Resume ${name}?`, about: `Stopped by ${by}${why && `: ${why}`}. The next contender in a queue gets it, and it may move at once.`, confirm: "Resume", run: resume }) }, "Resume…")),
+    );
+
   return {
     end() {
       hasEnded = true;
+      question.end();
       clearInterval(timer);
       for (const each of shown.values()) each.end();
     },
@@ -141,26 +143,24 @@ export function open({ parts: [name = ""], identity, session }) {
       return page(
         name,
         mark(robot),
-        facts(
-          ["Owner", robot.organisation],
-          ["Requires", robot.attribute_required],
-          stopped && ["Stopped", `by ${stopped.by} at ${clock(stopped.since)}${stopped.reason && `: ${stopped.reason}`}`],
-        ),
+        // First, and always at this place: one click, whatever the robot's state is.
         h(
-          "div.actions",
-          stopped
-            ? action("resume", { kind: "main", run: resume, failed }, "Resume")
-            : action("stop", { kind: "danger", run: stop(name, ...(reason ? [reason] : [])), failed }, "Stop"),
+          "div.actions.stops",
+          action("stop", { kind: "danger", run: stops, failed }, "Stop"),
           h(
             "label",
             h("span", "Reason"),
             h("input", { value: reason, maxlength: 200, placeholder: "why, for the others", oninput: (/** @type {any} */ event) => void (reason = event.target.value) }),
           ),
         ),
+        facts(["Owner", robot.organisation], ["Requires", robot.attribute_required]),
+        stopped && stoppage(stopped),
+        h("p.dim", h("a", { href: address("access", name) }, "Who may do what"), " · ", h("a", { href: address("tasks", name) }, "Tasks")),
         rejected(error),
         robot.services.map((service) => section(service, stopped !== undefined)),
         h("h2", "Lately"),
         entries(about.slice(0, LATELY)),
+        question.show(),
       );
     },
   };
@@ -168,5 +168,5 @@ export function open({ parts: [name = ""], identity, session }) {
 
 /** @param {Queue["line"][number]} position */
 function place({ position, contender, priority, since, expected }) {
-  return h("tr", { key: contender }, h("td", position), h("td", contender), h("td", priority), h("td", clock(since)), h("td", expected ? clock(expected) : ""));
+  return h("tr", { key: contender }, h("td", position), h("td", contender), h("td", priority), h("td", atTime(since)), h("td", expected ? atTime(expected) : ""));
 }

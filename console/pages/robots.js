@@ -1,8 +1,9 @@
 // All robots, live.
 
 import { live } from "../data/live.js";
+import { stop } from "../data/stop.js";
 import { h, refresh } from "../view/dom.js";
-import { address, empty, page, remaining } from "../view/parts.js";
+import { action, address, empty, page, rejected, remaining } from "../view/parts.js";
 
 /**
  * @typedef {import("../answers.js").Robot} Robot
@@ -21,8 +22,17 @@ export function stateOf(robot) {
 /** @param {Robot} robot */
 export const mark = (robot) => h(`span.mark.${stateOf(robot)}`, stateOf(robot));
 
-export function open() {
+/** @param {import("../main.js").Visit} visit */
+export function open({ identity }) {
   let search = "";
+  let isOver = false;
+  /** @type {unknown} */
+  let error;
+  const failed = (/** @type {unknown} */ found) => {
+    error = found;
+    refresh();
+  };
+  const stops = (/** @type {string} */ name) => () => stop(identity, name, "", { isOver: () => isOver, delayed: failed });
   const timer = setInterval(refresh, TICK_MS);
   const field = () =>
     h(
@@ -31,7 +41,10 @@ export function open() {
       h("input", { type: "search", placeholder: "Search", value: search, oninput: (/** @type {any} */ event) => ((search = event.target.value), refresh()) }),
     );
   return {
-    end: () => clearInterval(timer),
+    end() {
+      isOver = true;
+      clearInterval(timer);
+    },
     show() {
       const all = live.robots;
       const words = search.toLowerCase();
@@ -42,19 +55,24 @@ export function open() {
         field(),
         all && h("p.summary", all.length, " robots · ", count("held"), " held · ", count("stopped"), " stopped · ", count("free"), " free"),
         all?.length === 0 && empty("There is no robot. Its owner registers one: ledgerctl robot add"),
-        h("ul.map", shown?.map(card)),
+        rejected(error),
+        h("ul.map", shown?.map((robot) => card(robot, action(`stop ${robot.Name}`, { kind: "danger", run: stops(robot.Name), failed }, "Stop", h("span.unseen", ` ${robot.Name}`))))),
       );
     },
   };
 }
 
-/** @param {Robot} robot */
-function card(robot) {
+/**
+ * A robot. The button stays where it is, whatever happens to the robot.
+ * @param {Robot} robot
+ * @param {import("../view/dom.js").Child} button
+ */
+function card(robot, button) {
   const { stopped } = robot;
   return h(
     "li",
     { key: robot.Name, class: stateOf(robot) },
-    h("div.title", h("a", { href: address("robots", robot.Name) }, robot.Name), mark(robot)),
+    h("div.title", h("a", { href: address("robots", robot.Name) }, robot.Name), mark(robot), button),
     h("p.dim", robot.organisation),
     stopped && h("p.note", "by ", stopped.by, stopped.reason && `: ${stopped.reason}`),
     h(

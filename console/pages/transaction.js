@@ -1,9 +1,10 @@
 // A transaction, and its proof.
 
 import { get } from "../data/api.js";
-import { moment, unhex } from "../data/bytes.js";
+import { unhex } from "../data/bytes.js";
+import { wordsOf } from "../data/calls.js";
 import { h } from "../view/dom.js";
-import { Asked, action, address, facts, page, rejected } from "../view/parts.js";
+import { Asked, action, address, atMoment, facts, page, rejected, subjects } from "../view/parts.js";
 
 /**
  * @typedef {import("../answers.js").Transaction} Transaction
@@ -15,7 +16,7 @@ import { Asked, action, address, facts, page, rejected } from "../view/parts.js"
 const HEX_DIGITS_SHOWN = 96;
 
 /** @param {Transaction} transaction */
-export const callOf = ({ chaincode, function: name }) => (chaincode ? `${chaincode} ${name}` : "not readable for you");
+const callOf = ({ chaincode, function: name }) => (chaincode ? `${chaincode} ${name}` : "not readable for you");
 
 /** @param {Transaction} transaction */
 export const verdict = ({ code }) => (code === "OK" ? h("span.what.good", "executed") : h("span.what.warn", code));
@@ -49,11 +50,13 @@ function contents(transaction) {
   return [
     facts(
       ["Id", h("code", id)],
-      ["Call", callOf(transaction)],
       ["Signer", creator],
-      ["Block", [h("a", { href: address("blocks", String(height)) }, height), `, position ${index}, ${moment(time)}`]],
+      ["Action", wordsOf(transaction).action],
+      ["About", subjects(wordsOf(transaction).about)],
+      ["Call", callOf(transaction)],
+      ["Block", [h("a", { href: address("blocks", String(height)) }, height), `, position ${index}, `, atMoment(time)]],
       ["Verdict", code === "OK" ? "executed" : [h("code", code), " ", message]],
-      notAfter > 0 && ["Valid until", moment(notAfter)],
+      notAfter > 0 && ["Valid until", atMoment(notAfter)],
     ),
     args.length > 0 && [h("h2", "Arguments"), h("ol.arguments", args.map((each) => h("li", h("code", text(each)))))],
     events.length > 0 && [h("h2", "Events"), eventsOf(events)],

@@ -160,13 +160,14 @@ function update(element, wanted) {
   described.set(element, wanted);
   for (const name of Object.keys(before)) if (!(name in wanted.props)) set(element, name, undefined);
   for (const [name, value] of Object.entries(wanted.props)) {
-    if (name !== "value" && before[name] !== value) set(element, name, value);
+    if ((name !== "value" || wanted.tag === "progress") && before[name] !== value) set(element, name, value);
   }
   reconcile(element, wanted.children);
   // Last, because the value of a list is one of its options.
   const { value } = wanted.props;
   const field = /** @type {HTMLInputElement} */ (element);
-  if (value !== undefined && field.value !== value) field.value = value;
+  if (value !== undefined && field.value !== value && wanted.tag !== "progress") field.value = value;
+  if ("checked" in wanted.props) field.checked = wanted.props["checked"] === true;
 }
 
 /**

@@ -1,6 +1,6 @@
 // Small parts of pages.
 
-import { span } from "../data/bytes.js";
+import { clock, day, span, utc } from "../data/bytes.js";
 import { rejectionOf } from "../data/api.js";
 import { now } from "../data/ledger.js";
 import { h, refresh } from "./dom.js";
@@ -31,8 +31,8 @@ export function rejected(error) {
   return h(
     "div.rejected",
     { role: "alert" },
-    h("p", h("strong", message), " ", code && h("code", code)),
-    shown.length > 0 && h("dl", shown.map(([name, text]) => [h("dt", name), h("dd", text)])),
+    h("p", h("strong", withTimes(message)), " ", code && h("code", code)),
+    shown.length > 0 && h("dl", shown.map(([name, text]) => [h("dt", name), h("dd", withTimes(text))])),
   );
 }
 
@@ -69,6 +69,22 @@ export function remaining(until) {
   return h("span", { class: left < 3e6 ? "soon" : undefined }, left > 0 ? `${span(left)} left` : "ends now");
 }
 
+/**
+ * A time as text, in UTC where the mouse is on it.
+ * @param {number} us
+ * @param {string} text
+ */
+const shownTime = (us, text) => h("time", { datetime: new Date(us / 1000).toISOString(), title: utc(us) }, text);
+
+/** A time of day, and the day if it is not today. @param {number} us */
+export const atTime = (us) => shownTime(us, day(us) === day(now()) ? clock(us) : `${day(us)} ${clock(us)}`);
+
+/** A day and a time. @param {number} us */
+export const atMoment = (us) => shownTime(us, `${day(us)} ${clock(us)}`);
+
+/** A day. @param {number} us */
+export const onDay = (us) => shownTime(us, day(us));
+
 /** @param {...Child} children */
 export const empty = (...children) => h("p.empty", children);
 
@@ -87,7 +103,7 @@ export function table(label, head, rows) {
   return h(
     "div.scroll",
     { key: label, role: "region", "aria-label": label, tabindex: 0 },
-    h("table", h("caption.unseen", label), h("thead", h("tr", head.map((name) => h("th", { scope: "col" }, name)))), h("tbody", rows)),
+    h("table", h("caption.unseen", label), h("thead", h("tr", head.map((name) => (name ? h("th", { scope: "col" }, name) : h("td"))))), h("tbody", rows)),
   );
 }
 
@@ -97,6 +113,15 @@ export const facts = (...pairs) =>
 
 /** @param {...string} parts */
 export const address = (...parts) => `#/${parts.map(encodeURIComponent).join("/")}`;
+
+/** What something is about, with links to robots. @param {import("../data/calls.js").Subject[]} about */
+export const subjects = (about) => about.map(({ text, robot }, at) => [at > 0 && ", ", robot ? h("a", { href: address("robots", robot) }, text) : text]);
+
+// A time as the ledger writes it, and the same in microseconds behind it.
+const WRITTEN = /(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z)(?: \(\d+ µs\))?/;
+
+/** A text of the ledger with the times in it as people read them here. @param {string} text */
+export const withTimes = (text) => text.split(WRITTEN).map((part, at) => (at % 2 === 1 ? atTime(Date.parse(part) * 1000) : part));
 
 /**
  * An answer that is asked for again and again, as long as its page is shown.

@@ -8,7 +8,6 @@ mod measure;
 mod messages;
 mod network;
 mod picture;
-mod process;
 mod summary;
 mod user;
 

@@ -100,6 +100,21 @@ fn a_message_is_shown_as_a_twist_only_where_it_is_one_and_an_envelope_as_encrypt
 }
 
 #[test]
+fn a_call_is_shown_by_person_action_and_robot() {
+    ran(Command::new("node").current_dir(console()).arg("tests/calls.mjs"));
+}
+
+#[test]
+fn a_time_is_shown_in_the_zone_of_its_reader() {
+    ran(Command::new("node").current_dir(console()).arg("tests/times.mjs").env("TZ", "Asia/Tokyo"));
+}
+
+#[test]
+fn the_terms_of_a_share_are_sent_as_the_ledger_takes_them() {
+    ran(Command::new("node").current_dir(console()).arg("tests/access.mjs").env("TZ", "Asia/Tokyo"));
+}
+
+#[test]
 fn an_address_that_is_none_leads_to_the_start_page() {
     ran(Command::new("node").current_dir(console()).arg("tests/route.mjs"));
 }

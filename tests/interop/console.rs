@@ -1,6 +1,7 @@
 //! The console in a real Chromium, while a robot is driven: `console/tests/browser.mjs` is the person in front of it.
 
 use crate::python::Python;
+use crate::support::network::now;
 use crate::support::{Ctl, programs};
 use crate::world::{World, run};
 use crate::{call, network, stop_message};
@@ -49,6 +50,17 @@ fn a_person_watches_and_stops_a_robot_in_a_browser_and_everybody_can_use_every_p
         let heard = |robot: &mut Python| std::iter::from_fn(|| robot.line()).any(|line| line == stop_message());
         assert!(heard(&mut robot), "the robot's topic never showed the stop message\n{}", world.logs());
         until(&mut browser, "resumed");
+        until(&mut browser, "wants task");
+        let (soon, later) = (now() + 3_600_000_000, now() + 7_200_000_000);
+        let points = r#"[{"x_um":0,"y_um":0},{"x_um":1000000,"y_um":0}]"#;
+        let task = format!(r#"{{"points":{points},"not_before":{soon},"deadline":{later}}}"#);
+        call(&world.salma, "submit", &["Rover/cmd_vel", &task]).await;
+        until(&mut browser, "wants policy");
+        let owner = ctl.as_("dev-org2-admin");
+        let built_in = owner.json(&["policy", "show", "default"]);
+        owner.run(&["policy", "put", "default", built_in["text"].as_str().unwrap()]).ok();
+        let weekend = r#"forbid (principal == User::"Org1/Mallory", action == Action::"acquire", resource);"#;
+        owner.run(&["policy", "put", "weekend", weekend, "--expect", "Org1/Mallory"]).ok();
         until(&mut browser, "done");
         assert!(browser.finish());
     });

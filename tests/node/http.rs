@@ -253,6 +253,9 @@ fn rights_and_codes_are_those_of_grpc() {
     // Nothing is lost of what a block says.
     use_as("dev-org1-admin");
     let height = place.acquired.1.to_string();
+    let granted = place.first(&format!("curl -K me.curl -N '{url}/events?from_height={height}&name=granted'"));
+    let call = &granted["events"][0]["transaction"];
+    assert_eq!((&call["function"], &call["creator"]), (&"acquire".into(), &"Org1/Salma".into()), "{granted}");
     let (status, mut block) = by_http(&format!("{url}/blocks/{height}"));
     assert_eq!(status, 200);
     for transaction in block["transactions"].as_array_mut().unwrap() {

@@ -52,7 +52,7 @@ fn on_terminal(columns: usize, ctl: &Ctl, arguments: &[&str]) -> Command {
 }
 
 #[test]
-fn top_shows_robots_and_nodes_and_a_key_stops_the_chosen_robot() {
+fn top_shows_robots_and_nodes_and_a_key_stops_the_chosen_robot_and_asks_before_it_is_resumed() {
     let dev = Dev::start();
     let log = dev.home.path().join("top.out");
     let mut child = on_terminal(100, &dev.owner(), &["top"])
@@ -78,6 +78,26 @@ fn top_shows_robots_and_nodes_and_a_key_stops_the_chosen_robot() {
         (stopped == 1 && husky["stopped"].is_object()).then_some(())
     });
     eventually("the stop is shown", || screen().contains("STOPPED by Org2/Admin").then_some(()));
+    // To resume it is asked first: a key alone, a repeated one, and Esc resume nothing.
+    let is_stopped = || {
+        let robots = dev.owner().json(&["robot", "list"]);
+        robots.as_array().unwrap().iter().any(|robot| robot["Name"] == "Husky" && robot["stopped"].is_object())
+    };
+    keys.write_all(b"u").unwrap();
+    eventually("the reason is asked for", || screen().contains("resume Husky: why?").then_some(()));
+    keys.write_all(b"\x1b").unwrap();
+    eventually("Esc cancels", || screen().contains("nothing is resumed").then_some(()));
+    assert!(is_stopped());
+    keys.write_all(b"u").unwrap();
+    eventually("the reason is asked for again", || {
+        (screen().matches("resume Husky: why? _").count() > 1).then_some(())
+    });
+    keys.write_all(b"floor is clear").unwrap();
+    eventually("the reason is shown", || screen().contains("floor is clear_").then_some(()));
+    keys.write_all(b"\r").unwrap();
+    eventually("the robot is resumed", || (!is_stopped()).then_some(()));
+    let resumed = dev.owner().run(&["audit", "--robot", "Husky", "-o", "json"]).ok().stdout;
+    assert!(resumed.contains("floor is clear"), "{resumed}");
     keys.write_all(b"q").unwrap();
     let status = eventually("top ends", || child.try_wait().unwrap());
     assert!(status.success() && screen().contains("\u{1b}[?1049l"), "{status}: {:?}", screen());

@@ -1,6 +1,6 @@
 //! Messages as people write and read them: YAML and JSON by the type of the service, as `ros2 topic` has them.
 
-use crate::support::Dev;
+use crate::support::{Dev, Process, eventually};
 use serde_json::{Value, json};
 
 /// The content of one line of `echo -o json`.
@@ -95,4 +95,44 @@ fn a_type_of_ones_own_is_hex_until_its_definition_is_given() {
     assert!(echoed.stdout.ends_with("\nforce: 2.5\ntool: hook\nraw:\n- 1\n- 255\n---\n"), "{echoed:?}");
     let again = salma.run(&[&echo[..], &["--msg", &path, "--msg", "/nowhere/a_msgs/msg/B.msg"]].concat());
     again.refused(3, &["LGR-7002", "/nowhere/a_msgs/msg/B.msg"]);
+}
+
+#[test]
+fn hz_and_bw_count_what_arrives_and_need_the_right_to_read() {
+    let dev = Dev::start();
+    let salma = dev.user("Salma", &["Turtlebot4"], "ed25519");
+    let mallory = dev.user("Mallory", &[], "ed25519");
+    salma.run(&["acquire", "Turtlebot4", "--for", "60s"]).ok();
+    for name in ["hz", "bw"] {
+        mallory.run(&[name, "Turtlebot4/cmd_vel"]).refused(2, &["LGR-3001"]);
+        salma.run(&[name, "Turtlebot4/nope"]).refused(3, &["LGR-3004"]);
+        let silent = salma.run(&[name, "Turtlebot4", "--every", "50ms", "--count", "2"]).ok().stdout;
+        assert_eq!(silent, "no messages\nno messages\n");
+    }
+    let measure = |name| {
+        let words = [name, "Turtlebot4/cmd_vel", "--every", "100ms", "-o", "json"];
+        Process::start(name, dev.home.path(), salma.command(&words))
+    };
+    let (mut hz, mut bw) = (measure("hz"), measure("bw"));
+    let last = |measured: &Process| {
+        let text = measured.stdout();
+        let (complete, _) = text.rsplit_once('\n')?;
+        lines(complete).pop()
+    };
+    let (rate, bandwidth) = eventually("both have counted three messages", || {
+        hz.check();
+        bw.check();
+        salma.publish(&["Turtlebot4", "{linear: {x: 0.5}}"]).ok();
+        let (rate, bandwidth) = (last(&hz)?, last(&bw)?);
+        let has_three = |line: &Value| line["messages"].as_u64() > Some(2);
+        (has_three(&rate) && has_three(&bandwidth)).then_some((rate, bandwidth))
+    });
+    assert!(rate["rate_hz"].as_f64() > Some(0.0) && rate["service"] == "Turtlebot4/cmd_vel", "{rate}");
+    assert!(rate["interval_min_us"].as_u64() <= rate["interval_max_us"].as_u64(), "{rate}");
+    // A Twist is 52 bytes.
+    let sizes = ["size_min_bytes", "size_mean_bytes", "size_max_bytes"].map(|name| bandwidth[name].as_u64());
+    assert_eq!(sizes, [Some(52); 3], "{bandwidth}");
+    assert!(bandwidth["bytes_per_s"].as_f64() > Some(0.0), "{bandwidth}");
+    hz.interrupt();
+    bw.interrupt();
 }

@@ -10,7 +10,12 @@ use axum::http::Uri;
 use axum::response::Response;
 use ledger_api::v1;
 use ledger_api::v1::gateway_server::Gateway;
+use ledger_base::hash::Hash;
+use std::collections::HashMap;
 use std::sync::Arc;
+
+/// Most signers that a stream remembers.
+const NAMES_MAX: usize = 1024;
 
 const FILTERS: [&str; 7] = ["from_height", "chaincode", "subject", "name", "heartbeat_ms", "early", "proofs"];
 
@@ -31,5 +36,20 @@ pub(super) async fn events(
         heads: false,
     };
     let deliveries = api.gateway.subscribe(call(caller, request)).await?.into_inner();
-    Ok(lines::answer(deliveries, DeliveryFacts::from))
+    let mut names = HashMap::new();
+    let shape = move |delivery| DeliveryFacts::of(delivery, |certificate| name(&api, &mut names, certificate));
+    Ok(lines::answer(deliveries, shape))
+}
+
+/// The owner of a certificate; empty if it is not known. A stream verifies each certificate once.
+fn name(api: &Api, known: &mut HashMap<Hash, String>, certificate: &Hash) -> String {
+    if let Some(name) = known.get(certificate) {
+        return name.clone();
+    }
+    let name = api.gateway.ledger().creator_name(certificate).unwrap_or_default();
+    if known.len() == NAMES_MAX {
+        known.clear();
+    }
+    known.insert(*certificate, name.clone());
+    name
 }

@@ -16,7 +16,7 @@ const KIND: &str = "application/x-ndjson";
 /// A stream of messages, each as this shape.
 pub(super) fn answer<T, S: Serialize>(
     messages: impl Stream<Item = Result<T, Status>> + Send + 'static,
-    shape: impl Fn(T) -> S + Send + 'static,
+    mut shape: impl FnMut(T) -> S + Send + 'static,
 ) -> Response {
     let lines = messages.map(move |message| {
         let line = match message {

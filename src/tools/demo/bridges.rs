@@ -1,9 +1,9 @@
 //! The bridges of a demo: a process for each graph.
 
 use super::graph::{DISCOVERY_TIME_MAX, nobody_there};
-use super::process::Process;
 use super::summary::BridgeReport;
 use crate::process::random;
+use crate::tools::child::Process;
 use ledger_api::context::{Context, Memory};
 use ledger_base::rejection::{Code, Rejection};
 use std::path::Path;

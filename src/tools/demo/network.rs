@@ -1,9 +1,9 @@
 //! The processes of the demo: two nodes and three bridges, in a temporary directory.
 
 use super::bridges::{Bridges, Plan};
-use super::process::Process;
 use super::summary::Summary;
 use crate::process::clock::wall;
+use crate::tools::child::Process;
 use crate::tools::dev::ORGANISATIONS;
 use crate::tools::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use ledger_api::context::Context;

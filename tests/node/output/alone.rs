@@ -170,6 +170,21 @@ pub(super) fn play(it: &mut Printed) {
     it.run(&salma, "renew", &[service]);
     it.run(&salma, "publish", &[service, "{linear: {x: 0.1}}"]);
     it.run(&salma, "echo", &[service, "--from", "1", "--count", "1"]);
+    for name in ["hz", "bw"] {
+        let every = [name, service, "--every", "100ms", "-o", "json"];
+        let mut measured = Process::start(name, dev.home.path(), salma.command(&every));
+        let lines = |measured: &Process| -> Vec<Value> {
+            let text = measured.stdout();
+            text.split_inclusive('\n').filter_map(|line| serde_json::from_str(line).ok()).collect()
+        };
+        eventually("figures of two messages are printed", || {
+            measured.check();
+            salma.publish(&[service, "{linear: {x: 0.1}}"]).ok();
+            lines(&measured).last().filter(|line| line["messages"].as_u64() > Some(1)).map(|_| ())
+        });
+        measured.interrupt();
+        lines(&measured).iter().for_each(|line| it.note(name, line));
+    }
     it.run(&owner, "history", &[service, "--since", "10m"]);
     it.run(&salma, "robot show", &["Turtlebot4"]);
     it.run(&salma, "queue", &[service]);

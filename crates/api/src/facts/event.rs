@@ -4,6 +4,7 @@ use super::{DecodedBytes, utc};
 use crate::v1;
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
+use ledger_base::hash::Hash;
 use serde::Serialize;
 
 /// An event.
@@ -41,6 +42,12 @@ pub struct SignedCallFacts {
     pub id: String,
     /// Position in the block.
     pub index: u32,
+    /// The signer, such as `Org1/Salma`, where the node names it.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub creator: String,
+    /// SHA-256 of the signer's certificate.
+    #[serde(skip)]
+    pub certificate: Hash,
     /// The call.
     #[serde(flatten)]
     pub call: CallFacts,
@@ -49,7 +56,13 @@ pub struct SignedCallFacts {
 impl SignedCallFacts {
     fn read(encoded: Bytes, index: u32) -> Option<Self> {
         let transaction = Transaction::decode(encoded).ok()?;
-        Some(Self { id: transaction.id().to_string(), index, call: transaction.body().into() })
+        Some(Self {
+            id: transaction.id().to_string(),
+            index,
+            creator: String::new(),
+            certificate: transaction.creator(),
+            call: transaction.body().into(),
+        })
     }
 }
 

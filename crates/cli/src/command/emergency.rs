@@ -13,6 +13,7 @@ use ledger::CallRef;
 use ledger_api::Committed;
 use ledger_api::v1::OpenStop;
 use ledger_base::hash::Hash;
+use ledger_base::rejection::Rejection;
 use ledger_contract::EmergencyAnswer;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -142,19 +143,28 @@ impl Stop {
 impl Resume {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
-        let robot = self.which.robot();
-        // A node that has no stop without a verdict knows of none that could come later.
-        let open = session.client.status().await?.open_stops;
-        let named = open.iter().filter(|open| open.robot == robot || open.robot == "*" || robot == "*");
-        let named: Vec<_> = named
-            .inspect(|open| output.note(&format!("cancels the stop by {}, which has no verdict yet", open.by)))
-            .filter_map(call)
-            .take(NAMED_MAX)
-            .map(|call| call.to_string())
-            .collect();
-        let reason = self.which.reason.clone().or_else(|| (!named.is_empty()).then(String::new));
-        let args = std::iter::once(robot).chain(reason).chain(named).map(Bytes::from).collect();
-        let done = session.call(ABAC, "resume", args).await.map_err(|refused| RESUME.told(refused))?;
+        let cancels = |by: &str| output.note(&format!("cancels the stop by {by}, which has no verdict yet"));
+        let done = resume(&session, self.which.robot(), self.which.reason.clone(), cancels).await?;
         show(done, "resumed", output)
     }
+}
+
+/// Resumes a robot, or every one with `*`. Stops of it that have no verdict are cancelled: `cancels` gets who signed each.
+///
+/// # Errors
+/// Those of the call, in the words of the command line.
+pub(crate) async fn resume(
+    session: &Session,
+    robot: String,
+    reason: Option<String>,
+    cancels: impl Fn(&str),
+) -> Result<Committed, Rejection> {
+    // A node that has no stop without a verdict knows of none that could come later.
+    let open = session.client.status().await?.open_stops;
+    let named = open.iter().filter(|open| open.robot == robot || open.robot == "*" || robot == "*");
+    let named: Vec<_> =
+        named.inspect(|open| cancels(&open.by)).filter_map(call).take(NAMED_MAX).map(|call| call.to_string()).collect();
+    let reason = reason.or_else(|| (!named.is_empty()).then(String::new));
+    let args = std::iter::once(robot).chain(reason).chain(named).map(Bytes::from).collect();
+    session.call(ABAC, "resume", args).await.map_err(|refused| RESUME.told(refused))
 }

@@ -1,9 +1,10 @@
-//! `publish`, `echo`, `history`: the messages of a service.
+//! `publish`, `echo`, `history`, `hz`, `bw`: the messages of a service.
 
 mod echo;
 mod history;
 mod place;
 mod publish;
+mod rate;
 mod secret;
 mod senders;
 
@@ -11,6 +12,7 @@ pub(crate) use echo::Echo;
 pub(crate) use history::History;
 pub(crate) use place::Place;
 pub(crate) use publish::{COMMAND_TTL, Publish};
+pub(crate) use rate::{Bw, Hz};
 pub(crate) use secret::{KEYED, Opening, enter};
 pub(crate) use senders::Senders;
 

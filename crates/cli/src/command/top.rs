@@ -1,19 +1,22 @@
 //! `top`: robots, holders, rates, latencies and nodes on the whole screen, as they are now.
 
+mod question;
 mod rates;
 mod screen;
 mod view;
 
+use crate::command::emergency;
 use crate::command::network::status::{self, Overview};
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
-use ledger_api::{EventStream, Subscription};
+use ledger_api::{Committed, EventStream, Subscription};
 use ledger_base::rejection::{Class, Rejection};
 use ledger_contract::RobotAsset;
+use question::Progress;
 use rates::Rates;
-use screen::{Key, Screen};
+use screen::{Key, Screen, Typed};
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::time::{Instant, interval, sleep};
@@ -29,8 +32,8 @@ const HEARTBEAT_MS: u32 = 1_000;
 /// Show robots, holders, rates, latencies and nodes on the whole screen, as they are now.
 ///
 /// Rates and latencies are those of the services that you may subscribe to, over the last ten seconds. A latency is the time from the
-/// signature of a message to its arrival here. The arrow keys choose a service, `s` stops its robot, `r` releases your grant of it,
-/// `q` ends.
+/// signature of a message to its arrival here. The arrow keys choose a service. `s` stops its robot at once. `u` resumes it once you
+/// have typed a reason and Enter. `r` releases your grant of it, and `q` ends.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl top")]
 pub(crate) struct Top {}
@@ -59,13 +62,8 @@ async fn run(session: &Session, screen: &mut Screen) -> Result<(), Rejection> {
     let mut is_looking = true;
     loop {
         tokio::select! {
-            key = screen.key() => match key {
-                Key::End => return Ok(()),
-                Key::Up => view.choose(-1),
-                Key::Down => view.choose(1),
-                Key::Stop => view.told = act(session, "stop", view.robot()).await,
-                Key::Release => view.told = act(session, "release", view.service()).await,
-                Key::Other => continue,
+            typed = screen.typed() => if let Next::End = after(&typed, session, &mut view).await {
+                return Ok(());
             },
             seen = &mut looking, if is_looking => {
                 is_looking = false;
@@ -83,6 +81,38 @@ async fn run(session: &Session, screen: &mut Screen) -> Result<(), Rejection> {
         }
         screen.draw(&view.lines(&rates.now(Instant::now()), screen.size()))?;
     }
+}
+
+/// Whether the screen stays after a key.
+enum Next {
+    Stay,
+    End,
+}
+
+/// Does what a key asks for. While a question is open, keys are its answer.
+async fn after(typed: &Typed, session: &Session, view: &mut View) -> Next {
+    if let Some(mut question) = view.question.take() {
+        match question.typed(typed.bytes()) {
+            Progress::Open => view.question = Some(question),
+            Progress::Cancelled => "nothing is resumed".clone_into(&mut view.told),
+            Progress::Answered => {
+                let (robot, reason) = question.answer();
+                let done = emergency::resume(session, robot.clone(), Some(reason), |_| ()).await;
+                view.told = outcome("resume", &robot, done);
+            }
+        }
+        return Next::Stay;
+    }
+    match typed.key() {
+        Key::End => return Next::End,
+        Key::Up => view.choose(-1),
+        Key::Down => view.choose(1),
+        Key::Stop => view.told = act(session, "stop", view.robot()).await,
+        Key::Resume => view.ask_to_resume(),
+        Key::Release => view.told = act(session, "release", view.service()).await,
+        Key::Other => {}
+    }
+    Next::Stay
 }
 
 /// The next delivery; after a refusal of the subscription another try.
@@ -104,7 +134,13 @@ async fn look(session: &Session) -> Result<(Vec<RobotAsset>, Overview), Rejectio
 /// Does something about what is chosen, and tells how that went.
 async fn act(session: &Session, function: &str, about: Option<String>) -> String {
     let Some(about) = about else { return "nothing is chosen".to_owned() };
-    match session.call(ABAC, function, vec![Bytes::from(about.clone())]).await {
+    let done = session.call(ABAC, function, vec![Bytes::from(about.clone())]).await;
+    outcome(function, &about, done)
+}
+
+/// How a call went, in a line.
+fn outcome(function: &str, about: &str, done: Result<Committed, Rejection>) -> String {
+    match done {
         Ok(done) => format!("{function} {about}: done in block {}", done.height),
         Err(refused) if refused.code.class() == Class::Unreachable => {
             format!("{function} {about}: not in force, repeat it: {} [{}]", refused.message, refused.code)

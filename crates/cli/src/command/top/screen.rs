@@ -9,7 +9,9 @@ use tokio::io::{AsyncReadExt, Stdin, stdin};
 const ENTER: &str = "\x1b[?1049h\x1b[?25l";
 const LEAVE: &str = "\x1b[?25h\x1b[?1049l";
 /// Ctrl-C and Ctrl-D, where the terminal makes no signal of them.
-const CONTROL: [u8; 2] = [3, 4];
+pub(super) const CONTROL: [u8; 2] = [3, 4];
+/// Most bytes that are read at a time.
+const TYPED_MAX: usize = 16;
 
 /// A key that means something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,9 +19,31 @@ pub(super) enum Key {
     Up,
     Down,
     Stop,
+    Resume,
     Release,
     End,
     Other,
+}
+
+/// The bytes of one key, or of pasted text.
+pub(super) struct Typed {
+    bytes: [u8; TYPED_MAX],
+    count: usize,
+}
+
+impl Typed {
+    /// The bytes; none if the terminal is gone.
+    pub(super) fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.count).unwrap_or_default()
+    }
+
+    /// The key, where keys are commands.
+    pub(super) fn key(&self) -> Key {
+        match self.bytes() {
+            [] => Key::End,
+            bytes => key(bytes),
+        }
+    }
 }
 
 /// The terminal while it is ours.
@@ -70,14 +94,11 @@ impl Screen {
         out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(unusable)
     }
 
-    /// The next key. Safe to cancel.
-    pub(super) async fn key(&mut self) -> Key {
-        let mut bytes = [0; 16];
-        match self.keys.read(&mut bytes).await {
-            Ok(count) if count > 0 => key(bytes.get(..count).unwrap_or_default()),
-            // The terminal is gone.
-            _ => Key::End,
-        }
+    /// The next bytes that are typed. Safe to cancel.
+    pub(super) async fn typed(&mut self) -> Typed {
+        let mut bytes = [0; TYPED_MAX];
+        let count = self.keys.read(&mut bytes).await.unwrap_or_default();
+        Typed { bytes, count }
     }
 }
 
@@ -93,6 +114,7 @@ fn key(bytes: &[u8]) -> Key {
         b"\x1b[A" | b"\x1bOA" | b"k" => Key::Up,
         b"\x1b[B" | b"\x1bOB" | b"j" => Key::Down,
         b"s" | b"S" => Key::Stop,
+        b"u" | b"U" => Key::Resume,
         b"r" | b"R" => Key::Release,
         b"q" | b"Q" | b"\x1b" => Key::End,
         [byte] if CONTROL.contains(byte) => Key::End,
@@ -116,6 +138,7 @@ mod tests {
             (b"\x1bOB", Key::Down),
             (b"s", Key::Stop),
             (b"r", Key::Release),
+            (b"u", Key::Resume),
             (b"q", Key::End),
             (b"\x03", Key::End),
             (b"ss", Key::Other),

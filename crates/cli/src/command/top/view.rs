@@ -1,5 +1,6 @@
 //! The text on the screen.
 
+use super::question::Question;
 use super::rates::Rate;
 use crate::command::network::status::Overview;
 use crate::output::printable;
@@ -12,7 +13,7 @@ use std::collections::BTreeMap;
 /// Turns a line around, and back: the chosen one.
 const CHOSEN: (&str, &str) = ("\x1b[7m", "\x1b[0m");
 /// The keys.
-const KEYS: &str = "up, down choose   s stop the robot   r release your grant   q end";
+const KEYS: &str = "up, down choose   s stop the robot   u resume it   r release your grant   q end";
 
 /// The network as it is known, and the chosen service.
 pub(super) struct View {
@@ -24,6 +25,8 @@ pub(super) struct View {
     chosen: usize,
     /// The outcome of the last key.
     pub(super) told: String,
+    /// The question that is open.
+    pub(super) question: Option<Question>,
     /// Why the last look failed.
     failed: Option<String>,
 }
@@ -38,6 +41,7 @@ impl View {
             now: 0,
             chosen: 0,
             told: String::new(),
+            question: None,
             failed: None,
         }
     }
@@ -78,10 +82,21 @@ impl View {
         self.services().nth(self.chosen).map(|(robot, _)| robot.name.clone())
     }
 
+    /// Asks why the robot of the chosen service is resumed.
+    pub(super) fn ask_to_resume(&mut self) {
+        let robot = self.services().nth(self.chosen).map(|(robot, _)| robot);
+        match robot {
+            Some(robot) if robot.stopped.is_some() => self.question = Some(Question::about(robot.name.clone())),
+            Some(robot) => self.told = format!("{} is not stopped", robot.name),
+            None => self.told = "nothing is chosen".to_owned(),
+        }
+    }
+
     /// The lines of a screen with so many columns and rows.
     pub(super) fn lines(&self, rates: &BTreeMap<String, Rate>, (columns, rows): (usize, usize)) -> Vec<String> {
         let nodes = self.nodes(columns);
-        let foot = [String::new(), cut(&self.told, columns), cut(KEYS, columns)];
+        let told = self.question.as_ref().map_or_else(|| self.told.clone(), Question::line);
+        let foot = [String::new(), cut(&told, columns), cut(KEYS, columns)];
         let mut lines = vec![self.title(columns), String::new()];
         // The services have the room that is left, and the chosen one is always seen.
         let room = rows.saturating_sub(lines.len() + 1 + nodes.len() + foot.len()).max(1);
@@ -199,6 +214,7 @@ mod tests {
             now: 1_000_000,
             chosen: 0,
             told: String::new(),
+            question: None,
             failed: None,
         }
     }
@@ -231,6 +247,17 @@ mod tests {
         assert_eq!(view.service().as_deref(), Some("T/c49"));
         view.choose(-100);
         assert_eq!(view.service().as_deref(), Some("T/c0"));
+    }
+
+    #[test]
+    fn only_a_stopped_robot_is_resumed_and_its_reason_is_asked_for() {
+        let mut view = view(1);
+        view.ask_to_resume();
+        assert!(view.question.is_none() && view.told == "T is not stopped", "{}", view.told);
+        view.robots[0].stopped = Some(Stopped { by: "Org2/Admin".into(), reason: String::new(), since: 1 });
+        view.ask_to_resume();
+        let lines = view.lines(&BTreeMap::new(), (120, 24)).concat();
+        assert!(lines.contains("resume T: why? _") && lines.contains("Esc cancels"), "{lines}");
     }
 
     #[test]

@@ -1,10 +1,10 @@
-//! Child processes of the demo: started with a log file, stopped in order, never left behind.
+//! Child processes of `demo` and `lab`: started with a log file, stopped in order, never left behind.
 
 use crate::process::telemetry::LOG_FORMAT;
 use ledger_base::rejection::{Code, Rejection};
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use tokio::io::AsyncReadExt;
 use tokio::process::{Child, Command};
@@ -15,7 +15,7 @@ const STOP_TIME_MAX: Duration = Duration::from_secs(5);
 /// Time that a killed process has to be gone, before the directory it wrote into is removed.
 const KILL_TIME_MAX: Duration = Duration::from_secs(2);
 
-/// A running `ledgerd` of the demo. Dropping it kills the process and waits until it is gone.
+/// A running `ledgerd`. Dropping it kills the process and waits until it is gone.
 pub(super) struct Process {
     name: String,
     child: Child,
@@ -30,14 +30,14 @@ impl Process {
         let program = std::env::current_exe().map_err(failed)?;
         let child = Command::new(program)
             .args(arguments)
-            // The demo reads the logs: at the level that it asked for.
+            // The demo reads the logs: at the level of the configuration.
             .env_remove("RUST_LOG")
             // And people read their ends.
             .env(LOG_FORMAT, "text")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(File::create(&log).map_err(failed)?)
-            // Ctrl-C reaches the demo alone; it ends the others in order.
+            // Ctrl-C reaches the parent alone, which ends the others in order.
             .process_group(0)
             .kill_on_drop(true)
             .spawn()
@@ -54,6 +54,16 @@ impl Process {
             }
             Err(error) => Err(Rejection::new(Code::Internal, format!("cannot watch {}: {error}", self.name))),
         }
+    }
+
+    /// The number of the process; none if it has ended.
+    pub(super) fn id(&self) -> Option<u32> {
+        self.child.id()
+    }
+
+    /// How the process ended, if it has.
+    pub(super) fn ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().ok().flatten()
     }
 
     /// Has it logged a line with these words?
