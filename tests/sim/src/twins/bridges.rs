@@ -13,7 +13,7 @@ use bytes::Bytes;
 use ledger::CallRef;
 use ledger::transaction::{KnownBlock, Transaction};
 use ledger_base::hash::Hash;
-use ledger_base::rejection::{Code, Rejection};
+use ledger_base::rejection::Code;
 use ledger_gate::gate::{COMMAND_TTL, Now, Settings};
 use ledger_gate::guard::{Act, Block as Delivered, Guard, Told};
 use ledger_gate::standing::{Members, Standing};
@@ -386,10 +386,9 @@ impl World {
         let changes = up.ledger.changes(bridge.governance.height(), CHANGES_MAX).unwrap();
         let mut way = Way::from(bridge.governance.clone());
         let proof = Proof { certificate, facts };
-        let shown = changes.into_iter().filter(|change| change.height <= height);
+        let mut shown = changes.into_iter().filter(|change| change.height <= height);
         let standing = shown
-            .map(|change| way.change(change.height, &change.to_bytes()))
-            .collect::<Result<(), Rejection>>()
+            .try_for_each(|change| way.change(change.height, &change.to_bytes()))
             .and_then(|()| proof.answers(&question.id, &result.response))
             .and_then(|()| {
                 way.follow(proof);
