@@ -5,7 +5,7 @@
  * @typedef {{ kind: string, name: string, not_before: number, not_after: number }} Certificate
  * @typedef {{ node_id: number, name: string, organisation: string, address: string, role: string, voter: boolean, connected: boolean }} Peer
  * @typedef {{ path: string, free_bytes: number, total_bytes: number, accepts: string }} Disk
- * @typedef {{ check: string, severity: "critical" | "warning", message: string, next: string }} Attention
+ * @typedef {{ check: string, severity: "critical" | "error" | "warning", message: string, next: string }} Attention
  * @typedef {{
  *   version: string, network_label: string, node_id: number, node_name: string, organisation: string, role: string, leader_id: number,
  *   term: number, height: number, committed: number, catching_up_to: number | null, certified: number, clock: number,

@@ -25,6 +25,7 @@ use crate::ordering::node_transactions::Author;
 use crate::peers::Peers;
 use crate::process::config::{Config, count};
 use crate::trust::Trust;
+use attention::CaKeys;
 use audit::Audit;
 use gateway::{
     Answers, Audience, Description, GatewayService, Intake, Looks, Nodes, Proofs, Questions, Records, Submissions,
@@ -82,6 +83,8 @@ impl Clients {
             audience: Arc::clone(&audience),
             rejections: Arc::clone(&rejections),
             limits: config.limits.clone(),
+            ca_keys: CaKeys::default(),
+            is_trial: config.is_trial,
             console: OnceLock::new(),
         });
         let intake = Intake {

@@ -60,6 +60,8 @@ enum Command {
     Join(join::JoinOptions),
     /// Brings a node back whose blocks are damaged, lost or contradicted, under a new number; needs its certificate, and no token.
     Rejoin(join::RejoinOptions),
+    /// Gives a node another key and certificate, before its renewal is due; it may run.
+    Renew(join::RenewOptions),
     /// Copies a node, which may run, into a directory, and verifies the copy.
     Backup(backup::BackupOptions),
     /// Makes a data directory from a backup. A node starts from it only after `rejoin` or `recover`.
@@ -189,6 +191,10 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
             block_on(async { join::rejoin(builder, &options, &config).await.map(|text| print_line(&text)) })
+        }
+        Command::Renew(options) => {
+            let config = load(&options.config)?;
+            block_on(async { join::renew(&options, &config).await.map(|text| print_line(&text)) })
         }
         Command::Backup(options) => {
             let config = load(&options.config)?;

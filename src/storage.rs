@@ -26,13 +26,13 @@ use bytes::Bytes;
 use housekeeping::{Bells, Housekeeping};
 use ledger::network::Genesis;
 use ledger::{Ledger, Registry};
-use ledger_base::rejection::Rejection;
+use ledger_base::rejection::{Code, Rejection};
 use ledger_storage::retention::Retention;
 use ledger_storage::snapshot::Snapshots;
 use log::Log;
 use retention::Pruner;
 use scrub::Scrub;
-use space::Space;
+use space::{Space, give_up_reserve};
 use std::path::PathBuf;
 use std::sync::Arc;
 use stores::Stores;
@@ -72,7 +72,15 @@ impl Storage {
         registry: Registry,
         meters: &Meters,
     ) -> Result<Arc<Self>, Rejection> {
-        let Stores { genesis, ledger, store, snapshots } = Stores::open(config, &document, registry)?;
+        let open = || Stores::open(config, &document, registry.clone());
+        let opened = match open() {
+            Err(full) if full.code == Code::DiskFull && give_up_reserve(&config.data) => {
+                tracing::warn!(data = %config.data.display(), "the disk is full: the reserve is given up to open the stores");
+                open()
+            }
+            opened => opened,
+        };
+        let Stores { genesis, ledger, store, snapshots } = opened?;
         let space = Arc::new(Space::open(&config.data));
         Ok(Arc::new(Self {
             data: config.data.clone(),

@@ -50,7 +50,7 @@ export function open() {
  */
 function alarms({ attention }) {
   return attention.map(({ check, severity, message, next }) => {
-    const style = severity === "critical" ? "div.rejected" : "p.warning";
+    const style = severity !== "warning" ? "div.rejected" : "p.warning";
     return h(style, { key: `${check}/${message}`, role: "alert" }, h("strong", `${check}:`), ` ${message}. `, h("span.dim", next));
   });
 }

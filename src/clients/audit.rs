@@ -19,6 +19,7 @@ use ledger::Outcome;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::Certificate;
+use ledger_replica::space::Wrote;
 use ledger_storage::audit::{Block, Holder, Index, Known, Page, Question, Row};
 use ledger_storage::layout::AUDIT_DIRECTORY;
 use ledger_storage::state::SledStore;
@@ -62,7 +63,11 @@ impl Audit {
     /// # Errors
     /// [`Code::DiskFailed`], [`Code::BadFile`] if it cannot be made.
     pub(crate) fn open(storage: &Arc<Storage>) -> Result<Arc<Self>, Rejection> {
-        let index = open(&storage.data.join(AUDIT_DIRECTORY))?;
+        let directory = storage.data.join(AUDIT_DIRECTORY);
+        let index = match open(&directory) {
+            Err(full) if full.code == Code::DiskFull && storage.space.wrote(Wrote::NoRoom) => open(&directory)?,
+            opened => opened?,
+        };
         Ok(Arc::new(Self { storage: Arc::clone(storage), index, taking: Arc::default() }))
     }
 
@@ -203,7 +208,12 @@ fn open(directory: &Path) -> Result<Index, Rejection> {
         Err(fault) if fault.code == Code::Corrupt => fault,
         opened => return opened,
     };
-    tracing::warn!(code = fault.code.name(), reason = %fault, "the index of the audit cannot be read; it is made again from the blocks");
+    let reason = format!("{}: {}", fault.message, fault.found);
+    tracing::warn!(
+        code = fault.code.name(),
+        reason,
+        "the index of the audit is damaged; it is rebuilt from the blocks"
+    );
     std::fs::remove_dir_all(directory).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot delete {}: {error}", directory.display()))
             .next("delete it by hand; it is made again from the blocks")

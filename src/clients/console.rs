@@ -27,7 +27,7 @@ mod sessions;
 pub(crate) use opening::SESSION_ENDPOINTS;
 
 use crate::clients::gateway::GatewayService;
-use crate::clients::http::Names;
+use crate::clients::http::{Names, elsewhere, other_method};
 use crate::process::config;
 use crate::process::page_connections::{Doors, Room, Source};
 use crate::trust::enrolment::{EnrolmentService, Tries};
@@ -90,6 +90,7 @@ impl Console {
         let hosts = guard::hosts(settings, reached);
         let tls = secured::tls(settings, listening.1, &hosts)?;
         let names = Names::new(hosts, tls.is_some());
+        let names = if tls.is_some() { names } else { names.proxied(&settings.name) };
         let address = guard::address(names.scheme(), settings, reached, listening.1);
         let room = Room {
             all_max: OPEN_MAX,
@@ -138,5 +139,7 @@ async fn connections(mut doors: Doors, router: Router) {
 
 fn router(shared: Arc<Shared>) -> Router {
     let (calls, opening) = (calls::router(&shared), opening::router(Arc::clone(&shared)));
-    files::router().merge(opening).merge(calls).layer(from_fn_with_state(shared, guard::guarded))
+    let router = files::router().merge(opening).merge(calls);
+    let router = router.method_not_allowed_fallback(other_method).fallback(elsewhere);
+    router.layer(from_fn_with_state(shared, guard::guarded))
 }

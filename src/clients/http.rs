@@ -31,7 +31,7 @@ mod shape;
 pub(crate) use access::for_certificates;
 pub(crate) use body::discard;
 pub(crate) use names::{Names, foreign, host_of};
-pub(crate) use rejections::{Rejected, answer, elsewhere};
+pub(crate) use rejections::{Rejected, answer, elsewhere, other_method};
 
 use crate::clients::gateway::GatewayService;
 use crate::trust::enrolment::EnrolmentService;
@@ -84,7 +84,7 @@ pub(crate) fn router(api: Api) -> Router {
     routed(for_members())
         .route_layer(from_fn(access::identified))
         .merge(routed(for_newcomers()))
-        .method_not_allowed_fallback(rejections::other_method)
+        .method_not_allowed_fallback(other_method)
         .route("/v1/{*rest}", any(rejections::unknown_path))
         .with_state(Arc::new(api))
 }

@@ -3,13 +3,15 @@
 //! ```text
 //! admin       the addresses: /livez, /readyz, /metrics
 //!   check     a part of readiness
-//!   figures   figures, as Prometheus and OpenMetrics read them
+//!   figures   figures
+//!   exposition  their forms: OpenMetrics, and the text form of Prometheus
 //!   node      the checks and the figures of a node
 //!   bridge    those of a bridge
 //! ```
 
 mod bridge;
 mod check;
+mod exposition;
 mod figures;
 mod node;
 
@@ -19,12 +21,13 @@ use crate::process::page_connections::{Doors, Room};
 use crate::process::tls_files::TlsFiles;
 use axum::Router;
 use axum::extract::{RawQuery, Request, State};
-use axum::http::StatusCode;
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{CONTENT_TYPE, VARY};
+use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use check::Check;
+use exposition::Exposition;
 use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_base::rejection::{Code, Rejection};
 pub(crate) use node::{WatchedNode, is_ready};
@@ -37,9 +40,6 @@ use tokio::task::JoinHandle;
 use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::version::TLS13;
-
-/// The form of `/metrics`: <https://prometheus.io/docs/specs/om/open_metrics_spec/>.
-const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Most connections at a time.
 const OPEN_MAX: usize = 32;
@@ -186,15 +186,16 @@ async fn ready(State(watched): State<Arc<dyn Watched>>, RawQuery(query): RawQuer
     (code, text).into_response()
 }
 
-async fn figures(State(watched): State<Arc<dyn Watched>>) -> Response {
-    match text(&*watched) {
-        Ok(text) => ([(CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
+async fn figures(State(watched): State<Arc<dyn Watched>>, headers: HeaderMap) -> Response {
+    let form = Exposition::accepted(&headers);
+    match encoded(&*watched) {
+        Ok(text) => ([(CONTENT_TYPE, form.content_type()), (VARY, "accept")], form.render(text)).into_response(),
         Err(fault) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{fault}\n")).into_response(),
     }
 }
 
-/// The text of `/metrics`.
-fn text(watched: &dyn Watched) -> Result<String, Rejection> {
+/// The figures as OpenMetrics.
+fn encoded(watched: &dyn Watched) -> Result<String, Rejection> {
     let mut registry = Registry::with_prefix("ledgerd");
     watched.register(&mut registry)?;
     let mut text = String::new();

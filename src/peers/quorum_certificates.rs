@@ -9,7 +9,8 @@
 //!   kept         the files below the data directory
 //!   lag          how long a block that is due has had no certificate; waiting for one
 //!   recent       the newest certificates, for those who ask for a proof
-//!   passed       one in ten seconds of all before, on the disk
+//!   passed       one in ten seconds of all before, and those of calls about control, on the disk
+//!   verdicts     the verdicts of these calls
 //! ```
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
@@ -22,6 +23,7 @@ mod keys;
 mod lag;
 mod passed;
 mod recent;
+mod verdicts;
 
 pub(crate) use kept::{certified_up_to, newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
@@ -170,9 +172,9 @@ impl Certificates {
         }
         let recent = self.recent.at_or_after(height).map(|certificate| proof(ledger, certificate, wanted));
         let recent = recent.transpose()?.flatten();
-        let (passed, governing) = (self.passed.at_or_after(height)?, self.kept.governing(height)?);
-        let known = [recent, governing, passed].into_iter().flatten();
-        Ok(known.min_by_key(|proof| proof.certificate.statement.height))
+        let passed = self.passed.at_or_after_with(height, |proof| verdicts::shows(proof, index))?;
+        let known = [recent, passed, self.kept.governing(height)?].into_iter().flatten();
+        Ok(known.min_by_key(|proof| (proof.certificate.statement.height, !verdicts::shows(proof, index))))
     }
 
     /// The proof of the newest certified block; none if there is none.
@@ -345,28 +347,34 @@ impl Certifying {
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());
                 let passes = self.certificates.passed.wants(height, certificate.statement.time);
-                if due || governs || passes {
+                let shows = !self.ordering.storage.space.is_full() && self.certificates.passed.is_next(height);
+                if due || governs || passes || shows {
                     *written = if due { Some(Instant::now()) } else { *written };
-                    self.keep_proof(certificate, due, governs, passes).await;
+                    self.keep_proof(certificate, (due, governs, passes), shows).await;
                 }
             }
             Effect::Misbehaved(proof) => self.disputes.found(*proof, found),
         }
     }
 
-    async fn keep_proof(&self, certificate: Certificate, newest: bool, governs: bool, passes: bool) {
+    /// Keeps a certificate. `shows`: also the verdicts of its calls about control, if it has any.
+    async fn keep_proof(&self, certificate: Certificate, (newest, governs, passes): (bool, bool, bool), shows: bool) {
         let (ledger, first) =
             (Arc::clone(&self.ordering.storage.ledger), self.ordering.storage.log.store.first_index());
         let certificates = Arc::clone(&self.certificates);
-        self.keep(move |kept| match proof(&ledger, certificate, |_| false)? {
-            Some(proof) => {
-                if passes {
-                    certificates.passed.keep(&proof, first)?;
-                }
-                kept.proof(&proof, newest, governs)
+        self.keep(move |kept| {
+            let verdicts = if shows { verdicts::proofs(&ledger, &certificate)? } else { Vec::new() };
+            if verdicts.is_empty() && !(newest || governs || passes) {
+                return Ok(());
             }
-            // It was certified long after it was executed. Another node has it.
-            None => Ok(()),
+            // One that was certified long after it was executed is left out. Another node has it.
+            let Some(proof) = proof(&ledger, certificate, |_| false)? else { return Ok(()) };
+            match &verdicts[..] {
+                [] if passes => certificates.passed.keep(std::slice::from_ref(&proof), first)?,
+                [] => {}
+                verdicts => certificates.passed.keep(verdicts, first)?,
+            }
+            kept.proof(&proof, newest, governs)
         })
         .await;
     }

@@ -1,7 +1,7 @@
 //! Time: the machine's clocks, and the clock of each ledger, whose rule is [`ledger_replica::Clock`].
 
 use ledger::{Ledger, Outcome};
-use ledger_base::mutation::clock_error;
+use ledger_base::mutation::{clock_error, suspended};
 use ledger_replica::{Now, Observer};
 use rustix::time::{ClockId, clock_gettime};
 use std::sync::Arc;
@@ -10,7 +10,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// The machine's clock, microseconds since the UNIX epoch. It may be set back at any time.
 pub(crate) fn wall() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_micros()).unwrap_or(u64::MAX).saturating_add_signed(clock_error())
+    u64::try_from(since.as_micros())
+        .unwrap_or(u64::MAX)
+        .saturating_add_signed(clock_error())
+        .saturating_add(suspended())
 }
 
 /// A clock that nobody sets, microseconds. It goes on while the machine sleeps, so that a laptop that wakes up has no clock
@@ -18,7 +21,7 @@ pub(crate) fn wall() -> u64 {
 fn steady() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
     let micros = i128::from(now.tv_sec) * 1_000_000 + i128::from(now.tv_nsec) / 1000;
-    u64::try_from(micros).unwrap_or(0)
+    u64::try_from(micros).unwrap_or(0).saturating_add(suspended())
 }
 
 /// The clocks of the machine, as a host gives them to its ledgers.

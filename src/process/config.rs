@@ -75,6 +75,8 @@ pub struct Config {
     pub console: Console,
     /// `[traces]`
     pub traces: Traces,
+    /// Not in the file: the node is the only one of a network for trials, which ends with it.
+    pub is_trial: bool,
 }
 
 /// The console for browsers.
@@ -197,6 +199,7 @@ impl Default for Config {
             admin: String::new(),
             console: Console::default(),
             traces: Traces::default(),
+            is_trial: false,
         }
     }
 }

@@ -27,6 +27,33 @@ pub fn stop_signal() -> impl Future<Output = ()> {
     }
 }
 
+/// As [`stop_signal`], and the future ends when the terminal is closed, too (SIGHUP), unless the process was started to outlive it, as
+/// `nohup` does.
+pub(crate) fn stop_signal_of_terminal() -> impl Future<Output = ()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let closed = if ignores_hangup() { None } else { signal(SignalKind::hangup()).ok() };
+    let stopped = stop_signal();
+    async move {
+        let closed = async {
+            match closed {
+                Some(mut closed) => drop(closed.recv().await),
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = stopped => {}
+            () = closed => {}
+        }
+    }
+}
+
+/// Was the process started with SIGHUP ignored? Its bit is the lowest of the mask that the kernel shows.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
+}
+
 /// Prints a line; that the reader has gone away is not our failure.
 pub fn print_line(text: &str) {
     use std::io::Write;

@@ -24,6 +24,11 @@ struct DataDisk {
     reserve: reserve::File,
 }
 
+/// Gives up the reserve of a data directory before its stores are open; true if there was one. A store writes when it is opened.
+pub(crate) fn give_up_reserve(data: &Path) -> bool {
+    reserve::File::of(data).give_up()
+}
+
 impl Space {
     /// Looks at the disk of a data directory, and lays the reserve in it.
     pub(crate) fn open(data: &Path) -> Self {

@@ -8,7 +8,7 @@ use crate::process::clock::wall;
 use crate::process::config;
 use crate::process::config::{Config, Log};
 use crate::process::telemetry;
-use crate::process::terminal::{print_line, stop_signal};
+use crate::process::terminal::{print_line, stop_signal_of_terminal};
 use crate::tools::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use crate::trust::ca;
 use crate::trust::ca::CertificateAuthority;
@@ -68,7 +68,7 @@ struct Facts {
     version: &'static str,
 }
 
-/// Starts the network, prints what a player needs, and ends it on Ctrl-C. Every likely reason to fail is looked at
+/// Starts the network, prints what a player needs, and ends it on Ctrl-C or when the terminal is closed. Every likely reason to fail is looked at
 /// before anything is made: another one may be running.
 pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
     telemetry::start(&Log::for_people(LevelFilter::WARN));
@@ -93,7 +93,8 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
         found(&plan(&data, &listen), wall())?;
     }
     let console = config::Console { listen: console_address(&options.listen), ..Default::default() };
-    let config = Config { data: data.clone(), listen, admin: ADMIN.to_owned(), console, ..Config::default() };
+    let config =
+        Config { data: data.clone(), listen, admin: ADMIN.to_owned(), console, is_trial: true, ..Config::default() };
     // Before the node runs, which owns its CAs from then on.
     let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
     let mut contexts = Written::default();
@@ -130,6 +131,7 @@ async fn play(
     home: &Path,
     (fresh, as_json, temporary): (bool, bool, bool),
 ) -> Result<(), Rejection> {
+    let stop = stop_signal_of_terminal();
     let node = builder.start(config).await?;
     facts.admin = node.admin().map(|address| format!("http://{address}")).unwrap_or_default();
     facts.console = node.console().unwrap_or_default().to_owned();
@@ -137,7 +139,7 @@ async fn play(
         facts.robots = register_robots(home, facts.contexts.last()).await?;
     }
     print(&facts, as_json, temporary)?;
-    until_stopped(node, stop_signal(), futures::stream::pending()).await
+    until_stopped(node, stop, futures::stream::pending()).await
 }
 
 /// One node that orders, and carries the CAs of both organisations.

@@ -16,8 +16,10 @@ mod again;
 mod branches;
 mod identity;
 mod place;
+mod renew;
 
 pub(crate) use again::{RejoinOptions, rejoin};
+pub(crate) use renew::{RenewOptions, renew};
 
 use crate::process::clock::wall;
 use crate::process::config::{Config, MemberOf};

@@ -105,10 +105,18 @@ pub struct FoundedAuthority {
 /// [`Code::BadConfiguration`] if the plan contradicts itself, [`Code::BadFile`] if a data directory exists, a failing
 /// disk. The files made until then are removed.
 pub fn found(plan: &NetworkPlan, now: u64) -> Result<Founded, Rejection> {
+    found_for(plan, CertificateAuthority::CERTIFICATE_DAYS, now)
+}
+
+/// As [`found`], with certificates of nodes that are valid for this number of days.
+///
+/// # Errors
+/// As [`found`].
+pub(crate) fn found_for(plan: &NetworkPlan, certificate_days: u32, now: u64) -> Result<Founded, Rejection> {
     check(plan)?;
     let mut made = Made::default();
     let mut staged = plan.nodes.iter().map(|node| made.stage(node)).collect::<Result<Vec<_>, _>>()?;
-    let founded = fill(plan, &staged, now)?;
+    let founded = fill(plan, &staged, certificate_days, now)?;
     for (node, stage) in plan.nodes.iter().zip(staged.drain(..)) {
         made.publish(stage, &node.data)?;
     }
@@ -157,7 +165,7 @@ fn check(plan: &NetworkPlan) -> Result<(), Rejection> {
 }
 
 /// Writes everything into the staged directories.
-fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rejection> {
+fn fill(plan: &NetworkPlan, staged: &[TempDir], certificate_days: u32, now: u64) -> Result<Founded, Rejection> {
     let mut authorities = BTreeMap::new();
     let mut founded = Vec::new();
     let mut organisations = Vec::new();
@@ -166,7 +174,8 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
         let carrier = plan.nodes.iter().position(|node| node.organisation == *name).unwrap_or(0);
         let (Some(stage), Some(node)) = (staged.get(carrier), plan.nodes.get(carrier)) else { continue };
         let inside = Path::new(ca::DIRECTORY).join(name);
-        let authority = CertificateAuthority::create(&stage.path().join(&inside), name, organisation.key, now)?;
+        let mut authority = CertificateAuthority::create(&stage.path().join(&inside), name, organisation.key, now)?;
+        authority.set_days(certificate_days, CertificateAuthority::SECRET_DAYS);
         founded.push(FoundedAuthority {
             organisation: name.clone(),
             directory: node.data.join(inside),

@@ -93,6 +93,11 @@ pub(crate) struct OwnNode {
 }
 
 impl EnrolmentService {
+    /// The CAs of this node.
+    pub(crate) fn authorities(&self) -> &Authorities {
+        &self.shared.authorities
+    }
+
     /// The service of a node that carries these CAs.
     pub(crate) fn new(
         authorities: Arc<Authorities>,

@@ -12,7 +12,7 @@ use crate::trust::enrolment::{Authorities, EnrolmentService, lock};
 use endings::Endings;
 use ledger::Ledger;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
-use ledger_api::{Credentials, Renewal, renewal_due};
+use ledger_api::{Credentials, Renewal, renewal_due, wait_by_clock};
 use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
@@ -24,7 +24,7 @@ use std::time::Duration;
 
 /// A day, microseconds.
 const DAY: u64 = 86_400_000_000;
-/// Longest time until the clock is looked at again: it may have been set meanwhile.
+/// Longest time between two looks at the certificate.
 const LOOK_MAX: Duration = Duration::from_secs(3600);
 /// Pause after a renewal that failed: a tenth of what is left, within these bounds.
 const RETRY_PAUSE: (Duration, Duration) = (Duration::from_secs(5), LOOK_MAX);
@@ -64,7 +64,7 @@ impl Renewer {
                     LOOK_MAX
                 }
             };
-            tokio::time::sleep(pause).await;
+            wait_by_clock(wall, pause).await;
         }
     }
 
@@ -90,12 +90,17 @@ impl Renewer {
     }
 
     async fn renew(&self) -> Result<u64, Rejection> {
+        if wall() > validity(&self.identity)?.1 {
+            // It has ended while the machine was suspended: the ledger accepts no call of this node.
+            revive(&self.data, &self.identity, self.enrolment.authorities(), &self.ledger.msps())?;
+            return Ok(validity(&self.identity)?.1);
+        }
         let renewal = Renewal::begin(&self.identity)?;
         let msps = self.ledger.msps();
         let own = own_identity(&self.identity, &msps)?;
         let renewed = if self.enrolment.carries(&own.organisation) {
             let answer = self.enrolment.renew_for(Arc::new(own), renewal.request()).await?;
-            renewal.finish(&answer.certificate, &msps)?
+            renewal.finish_at(&answer.certificate, &msps, wall())?
         } else {
             let trust = ServerTrust::Network(Arc::clone(&self.trust));
             let credentials = Credentials::new(self.ledger.network(), self.identity.clone(), trust)?;
@@ -130,8 +135,7 @@ pub(crate) fn read_again(data: &Path, identity: &TlsIdentity, msps: &Msps) -> Re
     Ok(true)
 }
 
-/// Sees to it that the certificate is valid when the node starts. One that ran out while the node was away is replaced
-/// if the node carries the CA of its organisation.
+/// Sees to it that the certificate is valid when the node starts, or its machine wakes. One that ran out meanwhile is replaced if the node carries the CA of its organisation.
 ///
 /// # Errors
 /// [`Code::CertificateExpired`] with the way back if the CA is elsewhere.
@@ -162,7 +166,7 @@ pub(crate) fn revive(
     };
     let renewal = Renewal::begin(identity)?;
     let certificate = lock(&authority).revive(&own, &renewal.request(), now)?;
-    let renewed = renewal.finish(&certificate, msps)?;
+    let renewed = renewal.finish_at(&certificate, msps, now)?;
     store(data, identity, &renewed)?;
     identity.renew(&renewed);
     tracing::warn!("the node's certificate had expired; its own CA has renewed it");
@@ -181,7 +185,7 @@ pub(crate) fn store(data: &Path, before: &TlsIdentity, after: &TlsIdentity) -> R
 }
 
 /// First and last valid moment of the certificate, microseconds since the UNIX epoch.
-fn validity(identity: &TlsIdentity) -> Result<(u64, u64), Rejection> {
+pub(crate) fn validity(identity: &TlsIdentity) -> Result<(u64, u64), Rejection> {
     let certificate = Certificate::parse(identity.own().certificate())?;
     Ok((certificate.not_before, certificate.not_after))
 }

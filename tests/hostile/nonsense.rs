@@ -165,7 +165,7 @@ async fn certificates_of_strangers_and_of_other_times_are_refused() {
     refused(Client::connect(&eve_here).await.map(drop), Code::Untrusted, "network");
     target.survived("a certificate of another CA").await;
     let deceived = Context { nodes: target.salma.nodes.clone(), ..eve };
-    refused(Client::connect(&deceived).await.map(drop), Code::WrongNetwork, "made anew");
+    refused(Client::connect(&deceived).await.map(drop), Code::WrongNetwork, "a different network");
     target.survived("a client of another network").await;
     // ledgerctl tells the same.
     target.fleet.ctl().as_("Late").run(&["status"]).refused(2, &["LGR-2002", "expired"]);

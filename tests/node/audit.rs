@@ -117,6 +117,11 @@ async fn who_commanded_who_was_refused_and_under_which_policy_is_found_after_a_r
             refused.iter().all(|row| row.told_by == "Org1/org1-node" && row.transaction.len() == 32),
             "{refused:?}"
         );
+        // The node's report is on the ledger, and can be proved.
+        for row in &refused {
+            let report = boss.transaction(Hash::from_slice(&row.transaction).unwrap()).await.unwrap();
+            assert_eq!(report.height, row.height, "{row:?}");
+        }
         assert_eq!(of("granted")[0].who, "Org1/Salma");
         let policies = rows(&boss, AuditRequest { organisation: "Org2".into(), ..AuditRequest::default() }).await;
         assert!(
@@ -183,6 +188,16 @@ async fn a_file_proves_a_transaction_on_a_machine_without_a_network() {
     })
     .await;
     assert_eq!((&later["function"], &later["args"][0]["response"]), (&"set".into(), &SERVICE.into()), "{later}");
+    // The verdict of a grant is proved as long as its block is kept, also after all nodes were restarted.
+    story.nodes.iter_mut().for_each(Process::interrupt);
+    story.nodes = story.fleet.nodes.iter().map(|place| place.start()).collect();
+    let again = path("again.evidence");
+    let proved = until("a node proves it", || async {
+        let ran = ctl.run(&["prove", &granted, "--file", &again, "-o", "json"]);
+        (ran.code == 0).then(|| ran.json())
+    })
+    .await;
+    assert_eq!(proved["code"], "LGR-0000", "{proved}");
     if std::env::var_os("STORE_EVIDENCE").is_some() {
         store(&story.at(0, &story.owner).await, story.transactions).await;
     }

@@ -6,6 +6,7 @@ use crate::support::{Ctl, Dev, Fleet, Process, connect, programs};
 use ledger_api::Context;
 use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
+use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -54,7 +55,7 @@ fn a_second_dev_refuses_before_it_touches_anything_of_the_first() {
 }
 
 #[test]
-fn what_a_killed_dev_left_the_next_one_replaces_and_people_are_told_that_the_network_was_made_anew() {
+fn what_a_killed_dev_left_the_next_one_replaces_and_people_are_told_that_the_network_is_a_different_one() {
     let first = Dev::start();
     first.user("Salma", &["Turtlebot4"], "ed25519").run(&["whoami"]).ok();
     let address = first.fact("address").to_owned();
@@ -69,14 +70,27 @@ fn what_a_killed_dev_left_the_next_one_replaces_and_people_are_told_that_the_net
         3,
         &[
             "LGR-1003",
-            &format!("the network at {address} was made anew"),
+            &format!("a different network answers at {address}"),
             "the CA",
             "of Org1",
-            "enrol again with --force",
+            "--context dev-org1-admin or --context dev-org2-admin",
         ],
     );
+    for name in ["dev-org1-admin", "dev-org2-admin"] {
+        fs::remove_dir_all(home.path().join("contexts").join(name)).unwrap();
+    }
+    ctl.as_("Salma").run(&["status"]).refused(3, &["LGR-1003", "enrol again with --force"]);
     second.interrupt();
     assert_eq!(Context::list(home.path()).unwrap(), ["Salma"], "it removes its own, and nobody else's");
+}
+
+#[test]
+fn a_dev_whose_terminal_is_closed_removes_its_contexts() {
+    let first = Dev::start();
+    let Dev { mut process, home, .. } = first;
+    assert_eq!(Context::list(home.path()).unwrap().len(), 2);
+    assert!(process.signal(Signal::HUP).success());
+    assert!(Context::list(home.path()).unwrap().is_empty());
 }
 
 #[test]

@@ -107,6 +107,29 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_was_killed_without_any_space_left_starts_again_on_that_disk() {
+    let fleet = Fleet::found(1);
+    let (owner, place) = (fleet.owner(), &fleet.nodes[0]);
+    place.configure("[storage]\nsegment_mib = 4");
+    let disk = SmallDisk::under(place, fleet.path());
+    let start = || Process::start("small", fleet.path(), disk.enter(&place.command()));
+    let mut node = start();
+    let client = connect(&owner).await;
+    register_robots(&client, "open").await;
+    let height = client.status().await.unwrap().height;
+    let ballast = |name: &str| fill(&disk.seen(&place.data).join(name));
+    ballast("ballast");
+    node.kill();
+    // What the node had prepared for its next blocks may be free now.
+    ballast("more");
+    let mut node = start();
+    let status = connect(&owner).await.status().await.unwrap();
+    assert!(status.height >= height && status.disk_accepts != "all", "{status:?}");
+    node.check();
+    node.interrupt();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_room() {
     let fleet = Fleet::found(1);
     let (owner, admin) = (fleet.owner(), fleet.issue("Org1", "Boss", Role::Admin, &[]));

@@ -89,11 +89,11 @@ fn a_voter_that_is_gone_is_named_with_its_repair_and_a_lost_majority_is_told() {
     };
     when("all three answer", "ok", "3 of 3 answer", "");
     nodes[2].kill();
-    when("one is silent", "advice", "2 of 3 voters are connected", "before another one fails");
+    when("one is silent", "advice", "2 of 3 voters are connected", "restart it if it runs and does not answer");
     eventually("it is named", || {
         let address = &fleet.nodes[2].address;
         has(&findings(&owner), "peers", "wrong", address, "systemctl status ledgerd").then_some(())
     });
     nodes[1].kill();
-    when("nobody leads", "wrong", "1 of 3 voters are connected", "start the voters that are silent");
+    when("nobody leads", "wrong", "1 of 3 voters are connected", "restart it if it runs and does not answer");
 }

@@ -42,6 +42,7 @@ mod live;
 mod members;
 mod messages;
 mod minority;
+mod monitoring;
 mod network;
 mod nodes;
 mod older;

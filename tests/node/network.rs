@@ -47,6 +47,10 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     becomes(&boss, "second", "learner").await;
     // The same command changes nothing of a node that runs, and says so.
     newcomer.join(invited["token"].as_str().unwrap()).refused(&["runs already: there is nothing to join", "is in use"]);
+    for (node, id) in [("second", "node 2, a learner"), (&*first, "node 1, a voter")] {
+        let refused = boss.run(&["network", "invite", "--node", node]);
+        refused.refused(3, &["runs: there is nothing to join", id, "ledgerd renew"]);
+    }
 
     salma
         .run(&["network", "promote", "second"])

@@ -83,6 +83,33 @@ fn files(directory: &Path) -> Vec<PathBuf> {
 }
 
 #[tokio::test]
+async fn a_damaged_index_of_the_audit_is_rebuilt_and_the_log_says_so_in_a_line() {
+    let stopped = Stopped::new().await;
+    // The second start has written a snapshot of its store.
+    stopped.comes_back("undamaged").await.interrupt();
+    let audit = stopped.data().join("audit");
+    for file in ["conf", "snap", "db"] {
+        let files = fs::read_dir(&audit).unwrap().map(|entry| entry.unwrap().path());
+        let named = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(file);
+        let path = files.into_iter().find(named).expect(file);
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, vec![0xff; bytes.len()]).unwrap();
+        let before = stopped.fleet.nodes[0].logged().len();
+        stopped.comes_back(&format!("damaged {file}")).await.interrupt();
+        stopped.comes_back("once more").await.interrupt();
+        let log = stopped.fleet.nodes[0].logged().split_off(before);
+        assert_eq!(
+            log.matches("the index of the audit is damaged; it is rebuilt from the blocks").count(),
+            1,
+            "{file}: {log}"
+        );
+        for words in ["backtrace", "panicked", "delete"] {
+            assert!(!log.contains(words), "{file}: {words:?} in {log}");
+        }
+    }
+}
+
+#[tokio::test]
 async fn a_deleted_state_is_rebuilt_to_the_same_digest() {
     let stopped = Stopped::new().await;
     fs::remove_dir_all(stopped.data().join("state")).unwrap();

@@ -1,6 +1,7 @@
 //! Certificates of nodes renew while the network works: it lives on past the end of its first certificates.
 
 use crate::support::network::NodeWish;
+use crate::support::programs::{run_ledgerd, said};
 use crate::support::{Fleet, connect, network, until, wire};
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
@@ -73,6 +74,51 @@ async fn a_node_whose_certificate_ran_out_comes_back_by_its_own_ca_or_says_how()
     let _node = fleet.nodes[0].start();
     network::some_block(&connect(&at(&admin, &fleet, 0)).await).await;
     assert!(end(&fleet.nodes[0].data) > network::now() + YEAR / 2);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_renews_soon_after_its_machine_wakes_also_if_its_certificate_has_ended() {
+    const HOUR: u64 = 3600 * SECOND;
+    // The first certificate ends in 13 hours, and is replaced at once by one of a day.
+    let fleet = Fleet::found_with(&[wish("node1", true)], network::now() - YEAR + 13 * HOUR);
+    fleet.nodes[0].configure("[ca]\ncertificate_days = 1");
+    let suspended = fleet.path().join("suspended");
+    let mut command = fleet.nodes[0].command();
+    command.env("LEDGERD_TEST_SUSPENDED", &suspended);
+    let mut node = fleet.nodes[0].start_as(command);
+    let data = &fleet.nodes[0].data;
+    let ends_after = async |hours: u64| {
+        until("the node renews", || async { (end(data) > network::now() + hours * HOUR).then_some(()) }).await;
+    };
+    ends_after(20).await;
+    assert!(end(data) < network::now() + 25 * HOUR);
+    for (sleeps, hours) in [(17, 40), (60, 80)] {
+        std::fs::write(&suspended, (sleeps * HOUR / 1000).to_string()).unwrap();
+        ends_after(hours).await;
+    }
+    until("its own CA has renewed it", || async { node.stderr().contains("its own CA has renewed it").then_some(()) })
+        .await;
+    node.check();
+    node.interrupt();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_valid_certificate_of_a_node_that_runs_is_replaced_by_a_command_and_shown_after_a_reload() {
+    let fleet = Fleet::found_with(&[wish("node1", true), wish("node2", false)], network::now() - 3600 * SECOND);
+    let admin = fleet.issue("Org1", "Admin", Role::Admin, &[]);
+    let nodes = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    works(&connect(&at(&admin, &fleet, 0)).await, &connect(&at(&admin, &fleet, 1)).await).await;
+    // The first one holds the CA key, the other one does not.
+    for (place, node) in fleet.nodes.iter().zip(&nodes) {
+        let of = Context { nodes: vec![place.address.clone()], ..admin.clone() };
+        let (first, first_key) = (shown(&of).await, std::fs::read(place.data.join("node.key")).unwrap());
+        let renewed = said(&run_ledgerd(&["renew"], &place.config));
+        assert!(renewed.contains(&format!("node Org1/{} has another key and certificate", place.name)), "{renewed}");
+        assert_ne!(std::fs::read(place.data.join("node.key")).unwrap(), first_key);
+        node.send(Signal::HUP);
+        until("the node shows it", || async { (shown(&of).await != first).then_some(()) }).await;
+    }
+    works(&connect(&at(&admin, &fleet, 1)).await, &connect(&at(&admin, &fleet, 0)).await).await;
 }
 
 /// The certificate that a node shows on a new connection.

@@ -12,8 +12,18 @@ pub fn get(address: &str, path: &str) -> (String, String) {
 
 /// The answer to a request with this in the header `host`.
 pub fn get_by(host: &str, address: &str, path: &str) -> (String, String) {
+    ask(&[&format!("host: {host}")], address, path)
+}
+
+/// The answer to a request with these headers, too.
+pub fn get_with(headers: &[&str], address: &str, path: &str) -> (String, String) {
+    ask(&[&[&*format!("host: {address}")], headers].concat(), address, path)
+}
+
+fn ask(headers: &[&str], address: &str, path: &str) -> (String, String) {
     let mut stream = eventually("the page listens", || TcpStream::connect(address).ok());
-    write!(stream, "GET {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n").unwrap();
+    let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
+    write!(stream, "GET {path} HTTP/1.1\r\n{headers}connection: close\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();
@@ -32,7 +42,7 @@ pub fn exposed(metrics: &str) -> BTreeSet<String> {
     let types = metrics.lines().filter_map(|line| line.strip_prefix("# TYPE "));
     types
         .map(|line| match line.split_once(' ').unwrap() {
-            (name, "counter") => format!("{name}_total"),
+            (name, "counter") if !name.ends_with("_total") => format!("{name}_total"),
             (name, "info") => format!("{name}_info"),
             (name, _) => name.to_owned(),
         })

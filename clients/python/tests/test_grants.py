@@ -329,6 +329,28 @@ with robot.acquire(S) as grant:
         child.communicate(b"x", timeout=PATIENCE)
         self.assertEqual(child.returncode, 0)
 
+    def test_a_fork_after_the_client_was_closed_says_so(self) -> None:
+        script = """
+import os
+robot.close()
+child = os.fork()
+if child == 0:
+    try:
+        ledgerd.connect('Salma')
+    except ledgerd.Refusal as refused:
+        print(refused.message, flush=True)
+else:
+    os.waitpid(child, 0)
+    with ledgerd.connect('Salma') as again:
+        print('connects again:', len(again.robots()) > 0, flush=True)
+    print('ready', flush=True)
+    os.read(0, 1)
+"""
+        wanted = ["this process was forked from one that has connected before: it cannot connect", "connects again: True"]
+        child = self.child(script, wanted)
+        child.communicate(b"x", timeout=PATIENCE)
+        self.assertEqual(child.returncode, 0)
+
     def child(self, script: str, before: list[str] | None = None) -> subprocess.Popen[bytes]:
         """A program that has connected, and has printed `ready`."""
         head = f"import ledgerd, time\nS = {SERVICE!r}\nrobot = ledgerd.connect('Salma')\n"

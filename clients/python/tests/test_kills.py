@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 import unittest
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import ledgerd
-from network import SERVICE, Three, eventually, number_of, numbered
+from ledgerd.grant import COMMAND_TTL
+from network import SERVICE, Place, Three, eventually, free_port, number_of, numbered
 
 # Longer than an election takes on a busy machine, so that a message outlives it.
 TTL = 60.0
@@ -129,6 +133,44 @@ class Kills(unittest.TestCase):
                     time.sleep(0.05)
                 self.assertGreater(grant.expires, before)
             self.assertEqual(robot.grants(), [])
+
+
+
+class Single(unittest.TestCase):
+    """One node, killed and started again while a program drives."""
+
+    def test_the_example_drives_on_after_its_only_node_was_killed_and_started_again(self) -> None:
+        with Place() as place:
+            address = f"127.0.0.1:{free_port()}"
+            start = ["dev", "--json", "--data", str(place.directory / "data"), "--listen", address]
+
+            def run() -> None:
+                process = place.start(*start)
+                assert process.stdout
+                self.assertTrue(process.stdout.readline())
+
+            run()
+            place.enrol("dev-org1-admin", "Salma", "Turtlebot4")
+            place.ctl(None, "context", "use", "Salma")
+            printed = place.directory / "printed"
+            example = Path(__file__).parent.parent / "examples/drive.py"
+            with printed.open("wb") as out:
+                driver = subprocess.Popen([sys.executable, str(example), SERVICE, "300"], env=place.environment, stdout=out, stderr=out)
+            place.processes.append(driver)
+
+            def drives(after: str) -> bool | None:
+                self.assertIsNone(driver.poll(), printed.read_text())
+                text = printed.read_text()
+                return True if after in text and "block " in text[text.find(after) :] else None
+
+            eventually("it drives", lambda: drives(""))
+            node = place.processes[0]
+            node.kill()
+            node.wait()
+            # Longer than a command may wait to be executed.
+            time.sleep(COMMAND_TTL + 1)
+            run()
+            eventually("it leaves the command out that is too old, and drives on", lambda: drives("left out LGR-1006"))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 mod diagnosis;
 mod stream;
 
+pub use diagnosis::found_network;
 pub(crate) use diagnosis::{Expected, explain, explain_clock, other_network, way_back};
 
 use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal, server_name};

@@ -13,7 +13,9 @@ pub use audit::{AuditFacts, DenialFacts};
 pub use block::{BlockFacts, TransactionFacts};
 pub use decoded::DecodedBytes;
 pub use event::{CallFacts, EventFacts, SignedCallFacts};
-pub use status::{AttentionFacts, CertificateFacts, CertificateRuleFacts, DiskFacts, PeerFacts, StatusFacts};
+pub use status::{
+    AttentionFacts, CRITICAL, CertificateFacts, CertificateRuleFacts, DiskFacts, ERROR, PeerFacts, StatusFacts, WARNING,
+};
 
 use ledger_base::moment::rfc3339;
 

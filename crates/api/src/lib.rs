@@ -42,7 +42,8 @@ pub use client::{
     Answer, Call, Certified, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options,
     Pending, Registered, SECRET_LIFE, Subscription, read_checkpoint,
 };
-pub use connect::Credentials;
+pub use clock::wait_by_clock;
+pub use connect::{Credentials, found_network};
 pub use context::{Context, home, renewal_due};
 pub use enrol::Enrolment;
 pub use passphrase::{passphrase, secret};

@@ -18,9 +18,10 @@
 //! invariant!(applied <= committed, "what is applied is committed", "applied {applied}, committed {committed}");
 //! ```
 
+use std::cell::Cell;
 use std::fmt::Arguments;
 use std::io::Write;
-use std::panic::{Location, PanicHookInfo};
+use std::panic::{AssertUnwindSafe, Location, PanicHookInfo, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The exit code of a process that found an invariant broken: that of an internal fault in `sysexits.h`.
@@ -84,8 +85,30 @@ pub fn end_process() {
         if let Some((invariant, found)) = read(panic) {
             end(&found, panic.location(), &invariant);
         }
-        before(panic);
+        if !CAUGHT.get() {
+            before(panic);
+        }
     }));
+}
+
+thread_local! {
+    /// A panic of this thread is an answer, and is not printed.
+    static CAUGHT: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Runs code of a library that panics where others return an error, such as a store on a damaged disk. Such a panic is an answer: a
+/// program that called [`end_process`] prints nothing of it. A broken invariant ends the process all the same.
+///
+/// # Errors
+/// The words of the panic.
+pub fn caught<T>(body: impl FnOnce() -> T) -> Result<T, String> {
+    let outer = CAUGHT.replace(true);
+    let outcome = catch_unwind(AssertUnwindSafe(body));
+    CAUGHT.set(outer);
+    outcome.map_err(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()
+    })
 }
 
 /// Runs the body of a thread without which the process is of no use. If it panics the process ends: nobody would notice
@@ -146,6 +169,14 @@ mod tests {
     fn a_broken_invariant_says_what_should_hold_and_what_was_found() {
         let (before, after) = (5, 4);
         invariant!(before < after, "heights only grow", "{after} after {before}");
+    }
+
+    #[test]
+    #[expect(clippy::panic, reason = "a library that panics")]
+    fn the_panic_of_a_library_is_an_answer() {
+        assert_eq!(super::caught(|| 5), Ok(5));
+        assert_eq!(super::caught(|| -> u8 { panic!("page {} is damaged", 7) }), Err("page 7 is damaged".to_owned()));
+        assert_eq!(super::caught(|| -> u8 { panic!("damaged") }), Err("damaged".to_owned()));
     }
 
     #[test]

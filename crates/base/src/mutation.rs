@@ -174,6 +174,20 @@ pub fn clock_error() -> i64 {
     *ERROR.get_or_init(|| wished().unwrap_or_default())
 }
 
+/// For how long the machine was suspended, as a test wishes, microseconds; 0 in a release. The file that the environment variable
+/// `LEDGERD_TEST_SUSPENDED` names has it in milliseconds, and may change at any time. Clocks go on while a machine is suspended, timers do
+/// not.
+pub fn suspended() -> u64 {
+    static FILE: std::sync::OnceLock<Option<std::path::PathBuf>> = std::sync::OnceLock::new();
+    if !COMPILED_IN {
+        return 0;
+    }
+    let file = FILE.get_or_init(|| std::env::var_os("LEDGERD_TEST_SUSPENDED").map(std::path::PathBuf::from));
+    let read =
+        |file: &std::path::PathBuf| std::fs::read_to_string(file).ok()?.trim().parse::<u64>().ok()?.checked_mul(1000);
+    file.as_ref().and_then(read).unwrap_or_default()
+}
+
 /// Withholds this node control calls while it leads, as a test wishes? Never in a release. It does if the environment variable
 /// `LEDGERD_TEST_WITHHOLDS_CONTROL` is set.
 pub fn withholds_control() -> bool {

@@ -1,8 +1,8 @@
 //! Which context we act as: `--context`, else `LEDGERCTL_CONTEXT`, else the one of `context use`.
 
 use crate::global::Global;
-use ledger_api::Context;
 pub(crate) use ledger_api::home;
+use ledger_api::{Context, found_network};
 use ledger_base::rejection::Rejection;
 use ledger_identity::Identity;
 use ledger_identity::certificate::Certificate;
@@ -23,6 +23,18 @@ pub(crate) fn name_in_use(global: &Global, home: &Path) -> Result<Option<String>
 
 fn chosen(global: &Global) -> Option<String> {
     global.context.clone().or_else(|| std::env::var(VARIABLE).ok().filter(|name| !name.is_empty()))
+}
+
+/// Where a different network answers: names the contexts of that network, if there are any.
+pub(crate) fn fitting(refused: Rejection) -> Rejection {
+    let (Some(network), Ok(home)) = (found_network(&refused), home()) else { return refused };
+    let mut names = Context::list(&home).unwrap_or_default();
+    names.retain(|name| Context::load(&home, Some(name)).is_ok_and(|context| context.network == network));
+    if names.is_empty() {
+        return refused;
+    }
+    let names: Vec<_> = names.iter().map(|name| format!("--context {name}")).collect();
+    refused.next(format!("use a context of that network: {}", names.join(" or ")))
 }
 
 /// Where a context is stored.

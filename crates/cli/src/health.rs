@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use crate::output::printable;
 use crate::time;
 use ledger_api::context::warning_due;
-use ledger_api::facts::{AttentionFacts, CertificateFacts, DiskFacts};
+use ledger_api::facts::{AttentionFacts, CRITICAL, CertificateFacts, DiskFacts, WARNING};
 use ledger_api::v1;
 use ledger_base::units::size;
 use serde::Serialize;
@@ -14,17 +14,13 @@ use std::io::{self, Write};
 const EXIT_ATTENTION: u8 = 1;
 /// Exit code without a quorum.
 const EXIT_NO_QUORUM: u8 = 4;
-/// Something does not work.
-pub(crate) const CRITICAL: &str = "critical";
-/// It may soon do so.
-const WARNING: &str = "warning";
 
 /// For monitoring.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Check {
     /// For monitoring: end with 0 if all is well, with 1 if something needs attention
     ///
-    /// Each node lists what needs attention: docs/metrics.md has the table. So do a node that does not answer, and your own
+    /// Each node lists what needs attention: docs/operations.md has the table. So do a node that does not answer, and your own
     /// certificate near its end. Without a quorum the exit code is 4 with and without this.
     #[arg(long)]
     check: bool,

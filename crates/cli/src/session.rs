@@ -34,7 +34,8 @@ impl Session {
 
     /// Connects as this context, to whichever of its nodes serves.
     pub(crate) async fn connect(context: Context) -> Result<Self, Rejection> {
-        Ok(Self { client: Client::connect(&context).await?, context, format: Format::Table })
+        let client = Client::connect(&context).await.map_err(context::fitting)?;
+        Ok(Self { client, context, format: Format::Table })
     }
 
     /// Calls a function in a transaction and waits for its verdict, and a moment until that is certified. Warns if it is not.

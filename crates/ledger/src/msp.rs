@@ -117,8 +117,8 @@ pub use proposals::{
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached, quotas_of};
 pub use read::{
-    attestations, certificate_rule, changes, invitation, members, nodes, organisations, recoveries, revocation_lists,
-    strict_hands, voters,
+    admins_until, attestations, certificate_rule, changes, has_registry, invitation, members, nodes, organisations,
+    recoveries, revocation_lists, strict_hands, voters,
 };
 pub use recovery::{REASON_BYTES_MAX, Recovery};
 pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};

@@ -29,7 +29,7 @@ use std::collections::hash_map::Entry;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The form of the rows. An index of another one is made again.
-const VERSION: u64 = 1;
+const VERSION: u64 = 2;
 const META: &[u8] = b"m";
 const ROWS: u8 = b'r';
 const GRANTS: u8 = b'g';

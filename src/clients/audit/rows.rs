@@ -276,7 +276,7 @@ fn of_msp(event: &Event, call: &Call) -> Row {
 fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
     let told: Option<TellRefusals> = serde_json::from_slice(&event.payload).ok();
     let rows = told.map(|told| told.refusals).unwrap_or_default().into_iter().map(|refused| {
-        let Refused { who, chaincode, function, subject, code, count, first, last, sample, why, found } = refused;
+        let Refused { who, chaincode, function, subject, code, count, first, last, why, found, .. } = refused;
         let (policy_version, policies) = policies(&why);
         Row {
             decision: "refused".into(),
@@ -292,7 +292,8 @@ fn of_telling(event: &Event, call: &Call) -> Vec<Row> {
             policies,
             detail: why,
             found,
-            transaction: sample.map(|sample| bytes(&sample)).unwrap_or_default(),
+            // Its own report: no block has what was rejected.
+            transaction: bytes(&call.transaction),
             told_by: call.creator.clone(),
             ..Row::default()
         }

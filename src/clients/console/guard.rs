@@ -9,7 +9,7 @@ use axum::http::header::{
 };
 use axum::middleware::Next;
 use axum::response::Response;
-use std::net::{Ipv6Addr, SocketAddr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 
 /// Nothing but what this node serves; no script or style in the page itself; in no frame of another page.
@@ -27,7 +27,8 @@ const HEADERS: [(HeaderName, &str); 7] = [
 ];
 
 /// Advice for a request by another name.
-const NEXT: &str = "set [console] name in ledgerd.toml to the name that browsers use";
+const NEXT: &str = "set [console] name in ledgerd.toml to the name that browsers use; a proxy must pass the header host on unchanged \
+                    (docs/console.md)";
 
 /// The origin of a request: what its browser calls this console.
 #[derive(Clone)]
@@ -47,6 +48,14 @@ pub(super) fn address(scheme: &str, settings: &config::Console, reached: &str, l
         name => name,
     };
     let port = listens.port();
+    // Plain HTTP is on loopback only: browsers come there by a name through a proxy that ends TLS.
+    if scheme == "http"
+        && host == settings.name
+        && host.parse::<IpAddr>().is_err()
+        && !host.eq_ignore_ascii_case("localhost")
+    {
+        return format!("https://{host}");
+    }
     match host.parse::<Ipv6Addr>() {
         Ok(address) => format!("{scheme}://[{address}]:{port}"),
         Err(_) => format!("{scheme}://{host}:{port}"),
@@ -83,6 +92,10 @@ mod tests {
         assert_eq!(at("127.0.0.1:7452", "", "127.0.0.1:7452"), "https://127.0.0.1:7452");
         assert_eq!(at("[::1]:7452", "", "[::1]:7452"), "https://[::1]:7452");
         assert_eq!(at("0.0.0.0:443", "robots.example", "0.0.0.0:443"), "https://robots.example:443");
+        let settings =
+            config::Console { listen: "127.0.0.1:7452".into(), name: "robots.example".into(), ..Default::default() };
+        let proxied = address("http", &settings, "10.0.0.4:7450", "127.0.0.1:7452".parse().unwrap());
+        assert_eq!(proxied, "https://robots.example");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The description of a node: its name, its chain, its links to others, and its use.
 
 use super::Audience;
-use crate::clients::attention;
+use crate::clients::attention::{self, CaKeys};
 use crate::clients::rejections::Rejections;
 use crate::ordering::Ordering;
 use crate::ordering::directory::Member;
@@ -39,6 +39,10 @@ pub(crate) struct Description {
     pub rejections: Arc<Rejections>,
     /// Limits of the configuration.
     pub limits: Limits,
+    /// The CA keys that this node reports about.
+    pub ca_keys: CaKeys,
+    /// A network for trials (`ledgerd dev`).
+    pub is_trial: bool,
     /// Where browsers find the console, once there is one.
     pub console: OnceLock<String>,
 }
@@ -148,7 +152,12 @@ impl Description {
                 .unwrap_or(u32::MAX),
         };
         let doubt = doubt.map(|doubt| format!("{}: {}", doubt.message, doubt.found)).unwrap_or_default();
-        status.attention = attention::of(&status, &doubt);
+        let (ledger, own) = (&self.ordering.storage.ledger, &self.me.organisation);
+        let ca_keys = self.ca_keys.of(ledger, &members, own, status.wall_clock)?;
+        let is_recovered = !status.divergence.is_empty() && msp::recoveries(&**ledger.state())? > 0;
+        let inputs =
+            attention::Inputs { clock_doubt: &doubt, ca_keys: &ca_keys, is_recovered, is_trial: self.is_trial };
+        status.attention = attention::of(&status, &inputs);
         Ok(status)
     }
 

@@ -120,10 +120,10 @@ pub(crate) async fn elsewhere(request: Request) -> Response {
 }
 
 /// The answer to another method than that of an endpoint.
-pub(super) async fn other_method(request: Request) -> Rejected {
+pub(crate) async fn other_method(request: Request) -> Rejected {
     let rejection = Rejection::new(Code::BadArgument, "the endpoint has another method")
         .found(format!("{} {}", request.method(), request.uri().path()))
-        .wanted("GET to read, POST to query, submit and enrol");
+        .wanted("GET to read, POST to query, submit, enrol and open a session");
     discard(request).await;
     Rejected::from(rejection).with_status(StatusCode::METHOD_NOT_ALLOWED)
 }

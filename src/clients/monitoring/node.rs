@@ -5,9 +5,9 @@ mod metrics;
 use super::bridge;
 use super::check::Check;
 use super::{Watched, is_well};
-use crate::clients::attention::{CHECKS, CRITICAL};
+use crate::clients::attention::CHECKS;
 use crate::clients::gateway::Description;
-use ledger_api::facts::CertificateRuleFacts;
+use ledger_api::facts::{CRITICAL, CertificateRuleFacts};
 use ledger_api::v1::{Attention, StatusResponse};
 use ledger_base::rejection::Rejection;
 use prometheus_client::registry::Registry;
@@ -75,7 +75,7 @@ pub(crate) fn is_ready(node: &Description) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clients::attention::WARNING;
+    use ledger_api::facts::WARNING;
     use ledger_api::v1::CertificateRule;
 
     #[test]

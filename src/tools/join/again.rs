@@ -274,7 +274,7 @@ fn begin(data: &Path, lost: Option<&Lost>) -> Result<String, Rejection> {
 }
 
 /// The organisations of the genesis, those that the node's own state knows since, and the own one.
-fn organisations(
+pub(super) fn organisations(
     genesis: &Genesis,
     tls: &TlsIdentity,
     joined: Option<&Joined>,
@@ -307,7 +307,7 @@ fn known_since(data: &Path) -> Vec<FoundingOrganisation> {
 }
 
 /// The identity of this node by its certificate.
-fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
+pub(super) fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
     let own = tls.own();
     let presented = own.chain.get(1..).unwrap_or_default();
     let me = msps.verify_for(Usage::Server, own.certificate(), presented, crate::process::clock::wall())?;

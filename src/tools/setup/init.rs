@@ -1,7 +1,7 @@
 //! `ledgerd init`: founds a network of one organisation with one node, and invites its first admin.
 
 use super::settings::{Settings, public_address};
-use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
+use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found_for};
 use crate::process::clock::wall;
 use crate::process::config::{Config, MemberOf};
 use crate::trust::ca::CertificateAuthority;
@@ -43,7 +43,7 @@ pub struct InitOptions {
 /// Founds the network; answers with what to tell the user.
 ///
 /// # Errors
-/// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
+/// A fault of the configuration, an address that others cannot reach, and what [`super::found`] says. Nothing is left behind.
 pub fn init(options: &InitOptions) -> Result<String, Rejection> {
     let mut settings = Settings::of(&options.config, options.address.as_deref(), None, None)?;
     check_free(&settings.config)?;
@@ -101,7 +101,7 @@ fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<Begun, Re
             voter: true,
         }],
     };
-    let founded = found(&plan, now)?;
+    let founded = found_for(&plan, config.ca.certificate_days, now)?;
     let secret = invite(options, config, &founded.authorities, now).inspect_err(|_| {
         let _ = fs::remove_dir_all(&config.data);
     })?;
@@ -143,6 +143,8 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
     use super::*;
     use crate::trust::ca;
+    use rustls_pki_types::CertificateDer;
+    use rustls_pki_types::pem::PemObject;
     use std::path::Path;
     use tempfile::TempDir;
 
@@ -196,6 +198,10 @@ mod tests {
             ("127.0.0.1:17450", "127.0.0.1:17450"),
             ("robot-1.fleet.example:17450", "0.0.0.0:17450"),
             ("10.0.0.4:7450", "0.0.0.0:7450"),
+            ("[fd00::5]:7450", "[::]:7450"),
+            ("[::1]:7450", "[::1]:7450"),
+            ("localhost:17450", "127.0.0.1:17450"),
+            ("Localhost:17450", "127.0.0.1:17450"),
         ] {
             let place = TempDir::new().unwrap();
             let options = InitOptions { address: Some(address.into()), ..options(place.path()) };
@@ -217,6 +223,18 @@ mod tests {
         let request = ca::request(&key, "admin").unwrap();
         assert!(ca.enrol("admin", secret, &request, NOW + 2 * ca::DAY + 1).is_err());
         assert!(ca.enrol("admin", secret, &request, NOW + 2 * ca::DAY).is_ok());
+    }
+
+    #[test]
+    fn the_certificate_of_the_founding_node_is_valid_for_the_configured_days() {
+        let place = TempDir::new().unwrap();
+        let options = options(place.path());
+        fs::write(&options.config, "data = 'd'\n[ca]\ncertificate_days = 2\n").unwrap();
+        init_at(&options, &Config::load(&options.config).unwrap(), NOW).unwrap();
+        let chain = CertificateDer::pem_file_iter(place.path().join("d").join(super::super::CERTIFICATE_FILE)).unwrap();
+        let own = chain.map(Result::unwrap).next().unwrap();
+        let own = ledger_identity::certificate::Certificate::parse(&own).unwrap();
+        assert_eq!(own.not_after / 1_000_000, (NOW + 2 * ca::DAY) / 1_000_000);
     }
 
     #[test]

@@ -121,9 +121,14 @@ fn setting(line: &str) -> &str {
 
 /// Where to listen so that an address leads here.
 fn listening(address: &str) -> Option<String> {
-    let (_, port) = address.rsplit_once(':')?;
-    let local = address.parse::<SocketAddr>().ok().filter(|address| address.ip().is_loopback());
-    Some(local.map_or_else(|| format!("0.0.0.0:{port}"), |address| address.to_string()))
+    let (host, port) = address.rsplit_once(':')?;
+    Some(match address.parse::<SocketAddr>() {
+        Ok(address) if address.ip().is_loopback() => address.to_string(),
+        // Linux accepts IPv4 there, too.
+        Ok(SocketAddr::V6(_)) => format!("[::]:{port}"),
+        Err(_) if host.eq_ignore_ascii_case("localhost") => format!("127.0.0.1:{port}"),
+        _ => format!("0.0.0.0:{port}"),
+    })
 }
 
 fn first(faults: Vec<crate::process::config::Fault>, path: &Path) -> Rejection {

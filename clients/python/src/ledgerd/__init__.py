@@ -22,7 +22,7 @@ from ledgerd.events import Event
 from ledgerd.grant import Published
 from ledgerd.in_flight import Committed
 from ledgerd.plain import Client, Grant, Stream, connect, enrol
-from ledgerd.refusal import Conflict, Denied, Failure, Invalid, Refusal, Unreachable
+from ledgerd.refusal import Conflict, Denied, Expired, Failure, Invalid, Refusal, Unreachable
 from ledgerd.senders import Message
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "Context",
     "Denied",
     "Event",
+    "Expired",
     "Failure",
     "Grant",
     "Invalid",

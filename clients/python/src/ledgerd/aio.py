@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -42,6 +43,8 @@ _ANSWER: Final = 1.0
 """Time for the question whether it is, besides, in seconds."""
 _AGAIN: Final = 0.5
 """Pause before a stop that is not in force is signed and sent again, in seconds."""
+_BY_TIME: Final = ("EXPIRED", "NOT_AFTER_TOO_FAR")
+"""Refused for its time: it is never executed."""
 _NAMED_MAX: Final = 64
 """Most calls that a resume names."""
 
@@ -62,6 +65,8 @@ class Client:
     def __init__(self, context: Context, deadline: float) -> None:
         self._session = Session(context, deadline)
         self._process = Process()
+        # By service, in seconds.
+        self._max_ages: dict[str, float] = {}
 
     async def open(self) -> None:
         """Connects. A certificate in the last third of its life is renewed now."""
@@ -121,7 +126,7 @@ class Client:
         try:
             return await self._submit(call, ttl)
         except Refusal as refused:
-            if refused.name not in ("EXPIRED", "NOT_AFTER_TOO_FAR") or ttl < TTL:
+            if refused.name not in _BY_TIME or ttl < TTL:
                 raise
         # Refused for its time, so it never will be executed: sign anew by the right clock.
         await self._session.learn_clock()
@@ -207,7 +212,7 @@ class Client:
                     done: dict[str, Any] = await self._answer("stop", robot, reason)
                     return done
                 except Refusal as refused:
-                    if refused.kind is not Kind.UNREACHABLE and refused.name not in ("EXPIRED", "NOT_AFTER_TOO_FAR"):
+                    if refused.kind is not Kind.UNREACHABLE and refused.name not in _BY_TIME:
                         raise
                     last[:] = [refused]
                 await asyncio.sleep(_AGAIN)
@@ -238,8 +243,27 @@ class Client:
     async def set(self, service: str, epoch: int, seq: int, messages: tuple[object, ...], ttl: float) -> Published:
         """Publishes under a grant of that epoch, with that number for the first message."""
         args = [service.encode(), str(epoch).encode(), str(seq).encode(), *payloads(messages)]
-        done = await self._executed(ABAC, "set", tuple(args), ttl)
+        call, began = Call(ABAC, "set", tuple(args)), time.monotonic()
+        try:
+            done = await self._submit(call, ttl)
+        except Refusal as refused:
+            if refused.name not in _BY_TIME:
+                raise
+            # It never will be executed. Signed again it looks young to the robot: so only while it is not too old for it.
+            left = min(ttl, await self._max_age(service)) - (time.monotonic() - began)
+            if left <= 0:
+                raise
+            await self._session.learn_clock()
+            done = await self._submit(call, left)
         return Published(done.height, done.time, seq, done.id)
+
+    async def _max_age(self, service: str) -> float:
+        """Age beyond which the robot drops messages of a service, in seconds."""
+        known = self._max_ages.get(service)
+        if known is None:
+            told = json.loads(await self.query(ABAC, "service", service.encode()))
+            known = self._max_ages[service] = told["max_age_ms"] / 1000
+        return known
 
     async def subscribe(self, *services: str, from_height: int = 0) -> Messages:
         """The messages of services from a height on, without end: each once and none missing, through lost connections and

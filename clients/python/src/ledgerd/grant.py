@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ledgerd.codes import Kind
 from ledgerd.events import Deliveries, Wanted
 from ledgerd.rclpy_messages import serialize
-from ledgerd.refusal import Refusal, refusal
+from ledgerd.refusal import Expired, Refusal, refusal
 from ledgerd.senders import ABAC
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Grant:
 
     async def publish(self, *messages: object, ttl: float = COMMAND_TTL) -> Published:
         """Publishes messages in one transaction: raw CDR, or objects of a message class of rclpy. Raises what refuses them;
-        they are not executed later than `ttl` seconds from now.
+        they are not executed later than `ttl` seconds from now. `Expired` means that this time is over: send the next message.
         """
         if self.lost is not None:
             raise self.lost
@@ -161,7 +161,7 @@ class Grant:
                     raise refusal("STALE_EPOCH", f"{self.service} was granted anew", found=f"epoch {told['epoch']}")
                 self.expires = told["expires"]
             except Refusal as refused:
-                if refused.kind is not Kind.UNREACHABLE:
+                if refused.kind is not Kind.UNREACHABLE and not isinstance(refused, Expired):
                     self.lost = refused
                     _LOG.warning("%s is lost: %s", self.service, refused.message)
                     return

@@ -23,6 +23,7 @@ import grpc.aio
 from google.protobuf.message import Message
 
 from ledgerd import tls
+from ledgerd.process import check_fork
 from ledgerd.refusal import Refusal, of_status
 from ledgerd.tls import Settings, unreachable
 from ledgerd.v1 import enrolment_pb2 as enrolment
@@ -111,6 +112,7 @@ class Link:
     @classmethod
     async def open(cls, address: str, settings: Settings, patience: float) -> Link:
         """Connects to a node within so many seconds."""
+        check_fork()
         reader, writer = await tls.connect(address, settings, patience)
         arrived: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
         try:

@@ -185,7 +185,7 @@ class Grant:
 
     def publish(self, *messages: object, ttl: float = COMMAND_TTL) -> Published:
         """Publishes messages in one transaction: raw CDR, or objects of a message class of rclpy. Raises what refuses them;
-        they are not executed later than `ttl` seconds from now.
+        they are not executed later than `ttl` seconds from now. `Expired` means that this time is over: send the next message.
         """
         return self._client._run(self._held.publish(*messages, ttl=ttl))
 

@@ -164,10 +164,10 @@ def _other_network(address: str, context: Context, told: enrolment.NetworkRespon
     found = f'network {told.network.hex()} "{told.label}"'
     wanted = f"network {context.network.hex()}, of which the context is"
     if any(one.name == context.organisation for one in told.organisations):
-        advice = f"ask an admin of {context.organisation} in the new network to register you, then enrol again with force"
-        return refusal("WRONG_NETWORK", f"the network at {address} was made anew", found=found, wanted=wanted, next=advice)
-    advice = "check the address, or select the context of that network"
-    message = f"the node at {address} is of another network"
+        advice = f"ask an admin of {context.organisation} in that network to register you, then enrol again with force"
+    else:
+        advice = "check the address, or select the context of that network"
+    message = f"a different network answers at {address}"
     return refusal("WRONG_NETWORK", message, found=found, wanted=wanted, next=advice)
 
 

@@ -70,6 +70,10 @@ class Invalid(Refusal):
     """The input is wrong; the same again cannot succeed."""
 
 
+class Expired(Invalid):
+    """It came too late to be executed, and never will be: a command to a robot is worth nothing later. Send the next one."""
+
+
 class Unreachable(Refusal):
     """Nobody answered, or no majority could be reached; the same again may succeed."""
 
@@ -82,6 +86,7 @@ class Failure(Refusal):
     """It failed for a reason that is neither the input nor the rights of the caller."""
 
 
+_OWN_CLASS: Final[dict[str, type[Refusal]]] = {"EXPIRED": Expired}
 _KINDS: Final[dict[Kind, type[Refusal]]] = {
     Kind.OK: Failure,
     Kind.FAILURE: Failure,
@@ -99,8 +104,8 @@ def refusal(name: str, message: str, *, found: str = "", wanted: str = "", next:
 
 def numbered(number: int, message: str, *, found: str = "", wanted: str = "", next: str = "") -> Refusal:
     """A refusal by the number of its code, as the subclass of its kind."""
-    _, kind = CODES.get(number, CODES[_INTERNAL])
-    return _KINDS[kind](number, message, found=found, wanted=wanted, next=next)
+    name, kind = CODES.get(number, CODES[_INTERNAL])
+    return _OWN_CLASS.get(name, _KINDS[kind])(number, message, found=found, wanted=wanted, next=next)
 
 
 def _rebuilt(number: int, message: str, found: str, wanted: str, next: str) -> Refusal:

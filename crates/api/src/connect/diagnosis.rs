@@ -23,6 +23,8 @@ use tokio::time::timeout;
 /// Clocks that differ by less, in microseconds, are not what certificates fail by.
 const CLOCK_OFF: u64 = 5 * 60 * 1_000_000;
 const SECOND: u64 = 1_000_000;
+/// Before the name of the network that answered.
+const FOUND: &str = "network ";
 const DAY: u64 = 24 * 3600 * SECOND;
 
 /// The nodes that this machine looks for, and its own identity.
@@ -83,21 +85,27 @@ pub(crate) fn other_network(address: &str, expected: &Expected, told: &NetworkRe
         (Some(own), Some(authority)) => format!(" with the CA {authority} of {own}"),
         _ => String::new(),
     };
-    let found = format!("network {} {:?}{found}", hex::encode(&told.network), told.label);
+    let found = format!("{FOUND}{} {:?}{found}", hex::encode(&told.network), told.label);
     let wanted = format!("network {}, of which the context is", expected.network);
     Some(match own.filter(|_| authority.is_some()) {
-        Some(own) => Rejection::new(Code::WrongNetwork, format!("the network at {address} was made anew"))
+        Some(own) => Rejection::new(Code::WrongNetwork, format!("a different network answers at {address}"))
             .found(found)
             .wanted(wanted)
             .next(format!(
-                "ask an admin of {own} in the new network to register you, then enrol again with --force; \
-                 ledgerd dev makes its own contexts anew when it starts"
+                "ask an admin of {own} in that network to register you, then enrol again with --force; \
+                 ledgerd dev replaces its own contexts when it starts"
             )),
-        None => Rejection::new(Code::WrongNetwork, format!("the node at {address} is of another network"))
+        None => Rejection::new(Code::WrongNetwork, format!("a different network answers at {address}"))
             .found(found)
             .wanted(wanted)
             .next("check the address, or select the context of that network"),
     })
+}
+
+/// The network that answered, in the rejection of [`other_network`].
+pub fn found_network(refused: &Rejection) -> Option<Hash> {
+    let found = Some(&refused.found).filter(|_| refused.code == Code::WrongNetwork)?;
+    found.split(FOUND).nth(1).and_then(|rest| Hash::from_hex(rest.split(' ').next()?))
 }
 
 /// The network is the right one: is it a clock, or the end of our certificate?
@@ -164,6 +172,16 @@ fn span(micros: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_network_that_answered_is_named_in_the_rejection() {
+        let there = Hash::of(&[b"there"]);
+        let told = NetworkResponse { network: there.0.to_vec().into(), label: "fleet".into(), ..Default::default() };
+        let expected = Expected { network: Hash::of(&[b"here"]), organisation: None, certificate: Bytes::new() };
+        let refused = other_network("h:1", &expected, &told);
+        assert_eq!(refused.as_ref().and_then(found_network), Some(there));
+        assert_eq!(found_network(&Rejection::new(Code::WrongNetwork, "").found("nothing")), None);
+    }
 
     #[test]
     fn spans_are_in_the_unit_that_people_would_choose() {

@@ -6,6 +6,13 @@ use ledger_light::{Survives, Voters};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
+/// Severity of a problem that keeps a node from its work: it is not ready.
+pub const CRITICAL: &str = "critical";
+/// Severity of a problem that keeps members from something, although the node is ready.
+pub const ERROR: &str = "error";
+/// Severity of a problem that may become one of the others.
+pub const WARNING: &str = "warning";
+
 /// A node. Counts are keyed by code.
 #[derive(Debug, Serialize)]
 pub struct StatusFacts {
@@ -195,12 +202,12 @@ pub struct CertificateFacts {
     not_after_utc: Option<String>,
 }
 
-/// A problem of the node (docs/metrics.md).
+/// A problem of the node (docs/operations.md).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AttentionFacts {
     /// The check that found it, such as `disk`.
     pub check: String,
-    /// `critical` or `warning`.
+    /// [`CRITICAL`], [`ERROR`] or [`WARNING`].
     pub severity: String,
     /// The finding, in one line.
     pub message: String,

@@ -164,17 +164,17 @@ async fn who_chooses_nodes_stays_with_them() {
 }
 
 #[tokio::test]
-async fn a_network_that_was_made_anew_is_told_from_a_forger() {
+async fn a_different_network_is_told_from_a_forger() {
     let (before, after) = (Arc::new(Authority::new()), Arc::new(Authority::new()));
     let node = Fake::start(&after).await;
     *node.node.network.lock().unwrap() = Hash([9; 32]);
     let refused = Client::connect(&before.context(&[&node])).await.err().unwrap();
     assert_eq!(refused.code, Code::WrongNetwork, "{refused}");
-    assert_eq!(refused.message, format!("the network at {} was made anew", node.address()));
+    assert_eq!(refused.message, format!("a different network answers at {}", node.address()));
     assert!(refused.found.contains(&Hash([9; 32]).to_string()), "{refused}");
     assert!(refused.found.contains(&after.fingerprint().to_string()), "{refused}");
     assert!(refused.advice().contains("enrol again"), "{refused}");
-    // With the name of our network, but another CA: nobody made it anew, somebody pretends to be it.
+    // With the name of our network, but another CA: a forger.
     *node.node.network.lock().unwrap() = crate::authority::NETWORK;
     let refused = Client::connect(&before.context(&[&node])).await.err().unwrap();
     assert_eq!(refused.code, Code::Untrusted, "{refused}");

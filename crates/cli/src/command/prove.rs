@@ -22,8 +22,8 @@ use std::path::PathBuf;
 ///
 /// The file holds the signed transaction, its way to the root of its block, headers, and a certificate that a majority of the voters
 /// has signed. The way from the genesis, or from a checkpoint, to these voters is in it, too. Its reader needs the genesis, and believes no node. The
-/// verdict is proved while the certificate of its own block is at hand, which is some minutes; the place is proved for as long as
-/// blocks are kept.
+/// place is proved for as long as blocks are kept, and so is the verdict of a call that changed something. The verdict of a message is
+/// proved for some minutes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:

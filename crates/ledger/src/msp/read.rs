@@ -1,5 +1,6 @@
 //! The records of the ledger about the network, read from a world state: for the node, and for a reader of a snapshot.
 
+use super::IdentityRecord;
 use super::attestations::{ATTESTATIONS_MAX, AttestationRecord};
 use super::invitations::Invitation;
 use super::nodes::{NodeRecord, RECORDS_MAX};
@@ -7,17 +8,21 @@ use super::organisations::ORGANISATIONS_MAX;
 use super::revocation_lists::{LISTS_MAX, ListRecord};
 use super::store::{
     ACTIVATIONS, ATTESTATIONS, CERTIFICATE_RULE, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS,
-    ORGANISATIONS, RECOVERY_KEYS, change_key, invitation_key, json, list_state, parse, read_state,
+    ORGANISATIONS, RECOVERY_KEYS, change_key, full, identity_key, invitation_key, json, list_state, parse, read_state,
+    registered_key, revoked_key,
 };
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;
 use crate::rules::Activation;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::Role;
 use ledger_light::{CertificateRule, Change, Voter, Voters};
 use ledger_storage::state::{Overlay, StateRead};
 use std::collections::BTreeMap;
 
+/// Records of identities that are read at once.
+const IDENTITIES_PAGE: usize = 256;
 /// Most forced recoveries that are counted.
 const RECOVERIES_MAX: usize = 1 << 20;
 
@@ -65,6 +70,41 @@ pub fn attestations(state: &dyn StateRead) -> Result<Vec<AttestationRecord>, Rej
 /// As [`nodes`].
 pub fn invitation(state: &dyn StateRead, name: &str) -> Result<Option<Invitation>, Rejection> {
     read_state(state, &invitation_key(name))
+}
+
+/// Does this organisation register names on the ledger? One whose CA is another software does not.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn has_registry(state: &dyn StateRead, organisation: &str) -> Result<bool, Rejection> {
+    Ok(read_state::<u64>(state, &registered_key(organisation))?.is_some_and(|names| names > 0))
+}
+
+/// The end of the last certificate of an admin of this organisation that is valid now, microseconds; 0 if there is none.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn admins_until(state: &dyn StateRead, organisation: &str, now: u64) -> Result<u64, Rejection> {
+    let prefix = full(identity_key(organisation, "").as_bytes());
+    let mut after: Option<Bytes> = None;
+    let mut last = 0;
+    loop {
+        let page = state.range(&prefix, after.as_deref(), IDENTITIES_PAGE)?;
+        for (key, value) in &page {
+            let record: IdentityRecord = parse(key, value)?;
+            let issued =
+                record.certificates.iter().filter(|issued| record.role == Role::Admin && issued.not_after > now);
+            for issued in issued {
+                let serial = hex::decode(&issued.serial).unwrap_or_default();
+                let is_revoked = state.get(&revoked_key(&[&issued.issuer.0[..], &serial].concat()))?.is_some();
+                last = if is_revoked { last } else { last.max(issued.not_after) };
+            }
+        }
+        match page.into_iter().next_back() {
+            Some((key, _)) => after = Some(key),
+            None => return Ok(last),
+        }
+    }
 }
 
 /// The voters and learners in fact.

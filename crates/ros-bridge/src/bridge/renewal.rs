@@ -2,7 +2,7 @@
 
 use crate::config::{Config, context_of};
 use ledger_api::context::{RenewalRule, warning_due};
-use ledger_api::{Client, Renewed, renewal_due};
+use ledger_api::{Client, Renewed, renewal_due, wait_by_clock};
 use ledger_base::rejection::Rejection;
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ pub async fn keep_renewed(config: &Config, client: &Client) {
         if let Err(reason) = look(config, client).await {
             tracing::warn!(code = reason.code.name(), %reason, "the bridge's certificate cannot be renewed; trying again");
         }
-        tokio::time::sleep(LOOK).await;
+        wait_by_clock(|| client.now(), LOOK).await;
     }
 }
 

@@ -4,10 +4,10 @@ use super::Store;
 use super::scratch::Scratch;
 use crate::state::WriteSet;
 use bytes::Bytes;
+use ledger_base::invariant::caught;
 use ledger_base::rejection::{Code, Rejection};
 use std::io::ErrorKind;
 use std::ops::Bound;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{PoisonError, RwLock};
 use std::time::Duration;
@@ -87,29 +87,35 @@ fn config(directory: &Path) -> sled::Config {
 
 fn open(directory: &Path) -> Result<sled::Db, Rejection> {
     let config = config(directory);
-    let mut opened = catch_unwind(AssertUnwindSafe(|| config.open()));
+    let mut opened = caught(|| config.open());
     for _ in 0..LOCK_ATTEMPTS_MAX {
         if !matches!(&opened, Ok(Err(sled::Error::Io(error))) if error.to_string().starts_with(LOCKED)) {
             break;
         }
         // A store that was closed just now lets go of its lock only when its threads have ended.
         std::thread::sleep(LOCK_PAUSE);
-        opened = catch_unwind(AssertUnwindSafe(|| config.open()));
+        opened = caught(|| config.open());
     }
     match opened {
         Ok(Ok(tree)) => Ok(tree),
         Ok(Err(error)) => Err(fault(&error)),
-        Err(_) => Err(Rejection::new(Code::Corrupt, "the state store cannot be opened: it panicked")
-            .next("delete the state directory; the node rebuilds it from the blocks")),
+        Err(panic) => {
+            let message = format!("the store in {} is damaged", directory.display());
+            Err(Rejection::new(Code::Corrupt, message).found(first_line(&panic)))
+        }
     }
 }
 
 /// The errors and panics of sled, as a rejection.
 fn guard<T>(body: impl FnOnce() -> Result<T, sled::Error>) -> Result<T, Rejection> {
-    match catch_unwind(AssertUnwindSafe(body)) {
+    match caught(body) {
         Ok(result) => result.map_err(|error| fault(&error)),
-        Err(_) => Err(Rejection::new(Code::Corrupt, "the state store panicked")),
+        Err(panic) => Err(Rejection::new(Code::Corrupt, "the state store is damaged").found(first_line(&panic))),
     }
+}
+
+fn first_line(text: &str) -> &str {
+    text.lines().next().unwrap_or_default()
 }
 
 fn fault(error: &sled::Error) -> Rejection {
@@ -118,7 +124,11 @@ fn fault(error: &sled::Error) -> Rejection {
         sled::Error::Io(_) => Code::DiskFailed,
         _ => Code::Corrupt,
     };
-    Rejection::new(code, format!("the state store failed: {error}"))
+    let text = match error {
+        sled::Error::Corruption { .. } => "it holds damaged data".to_owned(),
+        other => other.to_string(),
+    };
+    Rejection::new(code, format!("the store failed: {text}"))
 }
 
 impl Store for SledStore {

@@ -1,7 +1,9 @@
 //! The figures of a node: docs/metrics.md describes each.
 
-use crate::clients::monitoring::figures::{Labels, Several, bytes, counts, number, seconds, seconds_in_all};
+use crate::clients::attention::CHECKS;
+use crate::clients::monitoring::figures::{Labels, Several, bytes, counts, number, numbers, seconds, seconds_in_all};
 use crate::process::meters::Meters;
+use ledger_api::facts::{CRITICAL, ERROR, WARNING};
 use ledger_api::v1::StatusResponse;
 use ledger_base::rejection::Code;
 use prometheus_client::metrics::counter::ConstCounter;
@@ -12,6 +14,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 const MICROS: f64 = 1_000_000.0;
+/// Severities in the order of their figures.
+const SEVERITIES: [&str; 4] = ["", WARNING, ERROR, CRITICAL];
 
 /// Registers the figures of a node, which has kept the processors awake for so long.
 pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters: &Meters, awake: Duration) {
@@ -20,6 +24,7 @@ pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters:
     order(registry, status);
     calls(registry, status);
     machine(registry, status);
+    attention(registry, status);
     seconds_in_all(registry, "awake", "Time for which the node kept the processors awake", awake);
     let mut steps = |name: &str, help: &str, histogram: &Histogram| {
         registry.register_with_unit(name, help, Unit::Seconds, histogram.clone());
@@ -109,6 +114,17 @@ fn machine(registry: &mut Registry, status: &StatusResponse) {
     }
     let help = "Time until a certificate ends, or until a revocation list is late; below 0 afterwards";
     registry.register_with_unit("certificate_remaining", help, Unit::Seconds, lives);
+}
+
+/// The list of what needs attention, by check: its worst severity.
+fn attention(registry: &mut Registry, status: &StatusResponse) {
+    let level = |check: &str| {
+        let of = status.attention.iter().filter(|item| item.check == check);
+        of.map(|item| SEVERITIES.iter().position(|known| *known == item.severity).unwrap_or_default()).max()
+    };
+    let each = CHECKS.map(|check| (vec![("check", check.to_owned())], level(check).unwrap_or_default() as u64));
+    let help = "Worst finding of a check: 0 none, 1 a warning, 2 an error, 3 critical";
+    numbers(registry, "attention", help, each.into_iter());
 }
 
 /// Counts by the names of codes.

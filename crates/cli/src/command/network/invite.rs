@@ -20,6 +20,11 @@ use ring::rand::{SecureRandom, SystemRandom};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::time::Duration;
+use tokio::net::TcpStream;
+
+/// How long the machine of a node may take to accept a connection.
+const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 
 /// Invite a node of your organisation, or another organisation; for admins.
 ///
@@ -147,7 +152,10 @@ async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invite
     let known = session.client.identities(name).await.map_err(may_not_invite)?;
     let registered = match known.first() {
         None => session.client.register(name, Role::Node, &BTreeMap::new()).await?,
-        Some(known) if known.role == Role::Node => session.client.reissue(name, &BTreeMap::new()).await?,
+        Some(known) if known.role == Role::Node => {
+            check_away(session, &known.organisation, name).await?;
+            session.client.reissue(name, &BTreeMap::new()).await?
+        }
         Some(known) => {
             return Err(Rejection::new(Code::AlreadyRegistered, format!("{name} is registered, and not as a node"))
                 .found(format!("role {}", known.role))
@@ -156,6 +164,25 @@ async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invite
     };
     let token = door.token(registered.organisation, name.to_owned(), JoinKind::Node, registered.secret);
     Ok(invited(&token, Some(registered.expires), None))
+}
+
+/// Rejects to invite a node that is a member and runs: its token would change nothing.
+async fn check_away(session: &Session, organisation: &str, name: &str) -> Result<(), Rejection> {
+    let status = session.client.status().await?;
+    let nodes = nodes(session).await?.nodes;
+    let is_meant =
+        |node: &&NodeRecord| node.organisation == organisation && node.name == name && node.role != NodeRole::Removed;
+    let Some(node) = nodes.iter().find(is_meant) else { return Ok(()) };
+    let is_connected = status.peers.iter().any(|peer| peer.node_id == node.id && peer.connected);
+    // The other nodes notice late that a machine is gone.
+    let connected = tokio::time::timeout(ANSWER_TIME_MAX, TcpStream::connect(node.address.as_str()));
+    if node.id != status.node_id && !(is_connected && matches!(connected.await, Ok(Ok(_)))) {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::AlreadyExists, format!("node {} runs: there is nothing to join", node.full_name()))
+        .found(format!("node {}, a {}, which answers at {}", node.id, node.role, node.address))
+        .wanted("a new name, or a node that is gone")
+        .next("for another certificate of this node, on its machine: ledgerd renew --config ledgerd.toml; if its disk is lost, stop it first"))
 }
 
 fn invited(token: &JoinToken, expires: Option<u64>, decision: Option<Decision>) -> Invited {

@@ -4,15 +4,15 @@ use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
 use crate::health::{
-    Attention, CRITICAL, Check, Voters, certificate_ends, certificate_text, certificates, disk, disk_free,
-    own_certificate, print_attention,
+    Attention, Check, Voters, certificate_ends, certificate_text, certificates, disk, disk_free, own_certificate,
+    print_attention,
 };
 use crate::nodes::current;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
 use ledger::msp::{AttestationRecord, NodeRecord, NodeRole, Nodes};
-use ledger_api::facts::{CertificateFacts, CertificateRuleFacts, DiskFacts};
+use ledger_api::facts::{CRITICAL, CertificateFacts, CertificateRuleFacts, DiskFacts};
 use ledger_api::{Client, Context, Credentials, Options, v1};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
@@ -323,7 +323,8 @@ impl Overview {
         }
         let is_told = |item: &Attention| item.is_critical() && ["quorum", "leader"].contains(&&*item.facts.check);
         if !self.quorum.quorum && !attention.iter().any(is_told) {
-            let next = "start the nodes that are silent: systemctl start ledgerd";
+            let next = "on the machine of each silent voter: systemctl status ledgerd; start it if it is stopped, restart it if it \
+                        runs and does not answer";
             attention.push(Attention::here("quorum", CRITICAL, format!("voters: {}", self.quorum.text()), next));
         }
         attention.extend(Attention::own_certificate(own, now));
