@@ -8,6 +8,7 @@ use ledger_abac::{Capabilities, Direction, Fencing, Grant, Mode, Publishing, Seq
 use ledger_gate::gate::{Delivered, Gate, Now, Settings};
 use ledger_gate::sample::{CDR_LE, SAMPLE_BYTES_MAX, Sample};
 use ledger_gate::service::Service;
+use ledger_gate::speed::Speeds;
 use ledger_gate::standing::{Members, Standing};
 use ros_bridge::dds::Participant;
 use ros_bridge::names::{TopicName, TypeName};
@@ -56,6 +57,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         lease_ms: 10_000,
         stop_hex: None,
         confidential: false,
+        speeds: Speeds::default(),
         epoch,
     };
     let time = clock();

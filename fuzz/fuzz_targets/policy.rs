@@ -8,6 +8,9 @@ use std::sync::LazyLock;
 static FLEET: LazyLock<Fleet> = LazyLock::new(Fleet::new);
 
 fuzz_target!(|text: &str| {
+    // A text is a share of these terms, or none of any.
+    let terms = ledger_contract::ShareEntry::of("Org2", "p", text).and_then(|share| share.terms);
+    assert!(terms.is_none_or(|terms| terms.text() == text), "terms of another text");
     let faults = FLEET.check(text);
     let decided = FLEET.can(text);
     let put = FLEET.put(text);

@@ -45,7 +45,9 @@ fn a_recording_tells_others_every_message_with_its_sender_and_its_place_on_the_l
     let dev = Dev::start();
     let salma = dev.user("Salma", &["Turtlebot4"], "ed25519");
     let service = "/grip=arm_msgs/msg/Grip,mode=open";
-    dev.owner().run(&["robot", "add", "arm-7", "--attr-required", "Turtlebot4", "--service", service]).ok();
+    dev.owner()
+        .run(&["robot", "add", "arm-7", "--attr-required", "Turtlebot4", "--trust", "Org1", "--service", service])
+        .ok();
     let granted = salma.json(&["acquire", "Turtlebot4", "--for", "60s"]);
     let sent: Vec<_> = [0.5, -0.25, 0.0].map(|speed| drive(&salma, speed)).into();
     salma.publish(&["arm-7", "--hex", "0001000007"]).ok();

@@ -56,6 +56,7 @@ mod rebuild;
 mod reference;
 mod renewal;
 mod rules;
+mod shares;
 mod sharing;
 mod story;
 mod subscribing;

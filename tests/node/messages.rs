@@ -71,7 +71,7 @@ fn a_type_of_ones_own_is_hex_until_its_definition_is_given() {
     let dev = Dev::start();
     let salma = dev.user("Salma", &["Husky"], "ed25519");
     let service = "/grip=arm_msgs/msg/Grip,mode=open";
-    dev.owner().run(&["robot", "add", "Arm", "--attr-required", "Husky", "--service", service]).ok();
+    dev.owner().run(&["robot", "add", "Arm", "--attr-required", "Husky", "--trust", "Org1", "--service", service]).ok();
     salma.run(&["publish", "Arm", "{force: 1}"]).refused(3, &["LGR-6003", "--msg arm_msgs/msg/Grip=FILE.msg"]);
     let directory = dev.home.path().join("arm_msgs/msg");
     std::fs::create_dir_all(&directory).unwrap();

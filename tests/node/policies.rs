@@ -78,7 +78,7 @@ fn an_owner_checks_tests_compares_and_puts_policies_and_everybody_learns_why_not
     assert_eq!((&yes["allowed"], &yes["policies"][0]), (&true.into(), &"trained".into()));
     let matrix = dev.admin().run(&["can", "--matrix"]).ok().stdout;
     let salmas = matrix.lines().find(|line| line.contains("Org1/Salma") && line.contains("Husky/cmd_vel")).unwrap();
-    assert!(salmas.contains("acquire, subscribe"), "{matrix}");
+    assert!(salmas.contains("acquire, publish, subscribe"), "{matrix}");
     farhad.run(&["can", "Farhad", "acquire", "Husky", "--who-could"]).refused(2, &["read the registered identities"]);
 }
 

@@ -102,7 +102,7 @@ fn two_users_share_a_robot_as_in_the_paper() {
 fn an_owner_registers_a_robot_that_reads_as_in_the_paper() {
     let dev = Dev::start();
     let service = "/cmd_vel=geometry_msgs/msg/Twist,mode=open";
-    let add = ["robot", "add", "Go2", "--attr-required", "Go2", "--service", service];
+    let add = ["robot", "add", "Go2", "--attr-required", "Go2", "--trust", "Org1", "--service", service];
     let member = dev.user("Salma", &["Go2"], "ed25519");
     member.run(&add).refused(2, &["LGR-3010"]);
     dev.owner().run(&add).ok();

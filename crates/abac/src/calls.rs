@@ -36,6 +36,7 @@ pub(crate) mod question;
 pub(crate) mod reader;
 pub(crate) mod readers;
 pub(crate) mod recall;
+pub(crate) mod reconcile;
 pub(crate) mod release;
 pub(crate) mod remove;
 pub(crate) mod renew;

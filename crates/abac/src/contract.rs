@@ -21,6 +21,7 @@ use std::sync::Arc;
 /// | `setup ROBOT_JSON...` | an admin of the owner | the assets |
 /// | `configure ROBOT[/TOPIC] SETTINGS_JSON` | an admin of the owner | [`crate::RobotChange`] |
 /// | `replace ROBOT_JSON...` | an admin of the owner | a [`crate::RobotChange`] each |
+/// | `reconcile PLAN_JSON` of [`crate::FleetPlan`] | an admin of the owner | [`crate::FleetChange`]; all of it or nothing |
 /// | `remove ROBOT` | an admin of the owner | the grants it ended |
 /// | `acquire SERVICE [LEASE_MS\|OPTIONS_JSON]` | whom policies permit | [`crate::Acquired`] |
 /// | `acquire_all OPTIONS_JSON SERVICE...` | whom policies permit all of them | [`crate::Grant`]s |
@@ -79,7 +80,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 51] = [
+const FUNCTIONS: [&str; 52] = [
     "GetSubmittingClientIdentity",
     "access",
     "acquire",
@@ -110,6 +111,7 @@ const FUNCTIONS: [&str; 51] = [
     "reader",
     "readers",
     "recall",
+    "reconcile",
     "release",
     "remove",
     "renew",
@@ -163,7 +165,7 @@ const READS: [&str; 25] = [
 ];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
-const URGENT: [&str; 18] = [
+const URGENT: [&str; 19] = [
     "acquire",
     "acquire_all",
     "cancel",
@@ -175,6 +177,7 @@ const URGENT: [&str; 18] = [
     "policy",
     "progress",
     "recall",
+    "reconcile",
     "release",
     "remove",
     "renew",
@@ -293,6 +296,7 @@ impl Chaincode for AccessControl {
             "setup" => calls::setup::setup(ctx, decider, args),
             "configure" => calls::configure::configure(ctx, decider, args),
             "replace" => calls::replace::replace(ctx, decider, args),
+            "reconcile" => calls::reconcile::reconcile(ctx, decider, args),
             "remove" => calls::remove::remove(ctx, args),
             "robots" => calls::robots::robots(ctx, decider, args),
             "robot" => calls::robot::robot(ctx, decider, args),

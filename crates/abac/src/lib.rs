@@ -55,14 +55,15 @@ pub use calls::set::MESSAGES_PER_CALL_MAX;
 pub use contract::AccessControl;
 pub use ledger_contract::{
     Access, AcquireOptions, Acquired, Ask, AskAccess, Attribute, AttributeChanges, Attributes, Can, Capabilities,
-    Condition, Confirmation, Could, Declaration, Delegated, Direction, Emergency, EmergencyAnswer, Fencing, Grant,
-    Keyed, Latest, Left, LeftReason, LimitChange, Limits, LineState, LineTold, MessageEvent, Mode, OnConflict,
-    PassOptions, Pending, Permitted, Place, Point, PolicyApproval, PolicyApprovals, PolicyChange, PolicyCheck,
-    PolicyDiff, PolicyDigest, PolicyDraft, PolicyEntry, PolicyFault, PolicyMeaning, PolicyNeed, PolicyProposal,
-    PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText, Published, Publishing, Reader, ReaderTold, Readers,
-    Reason, Released, Right, RightOf, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence,
-    ServiceSpec, ServiceState, SettingChange, Share, ShareEntry, SharePreview, ShareTerms, Sharing, SideDoor, Stopped,
-    Submitted, Task, TaskSpec, TaskState, TaskTold, Told, UnsharePreview, Wrapped,
+    Condition, Confirmation, Could, Declaration, Delegated, Direction, Emergency, EmergencyAnswer, Fencing,
+    FleetChange, FleetPlan, Grant, Keyed, Latest, Left, LeftReason, LimitChange, Limits, LineState, LineTold,
+    MessageEvent, Mode, OnConflict, PassOptions, Pending, Permitted, Place, Point, PolicyApproval, PolicyApprovals,
+    PolicyChange, PolicyCheck, PolicyDiff, PolicyDigest, PolicyDraft, PolicyEntry, PolicyFault, PolicyMeaning,
+    PolicyNeed, PolicyProposal, PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText, Published, Publishing,
+    Reader, ReaderTold, Readers, Reason, Released, RemovedRobot, Right, RightOf, RobotAsset, RobotChange, RobotEvent,
+    RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Share, ShareEntry, SharePreview,
+    ShareTerms, Sharing, SideDoor, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told, UnsharePreview,
+    Wrapped,
 };
 pub use policy::defaults::{DEFAULT_POLICY, SCHEMA};
 pub use policy::limits::POLICY_BYTES_MAX;

@@ -2,8 +2,8 @@
 
 use crate::command::{
     audit, bridge, ca, can, chaincode, completions, console, context, denials, doctor, emergency, enroll, explain,
-    grant, identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, share, task,
-    top, watch, whoami,
+    fleet, grant, identity, ledger, light, man, message, network, policy, prove, readers, record, replay, robot, share,
+    task, top, watch, whoami,
 };
 use crate::failure::Failure;
 use crate::global::Global;
@@ -74,6 +74,9 @@ enum Command {
     Share(share::Share),
     Unshare(share::unshare::Unshare),
     Can(can::Can),
+    Apply(fleet::Apply),
+    Diff(fleet::Diff),
+    Export(fleet::Export),
     Console(console::Console),
     Invoke(chaincode::Invoke),
     Query(chaincode::Query),
@@ -142,6 +145,9 @@ impl Cli {
             Command::Policy(command) => command.run(global, output).await,
             Command::Share(command) => command.run(global, output).await,
             Command::Unshare(command) => command.run(global, output).await,
+            Command::Apply(command) => command.run(global, output).await,
+            Command::Diff(command) => command.run(global, output).await,
+            Command::Export(command) => command.run(global, output).await,
             Command::Can(command) => command.run(global, output).await,
             Command::Console(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,

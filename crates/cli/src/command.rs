@@ -13,6 +13,7 @@ pub(crate) mod doctor;
 pub(crate) mod emergency;
 pub(crate) mod enroll;
 pub(crate) mod explain;
+pub(crate) mod fleet;
 pub(crate) mod grant;
 pub(crate) mod identity;
 pub(crate) mod ledger;

@@ -24,6 +24,7 @@ mod grant;
 mod limits;
 mod line;
 mod message;
+mod plan;
 mod policy;
 mod robot;
 mod service;
@@ -51,6 +52,7 @@ pub use grant::{Grant, POLICIES_TOLD_MAX, Reason, Released};
 pub use limits::Limits;
 pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Pending, Place};
 pub use message::{Latest, MessageEvent, Permitted, Published};
+pub use plan::{FleetChange, FleetPlan, RemovedRobot};
 pub use policy::{
     PolicyApproval, PolicyApprovals, PolicyChange, PolicyDigest, PolicyDraft, PolicyEntry, PolicyNeed, PolicyProposal,
     PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText,

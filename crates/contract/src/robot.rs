@@ -23,6 +23,9 @@ pub struct RobotSpec {
     /// Facts for policies; none by default.
     #[serde(default, deserialize_with = "named", skip_serializing_if = "Option::is_none")]
     pub attributes: Option<Attributes>,
+    /// The version of the robot that this was made from, empty if it is new; if another one is registered, nothing is changed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<String>,
 }
 
 /// The asset of the paper, with its field names, and what we know beyond it.
@@ -57,6 +60,9 @@ pub struct RobotAsset {
     /// The stop that holds, if the robot is stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stopped: Option<Stopped>,
+    /// Names its settings, in hexadecimal digits: with other settings it has another version.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub version: String,
 }
 
 /// Answer of `declare`: all that a robot's gate needs to know, at one height.

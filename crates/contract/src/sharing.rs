@@ -118,6 +118,13 @@ pub struct Sharing {
     /// goes with every mode.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub messages_per_s: Option<u64>,
+    /// Largest linear speed (millimetres per second) that the robot's gate lets pass, whatever policies say; any by default. It goes
+    /// with every mode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_linear_mm_s: Option<u64>,
+    /// Largest angular speed (thousandths of a radian per second), likewise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_angular_mrad_s: Option<u64>,
 }
 
 /// A key of [`Sharing`]: its name, its value for people if it is set, how it takes the value of another, how it is cleared.
@@ -139,7 +146,7 @@ macro_rules! keys {
 }
 
 keys!(
-    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms confidential bytes_per_s messages_per_s
+    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms confidential bytes_per_s messages_per_s max_linear_mm_s max_angular_mrad_s
 );
 
 impl Sharing {
@@ -215,6 +222,8 @@ mod tests {
             confidential: Some(true),
             bytes_per_s: Some(12),
             messages_per_s: Some(13),
+            max_linear_mm_s: Some(14),
+            max_angular_mrad_s: Some(15),
         };
         let json = serde_json::to_value(&all).unwrap();
         let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();

@@ -21,6 +21,7 @@ use ring::rand::SystemRandom;
 
 use crate::gate::{Gate, Now, Settings};
 use crate::service::{Revoked, Service};
+use crate::speed::Speeds;
 use crate::standing::{Members, Standing};
 
 /// 2030-01-01, in microseconds since the UNIX epoch. Certificates are valid until 2031.
@@ -213,6 +214,7 @@ pub fn service(mode: &str) -> Service {
         stop_hex: None,
         epoch: 0,
         confidential: false,
+        speeds: Speeds::default(),
     }
 }
 

@@ -62,7 +62,12 @@ use self::{
     sequences::Sequences,
 };
 pub use self::{clock::Now, refused::Refused};
-use crate::{sample::Sample, service::Service, speed::Layout, standing::Standing};
+use crate::{
+    sample::Sample,
+    service::Service,
+    speed::{Layout, Speeds},
+    standing::Standing,
+};
 
 /// How long a command may be on its way to its block. Short, because what a node holds back until then could still
 /// be brought to a robot.
@@ -169,6 +174,8 @@ struct Rules {
     lease_us: u64,
     /// Are its messages encrypted?
     confidential: bool,
+    /// The largest speeds of the robot itself.
+    speeds: Speeds,
 }
 
 impl Gate {
@@ -243,6 +250,7 @@ impl Gate {
             layout: Layout::of(&service.type_name),
             lease_us: service.lease_ms.saturating_mul(1000),
             confidential: service.confidential,
+            speeds: service.speeds,
         }
     }
 
@@ -426,10 +434,12 @@ impl Gate {
         age_us: u64,
         now: Now,
     ) -> Result<usize, Refused> {
+        let own = self.rules.as_ref().map(|rules| rules.speeds).unwrap_or_default();
         let Some(Holding { bounds, .. }) = self.holders.get(publisher) else {
             let layout = layout.filter(|_| self.is_command());
-            return Bounds::default().slow_down(layout, samples);
+            return Bounds::default().within(own).slow_down(layout, samples);
         };
+        let bounds = bounds.within(own);
         let layout = layout.filter(|_| self.is_command() || bounds.limit_speed());
         if bounds.max_age_us.is_some_and(|most| age_us > most) {
             return Err(Refused::TooOld);

@@ -1,5 +1,6 @@
 //! The ledger's answers and events, as far as a robot reads them: the parts of their JSON that it uses.
 
+use crate::speed::Speeds;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Capabilities, Direction, Publishing, ServiceState};
@@ -35,6 +36,8 @@ pub struct Service {
     pub epoch: u64,
     /// Are its messages encrypted for those who may read them?
     pub confidential: bool,
+    /// The largest speeds of the robot itself, which no policy raises.
+    pub speeds: Speeds,
 }
 
 /// Payload of the event `released`.
@@ -126,6 +129,7 @@ impl TryFrom<ServiceState> for Service {
             stop_hex,
             epoch,
             confidential: sharing.is_confidential(),
+            speeds: Speeds { linear_mm_s: sharing.max_linear_mm_s, angular_mrad_s: sharing.max_angular_mrad_s },
         })
     }
 }

@@ -50,6 +50,16 @@ pub struct Speeds {
 }
 
 impl Speeds {
+    /// These and the others, each the smaller one.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let least = |one: Option<u64>, two: Option<u64>| one.into_iter().chain(two).min();
+        Self {
+            linear_mm_s: least(self.linear_mm_s, other.linear_mm_s),
+            angular_mrad_s: least(self.angular_mrad_s, other.angular_mrad_s),
+        }
+    }
+
     /// Is any speed allowed?
     pub fn is_none(&self) -> bool {
         *self == Self::default()

@@ -55,6 +55,21 @@ impl Printed {
         self.run(owner, "can --as", &["Org1/Salma"]);
     }
 
+    /// A fleet as a file.
+    fn reconciles(&mut self, owner: &Ctl, files: &Path) {
+        self.run(owner, "export", &[]);
+        let path = files.join("fleet.toml");
+        let file = path.to_str().unwrap();
+        let robot =
+            "[robot.Leo]\nattr-required = 'Leo'\n[robot.Leo.service.'/cmd_vel']\ntype = 'geometry_msgs/msg/Twist'\n";
+        let share = "[[share]]\nresource = 'Husky'\nwith = 'Org1'\nattr = 'Turtlebot4'\n";
+        fs::write(&path, format!("{robot}{share}[robot.Husky.attributes]\nkind = 'rover'\n")).unwrap();
+        self.run(owner, "diff", &[file]);
+        self.run(owner, "apply", &[file, "--yes"]);
+        owner.run(&["unshare", "Husky", "--with", "Org1", "--yes"]).ok();
+        owner.run(&["robot", "remove", "Leo"]).ok();
+    }
+
     /// Sets of policies to which another organisation must agree.
     fn agrees_about_sets(&mut self, (owner, other): (&Ctl, &Ctl), [night, day]: [&str; 2]) {
         owner.run(&["policy", "apply", day, "--approvals", "organisations = 2"]).ok();
@@ -187,6 +202,7 @@ pub(super) fn play(it: &mut Printed) {
     it.run(&owner, "denials", &[]);
     it.run(&owner, "can", &["Org1/Farhad", "acquire", "Husky/cmd_vel"]);
     it.shares(&owner);
+    it.reconciles(&owner, files.path());
     let night = file("night.cedar", "permit(principal, action, resource);");
     it.run(&owner, "policy check", &[&night]);
     it.run(&owner, "policy put", &["night", &format!("@{night}")]);

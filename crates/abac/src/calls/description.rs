@@ -13,7 +13,7 @@ use ledger::Context;
 use ledger_base::hash::Hash;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{RobotSpec, ServiceSpec, Sharing, is_called};
+use ledger_contract::{Direction, RobotSpec, ServiceSpec, Sharing, is_called};
 use std::collections::BTreeSet;
 
 /// Longest required attribute with its value, in bytes.
@@ -56,6 +56,23 @@ pub(crate) fn read_spec(args: Arguments<'_>, index: usize) -> Result<RobotSpec, 
     serde_json::from_str(text).map_err(|fault| {
         args.bad(index, "ROBOT_JSON", fault.to_string(), "JSON of a robot: name, attribute_required, services")
     })
+}
+
+/// Rejects a change of a robot that was made from another version of it than the one that is registered.
+pub(crate) fn check_base(name: &str, before: Option<&Robot>, base: Option<&str>) -> Result<(), Rejection> {
+    let registered = before.map(|robot| robot.version.to_string()).unwrap_or_default();
+    let told = |version: &str| match version {
+        "" => "no robot of this name".to_owned(),
+        version => format!("version {version}"),
+    };
+    match base {
+        Some(base) if base != registered => {
+            Err(Rejection::new(Code::RobotChanged, format!("robot {name} has changed meanwhile"))
+                .found(told(&registered))
+                .wanted(format!("{}, which this was made from", told(base))))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Rejects the name of a new robot that differs from that of another one only in the case of its letters: people mix them up, and
@@ -134,6 +151,7 @@ pub(crate) fn check_service(decider: &Decider, spec: ServiceSpec) -> Result<Serv
     let mode = spec.mode.unwrap_or_else(|| rules::default_mode(spec.direction));
     terms::check(decider.rules.chosen(&mode)?, &spec.sharing, topic)?;
     check_confidential(&spec.sharing, &spec.type_name, topic)?;
+    check_speeds(spec.direction, &spec.type_name, &spec.sharing, topic)?;
     let attributes = attributes::described(spec.attributes, attributes::OF_SERVICE_BYTES_MAX)?;
     Ok(Service {
         topic: spec.topic,
@@ -147,6 +165,29 @@ pub(crate) fn check_service(decider: &Decider, spec: ServiceSpec) -> Result<Serv
         sharing: spec.sharing,
         attributes,
     })
+}
+
+/// A maximum that no gate could enforce would be worse than none.
+fn check_speeds(direction: Direction, type_name: &str, sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
+    const LINEAR: [&str; 2] = ["ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"];
+    const BOTH: [&str; 2] = ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"];
+    let is_command = direction == Direction::Command;
+    let has_angular = is_command && BOTH.contains(&type_name);
+    let has_linear = has_angular || (is_command && LINEAR.contains(&type_name));
+    let Sharing { max_linear_mm_s, max_angular_mrad_s, .. } = sharing;
+    let refused = |key: &str, wanted: &str| {
+        Err(Rejection::new(Code::BadArgument, format!("service {topic} cannot have {key}"))
+            .found(format!("{direction} of {type_name}"))
+            .wanted(format!("commands of {wanted}"))
+            .next(format!("leave {key} out: the gate knows no such speed in these messages")))
+    };
+    if max_angular_mrad_s.is_some() && !has_angular {
+        return refused("max_angular_mrad_s", &BOTH.join(" or "));
+    }
+    if max_linear_mm_s.is_some() && !has_linear {
+        return refused("max_linear_mm_s", &[BOTH, LINEAR].concat().join(" or "));
+    }
+    Ok(())
 }
 
 /// Calls and their replies are two services that share keys in no way yet: neither is confidential.

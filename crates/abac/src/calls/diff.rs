@@ -62,9 +62,10 @@ pub(crate) fn of(
         incomplete: false,
     };
     if ctx.submitter()?.role == Role::Admin {
-        let robots: Vec<Robot> = robot::all(ctx)?
+        let robots: Vec<(Option<Robot>, Option<Robot>)> = robot::all(ctx)?
             .into_iter()
             .filter(|robot| robot.organisation == organisation && only.is_none_or(|only| robot.name == only))
+            .map(|robot| (Some(robot.clone()), Some(robot)))
             .collect();
         let sets = (TextSet::of(own.clone())?, TextSet::of(texts.clone())?);
         access::compare(ctx, decider, &robots, (&sets.0, &sets.1), time, &mut diff)?;

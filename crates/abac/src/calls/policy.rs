@@ -1,6 +1,6 @@
 //! `policy`: changing the policies of an organisation, and proposing a change.
 
-mod apply;
+pub(super) mod apply;
 mod approve;
 mod enact;
 mod propose;

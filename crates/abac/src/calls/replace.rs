@@ -22,6 +22,7 @@ pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
             Some(robot) => robots::check_owner(robot, admin)?,
             None => description::check_look(ctx, &spec.name)?,
         }
+        description::check_base(&spec.name, before.as_ref(), spec.base.as_deref())?;
         let after = description::describe(ctx, decider, &admin.organisation, spec, before.as_ref())?;
         changes.push(robot_change::change(ctx, decider, before, after)?);
     }

@@ -44,7 +44,8 @@ pub(crate) fn change(
     Ok(RobotChange { robot: views::asset(ctx, decider, &robot::find(ctx, &after.name)?)?, changed, ended })
 }
 
-fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
+/// The settings that have another value.
+pub(crate) fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
     let mut changes = Vec::new();
     let mut note = |topic: &str, setting: &str, before: String, after: String| {
         if before != after {

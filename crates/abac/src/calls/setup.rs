@@ -25,6 +25,7 @@ pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
             owned.map_err(|refused| refused.next("choose another name for your robot"))?;
             return Err(exists(ctx, &existing)?);
         }
+        description::check_base(&spec.name, None, spec.base.as_deref())?;
         description::check_look(ctx, &spec.name)?;
         let robot = description::describe(ctx, decider, &admin.organisation, spec, None)?;
         registration::put(ctx, decider, None, robot.clone())?;

@@ -32,6 +32,7 @@ pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Resu
         services,
         attributes: robot.attributes.clone(),
         stopped: stopped::of(ctx, &robot.name)?,
+        version: robot.version.to_string(),
     })
 }
 

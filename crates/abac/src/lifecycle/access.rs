@@ -13,6 +13,7 @@ use ledger::{Context, Page, Paging};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_contract::{LimitChange, PolicyDiff, Right, RightOf};
+use std::collections::BTreeSet;
 
 /// Most questions to the policies in one comparison.
 const QUESTIONS_MAX: usize = 16 * 1024;
@@ -95,7 +96,9 @@ fn given_by(of: &str, action: &str, rule: String) -> Right {
 fn both(one: Verdict, other: &Verdict) -> Verdict {
     match (one, other) {
         (Verdict::Permit(one), Verdict::Permit(other)) => Verdict::Permit(one.and(other.clone())),
-        (Verdict::Closed(one), Verdict::Closed(other)) => Verdict::Closed([one, other.clone()].concat()),
+        (Verdict::Closed(one), Verdict::Closed(other)) => {
+            Verdict::Closed(BTreeSet::from_iter(one.into_iter().chain(other.clone())).into_iter().collect())
+        }
         (Verdict::Permit(_), other) => other.clone(),
         (one, _) => one,
     }
@@ -112,20 +115,21 @@ pub(crate) fn people_of(ctx: &mut Context<'_>, paging: &Paging) -> Result<Page<P
     Ok(Page { items, next: page.next })
 }
 
-/// Enters the rights that people gain, lose or keep with other limits on some robots in a difference of policies.
+/// Enters the rights that people gain, lose or keep with other limits in a difference of policies, on some robots as they are now and
+/// then.
 ///
 /// # Errors
 /// As [`rights`].
 pub(crate) fn compare(
     ctx: &mut Context<'_>,
     decider: &Decider,
-    robots: &[Robot],
+    robots: &[(Option<Robot>, Option<Robot>)],
     (before, after): (&TextSet, &TextSet),
     time: u64,
     diff: &mut PolicyDiff,
 ) -> Result<(), Rejection> {
-    let of_robot = |robot: &Robot| 2 * (robot.services.len() * OF_SERVICE + OF_ROBOT);
-    let of_person: usize = robots.iter().map(of_robot).sum();
+    let of_robot = |robot: &Robot| robot.services.len() * OF_SERVICE + OF_ROBOT;
+    let of_person: usize = robots.iter().flat_map(|(now, then)| [now, then]).flatten().map(of_robot).sum();
     let steps = before.steps.max(after.steps).max(1);
     let most = QUESTIONS_MAX.min(usize::try_from(STEPS_MAX / steps).unwrap_or(QUESTIONS_MAX));
     let (mut asked, mut after_name) = (0, None);
@@ -137,9 +141,12 @@ pub(crate) fn compare(
                 diff.incomplete = true;
                 return Ok(());
             }
-            for robot in robots {
-                let now = rights(ctx, decider, &principal, robot, before, time)?;
-                let then = rights(ctx, decider, &principal, robot, after, time)?;
+            for (now, then) in robots {
+                let ask = |robot: &Option<Robot>, set| match robot {
+                    Some(robot) => rights(ctx, decider, &principal, robot, set, time),
+                    None => Ok(Vec::new()),
+                };
+                let (now, then) = (ask(now, before)?, ask(then, after)?);
                 enter(&principal.id(), now, then, diff);
             }
         }

@@ -15,11 +15,16 @@ pub(crate) fn put(
     before: Option<&Robot>,
     mut robot: Robot,
 ) -> Result<Vec<Released>, Rejection> {
+    enter(ctx, before, &mut robot)?;
+    before.map_or(Ok(Vec::new()), |before| ends::robot_changed(ctx, decider, before, &robot))
+}
+
+/// Enters a robot without a look at its grants. The caller looks at them when all that belongs to the change is entered.
+pub(crate) fn enter(ctx: &mut Context<'_>, before: Option<&Robot>, robot: &mut Robot) -> Result<(), Rejection> {
     if before.is_none() {
         robots::check_quota(ctx, &robot.organisation)?;
     }
-    robots::check_budgets(ctx, &robot)?;
-    robot::write(ctx, &mut robot)?;
-    robots::tell(ctx, &robot, if before.is_some() { "updated" } else { "registered" })?;
-    before.map_or(Ok(Vec::new()), |before| ends::robot_changed(ctx, decider, before, &robot))
+    robots::check_budgets(ctx, robot)?;
+    robot::write(ctx, robot)?;
+    robots::tell(ctx, robot, if before.is_some() { "updated" } else { "registered" })
 }

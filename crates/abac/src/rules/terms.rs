@@ -56,12 +56,15 @@ impl Terms {
 }
 
 /// The settings that go with every rule.
-const OF_ALL: [&str; 3] = ["confidential", "bytes_per_s", "messages_per_s"];
+const OF_ALL: [&str; 5] = ["confidential", "bytes_per_s", "messages_per_s", "max_linear_mm_s", "max_angular_mrad_s"];
+
+/// Largest of all speeds, in thousandths of a metre or a radian per second: what no policy can raise either.
+const SPEED_MAX: u64 = 10_000_000;
 
 /// The range of a number among the settings, and its unit.
 type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
 
-const BOUNDS: [Bounds; 11] = [
+const BOUNDS: [Bounds; 13] = [
     ("publishers", |sharing| sharing.publishers, 1, HOLDERS_MAX as u64, ""),
     ("subscribers", |sharing| sharing.subscribers, 1, HOLDERS_MAX as u64, ""),
     ("queue_max", |sharing| sharing.queue_max, 1, QUEUE_MAX, ""),
@@ -73,6 +76,8 @@ const BOUNDS: [Bounds; 11] = [
     ("confirm_within_ms", |sharing| sharing.confirm_within_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("bytes_per_s", |sharing| sharing.bytes_per_s, 1, QUOTAS_MAX.service_bytes_per_s, ""),
     ("messages_per_s", |sharing| sharing.messages_per_s, 1, QUOTAS_MAX.service_messages_per_s, ""),
+    ("max_linear_mm_s", |sharing| sharing.max_linear_mm_s, 0, SPEED_MAX, " mm/s"),
+    ("max_angular_mrad_s", |sharing| sharing.max_angular_mrad_s, 0, SPEED_MAX, " mrad/s"),
 ];
 
 /// Checks the settings of a service on this topic.

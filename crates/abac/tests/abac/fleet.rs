@@ -142,7 +142,7 @@ pub(crate) fn camera() -> Identity {
 /// The JSON of a robot with one command service on `/cmd_vel`.
 pub(crate) fn robot(name: &str, mode: &str) -> String {
     format!(
-        r#"{{"name":"{name}","attribute_required":"{name}","trusted":["Org1","Org2"],
+        r#"{{"name":"{name}","trusted":["Org1","Org2"],"attribute_required":"{name}",
             "services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"{mode}"}}]}}"#
     )
 }

@@ -35,6 +35,7 @@ mod properties;
 mod publishing;
 mod readers;
 mod reads;
+mod reconciling;
 mod rights;
 mod robots;
 mod settings;

@@ -38,6 +38,8 @@ fn a_setting_is_changed_and_everything_else_stays() {
     assert_eq!((done.changed, done.ended), (vec![change("/cmd_vel", "max_age_ms", "1000", "300")], vec![]));
     let mut expected = before;
     expected.services[0].max_age_ms = 300;
+    assert_ne!(done.robot.version, expected.version);
+    expected.version.clone_from(&done.robot.version);
     assert_eq!(done.robot, expected);
     assert_eq!(fleet.newest::<RobotEvent>("robot").change, "updated");
     fleet.set(&salma(), HUSKY, 1, 1, 1).unwrap();
@@ -170,4 +172,23 @@ fn settings_that_are_none_are_refused() {
         let fresh = Fleet::of_the_paper();
         fresh.simulate(&salma(), "robots", &bytes(&[])).unwrap()
     });
+}
+
+#[test]
+fn a_maximum_of_the_robots_own_is_for_services_whose_messages_ask_for_a_speed() {
+    let mut fleet = Fleet::of_the_paper();
+    let slow = r#"{"sharing":{"max_linear_mm_s":300,"max_angular_mrad_s":1000}}"#;
+    let done: RobotChange = fleet.get(&owner(), "configure", &["Husky", slow]);
+    assert_eq!(done.changed.len(), 2);
+    assert_eq!(done.robot.services[0].sharing.max_linear_mm_s, Some(300));
+    fleet.refused(&owner(), Code::BadArgument, "configure", &["OptiTrack", slow]);
+    fleet.refused(&owner(), Code::BadArgument, "configure", &["Husky", r#"{"sharing":{"max_linear_mm_s":10000001}}"#]);
+    // Angles of wheels are no angular speed.
+    let car = r#"{"type":"ackermann_msgs/msg/AckermannDrive"}"#;
+    fleet.refused(&owner(), Code::BadArgument, "configure", &["Husky", car]);
+    fleet.ok(
+        &owner(),
+        "configure",
+        &["Husky", r#"{"type":"ackermann_msgs/msg/AckermannDrive","clear":["max_angular_mrad_s"]}"#],
+    );
 }

@@ -3,8 +3,8 @@
 use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, camera, farhad, identity, owner, salma};
 use ledger::Page;
 use ledger_abac::{
-    Access, DEFAULT_POLICY, Limits, PolicyChange, PolicyDraft, PolicyText, RobotAsset, ShareEntry, SharePreview,
-    ShareTerms, UnsharePreview,
+    Access, DEFAULT_POLICY, Limits, PolicyChange, PolicyCheck, PolicyDraft, PolicyText, RobotAsset, ShareEntry,
+    SharePreview, ShareTerms, UnsharePreview,
 };
 use ledger_base::rejection::Code;
 use ledger_identity::{Identity, Role};
@@ -258,9 +258,14 @@ fn only_the_owner_shares_its_robots_and_names_that_are_none_are_refused() {
     assert_eq!(late.unknown.iter().map(|name| name.name.as_str()).collect::<Vec<_>>(), ["Org1/Late"]);
     assert_eq!(preview(&mut fleet, &terms("Husky", "Org9")).unknown[0].kind, "Organisation");
     // A name that would end a literal, and the policy.
-    let evil = "Org1/x\", action, resource); permit (principal, action, resource); //";
-    let shown = preview(&mut fleet, &terms("Husky", evil));
-    assert_eq!((shown.meaning.len(), shown.unknown[0].name.as_str()), (1, evil));
+    let evil = "Org1/x\", action, resource); permit (principal, action, resource) when { \"a\" == \"";
+    match fleet.simulate(&owner(), "share_preview", &[text(&terms("Husky", evil)).into()]) {
+        Ok(answer) => {
+            let shown: SharePreview = serde_json::from_slice(&answer).unwrap();
+            assert_eq!((shown.meaning.len(), shown.unknown[0].name.as_str()), (1, evil));
+        }
+        Err(refused) => assert_eq!(refused.code, Code::PolicyInvalid, "{refused}"),
+    }
 }
 
 #[test]
@@ -406,6 +411,31 @@ proptest! {
                         prop_assert!(done.is_err(), "{} may {function} after {changes:?}", who.id());
                     }
                 }
+            }
+        }
+    }
+
+    /// A name or a value that ends its literal would be a policy of its own.
+    #[test]
+    fn no_name_or_value_of_a_share_gets_out_of_its_literal(
+        (with, attribute) in (any::<String>(), prop::option::of(any::<String>())),
+        (hours, limit) in (prop::option::of(any::<String>()), prop::option::of(any::<String>())),
+        (robot, read_only) in (any::<bool>(), any::<bool>()),
+    ) {
+        let attribute = attribute.map(|attribute| if attribute.contains('=') { attribute } else { attribute + "=true" });
+        let resource = if robot { "Husky" } else { HUSKY };
+        let share = ShareTerms { attribute, hours, max_linear: limit, read_only, ..terms(resource, &with) };
+        let text = share.text();
+        let read = ShareEntry::of("Org2", "share-x", &text).unwrap();
+        prop_assert!(!read.edited, "{text}");
+        prop_assert_eq!(read.terms.as_ref(), Some(&share), "{}", &text);
+        let checked: PolicyCheck = fleet().get(&owner(), "check", &[&text]);
+        prop_assert!(checked.policies.len() <= 1, "{text}");
+        for policy in checked.policies {
+            prop_assert_eq!(policy.effect.as_str(), "permit");
+            for right in ["override", "confirm", "stop", "resume"] {
+                let words = policy.meaning.replace(&with, "");
+                prop_assert!(!words.contains(right), "{words}");
             }
         }
     }

@@ -214,6 +214,9 @@ codes! {
     /// The readers of a confidential service have changed since its content key was shared.
     ReadersChanged = 3025 "READERS_CHANGED" Conflict,
         "share a new content key and send the message again; ledgerctl and bridges do so by themselves";
+    /// A robot has other settings than those that this was made from.
+    RobotChanged = 3026 "ROBOT_CHANGED" Conflict,
+        "ledgerctl robot show NAME shows its settings; make it again from these";
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable,

@@ -32,7 +32,7 @@ const fn of_robot(name: &'static str, field: &'static str, wanted: &'static str,
 const DEFAULT: &str = "default";
 
 /// Every setting; those of services first.
-pub(crate) static KEYS: [Key; 24] = [
+pub(crate) static KEYS: [Key; 26] = [
     of_service("mode", "mode", "open|exclusive|limited", |settings, value| {
         settings.mode = Some(Mode::from(value));
         Ok(())
@@ -88,6 +88,12 @@ pub(crate) static KEYS: [Key; 24] = [
     of_service("bytes-per-s", "bytes_per_s", "N", |settings, value| number(&mut settings.sharing.bytes_per_s, value)),
     of_service("messages-per-s", "messages_per_s", "N", |settings, value| {
         number(&mut settings.sharing.messages_per_s, value)
+    }),
+    of_service("max-linear", "max_linear_mm_s", "0.5", |settings, value| {
+        thousandths(&mut settings.sharing.max_linear_mm_s, value)
+    }),
+    of_service("max-angular", "max_angular_mrad_s", "1.5", |settings, value| {
+        thousandths(&mut settings.sharing.max_angular_mrad_s, value)
     }),
     of_robot("attr-required", "attribute_required", "KEY[=VALUE]", |settings, value| {
         settings.attribute_required = Some(value.to_owned());
@@ -175,6 +181,19 @@ fn number(place: &mut Option<u64>, value: &str) -> Result<(), String> {
     Ok(())
 }
 
+/// A decimal number with at most three decimals, in thousandths.
+fn thousandths(place: &mut Option<u64>, value: &str) -> Result<(), String> {
+    let wanted = "wanted a number with at most three decimals, such as 0.5";
+    let (whole, decimals) = value.split_once('.').unwrap_or((value, "0"));
+    let is_number = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    if !is_number(whole) || !is_number(decimals) || decimals.len() > 3 {
+        return Err(wanted.to_owned());
+    }
+    let number = format!("{whole}{decimals:0<3}").parse().map_err(|_| wanted.to_owned())?;
+    *place = Some(number);
+    Ok(())
+}
+
 fn span(place: &mut Option<u64>, value: &str) -> Result<(), String> {
     *place = Some(value.parse::<Milliseconds>()?.0);
     Ok(())
@@ -221,6 +240,8 @@ mod tests {
             "confirm-within=30s",
             "confidential=true",
             "bytes-per-s=1000000",
+            "max-linear=0.25",
+            "max_angular=2",
             "messages-per-s=100",
             "attr-required=level=3",
             "trust=Org1,Org2",

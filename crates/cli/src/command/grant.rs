@@ -12,6 +12,7 @@ pub(crate) use self::{
     line::turn,
     pass::{Delegate, Handover, Recall},
 };
+use super::robot::change::decimal;
 use crate::answer;
 use crate::argument::span::Milliseconds;
 use crate::failure::Failure;
@@ -162,10 +163,7 @@ impl Facts for Granted {
 /// Limits for people: `50 Hz, 0.5 m/s, within 08:00-18:00 Mon-Fri +02:00`.
 pub(in crate::command) fn limits_text(limits: &Limits) -> String {
     let Limits { max_rate_mhz, max_age_ms, max_linear_mm_s, max_angular_mrad_s, between } = limits;
-    let thousandths = |value: u64, unit: &str| {
-        let text = format!("{}.{:03}", value / 1000, value % 1000);
-        format!("{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
-    };
+    let thousandths = |value: u64, unit: &str| format!("{} {unit}", decimal(value));
     let mut parts = Vec::new();
     parts.extend(max_rate_mhz.map(|rate| thousandths(rate, "Hz")));
     parts.extend(max_age_ms.map(|age| format!("not older than {age} ms")));

@@ -6,7 +6,7 @@ mod check;
 mod diff;
 mod history;
 pub(in crate::command) mod meaning;
-mod one;
+pub(in crate::command) mod one;
 mod propose;
 mod recorded;
 pub(in crate::command) mod rights;

@@ -1,6 +1,6 @@
 //! `robot add|set|list|show|remove`: what organisations registered.
 
-mod change;
+pub(in crate::command) mod change;
 
 use crate::answer;
 use crate::argument::capability::{self, Capability};
@@ -167,12 +167,13 @@ impl Add {
             trusted: (!self.trusted.is_empty()).then_some(self.trusted),
             services: with_replies(self.services),
             attributes: (!attributes.is_empty()).then_some(attributes),
+            base: None,
         })
     }
 }
 
 /// The services, each that users call with the one for its replies, unless that is given.
-fn with_replies(given: Vec<ServiceSpec>) -> Vec<ServiceSpec> {
+pub(in crate::command) fn with_replies(given: Vec<ServiceSpec>) -> Vec<ServiceSpec> {
     let topics: Vec<String> = given.iter().map(|service| service.topic.clone()).collect();
     let replies = |service: &ServiceSpec| service.for_replies().filter(|replies| !topics.contains(&replies.topic));
     given

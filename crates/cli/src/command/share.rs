@@ -4,7 +4,7 @@ mod list;
 mod terms;
 pub(crate) mod unshare;
 
-use super::policy::change::{Applied, Proposed, apply, propose};
+use super::policy::change::{AppliedChange, ProposedChange, apply, propose};
 use super::policy::meaning::meaning;
 use super::policy::rights::changes;
 use super::policy::unknown::shown;
@@ -14,7 +14,6 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Format, Output, printable, printable_lines, warn};
 use crate::session::{self, ABAC, Session};
-use crate::time;
 use crate::words::Words;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyDiff, PolicyMeaning, SharePreview, ShareTerms, UnknownName};
@@ -45,15 +44,15 @@ pub(crate) struct Share {
     #[command(flatten)]
     terms: Option<Terms>,
     #[command(flatten)]
-    how: How,
+    how: ChangeMode,
     /// A name that the network does not know today, and that is no slip: Org1/Farhad
     #[arg(long, value_name = "NAME")]
     expect: Vec<String>,
 }
 
-/// How a change of shares is made.
+/// ChangeMode a change of shares is made.
 #[derive(Debug, clap::Args)]
-struct How {
+struct ChangeMode {
     /// Do not ask
     #[arg(long)]
     yes: bool,
@@ -82,7 +81,7 @@ impl Share {
             (Some(Shares::List(list)), _) => list.run(&session, output).await,
             (Some(Shares::Show(show)), _) => show.run(&session, output).await,
             (None, Some(terms)) => {
-                let terms = terms.read(time::now())?;
+                let terms = terms.read(session.client.now())?;
                 let preview = preview(&session, &terms).await?;
                 check_names(&preview.unknown, &self.expect)?;
                 finish(&session, output, terms, preview, &self.how).await
@@ -133,10 +132,10 @@ async fn finish(
     output: &mut Output,
     terms: ShareTerms,
     preview: SharePreview,
-    how: &How,
+    how: &ChangeMode,
 ) -> Result<(), Failure> {
     let set = preview.set.clone();
-    let shared = Previewed::of(terms, preview);
+    let shared = ShareDifference::of(terms, preview);
     let (format, is_new) = (output.format(), shared.is_new());
     if format == Format::Table {
         output.show(&shared)?;
@@ -153,14 +152,14 @@ async fn finish(
     }
     confirm::agree("the share", how.yes)?;
     if how.propose {
-        return output.show(&Proposed::of(shared, propose(session, &set).await?));
+        return output.show(&ProposedChange::of(shared, propose(session, &set).await?));
     }
-    output.show(&Applied::of(shared, apply(session, &set).await?))
+    output.show(&AppliedChange::of(shared, apply(session, &set).await?))
 }
 
 /// A share before it is in force.
 #[derive(Serialize)]
-struct Previewed {
+struct ShareDifference {
     id: String,
     #[serde(flatten)]
     terms: ShareTerms,
@@ -172,7 +171,7 @@ struct Previewed {
     diff: PolicyDiff,
 }
 
-impl Previewed {
+impl ShareDifference {
     fn of(terms: ShareTerms, preview: SharePreview) -> Self {
         let SharePreview { id, text, meaning, replaces, keeps_built_in, trusted, diff, .. } = preview;
         Self { id, terms, text, meaning, replaces, keeps_built_in, trusted, diff }
@@ -184,7 +183,7 @@ impl Previewed {
     }
 }
 
-impl Facts for Previewed {
+impl Facts for ShareDifference {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if !self.is_new() {
             return writeln!(out, "nothing to change: it is shared so already, as {}", printable(&self.id));

@@ -38,6 +38,11 @@ impl From<&Limits> for Bounds {
 }
 
 impl Bounds {
+    /// These, and no more than the largest speeds of the robot itself.
+    pub(super) fn within(self, own: Speeds) -> Self {
+        Self { speeds: self.speeds.and(own), ..self }
+    }
+
     /// Is there a largest speed?
     pub(super) fn limit_speed(&self) -> bool {
         !self.speeds.is_none()

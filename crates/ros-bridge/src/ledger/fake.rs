@@ -145,6 +145,7 @@ impl Fake {
             under_operation: false,
             organisation: "Org2".to_owned(),
             attribute_required: String::new(),
+            version: String::new(),
             trusted: Vec::new(),
             services: vec![serde_json::from_value(self.service.lock().unwrap().clone()).unwrap()],
             attributes: Default::default(),

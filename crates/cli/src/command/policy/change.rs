@@ -34,7 +34,7 @@ pub(in crate::command) async fn propose(session: &Session, set: &PolicyDraft) ->
 
 /// A previewed change that is in force.
 #[derive(Serialize)]
-pub(in crate::command) struct Applied<T> {
+pub(in crate::command) struct AppliedChange<T> {
     #[serde(flatten)]
     preview: T,
     change: PolicyChange,
@@ -42,32 +42,32 @@ pub(in crate::command) struct Applied<T> {
 
 /// A previewed change that is proposed.
 #[derive(Serialize)]
-pub(in crate::command) struct Proposed<T> {
+pub(in crate::command) struct ProposedChange<T> {
     #[serde(flatten)]
     preview: T,
     proposal: String,
 }
 
-impl<T> Applied<T> {
+impl<T> AppliedChange<T> {
     pub(in crate::command) fn of(preview: T, change: PolicyChange) -> Self {
         Self { preview, change }
     }
 }
 
-impl<T> Proposed<T> {
+impl<T> ProposedChange<T> {
     pub(in crate::command) fn of(preview: T, proposal: PolicyProposal) -> Self {
         Self { preview, proposal: proposal.id }
     }
 }
 
 /// The preview was shown before.
-impl<T: Serialize> Facts for Applied<T> {
+impl<T: Serialize> Facts for AppliedChange<T> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         Changed(self.change.clone()).text(out)
     }
 }
 
-impl<T: Serialize> Facts for Proposed<T> {
+impl<T: Serialize> Facts for ProposedChange<T> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let id = printable(&self.proposal);
         writeln!(out, "proposed as {id}\n  others agree with: ledgerctl policy approve {id}")

@@ -86,16 +86,16 @@ fn read(bytes: &[u8]) -> Result<String, Rejection> {
 }
 
 /// The set of policies that is in force.
-struct InForce {
-    organisation: String,
+pub(in crate::command) struct InForce {
+    pub(in crate::command) organisation: String,
     /// Its number; 0 before the first one.
-    version: u64,
-    policies: Vec<PolicyText>,
+    pub(in crate::command) version: u64,
+    pub(in crate::command) policies: Vec<PolicyText>,
 }
 
 impl InForce {
     /// That of the caller's organisation.
-    async fn of(session: &Session) -> Result<Self, Rejection> {
+    pub(in crate::command) async fn of(session: &Session) -> Result<Self, Rejection> {
         let organisation = session.identity()?.organisation;
         let name = Bytes::from(organisation.clone());
         let sets = session.ask(ABAC, "policy_history", vec![name.clone()]).await?;

@@ -8,7 +8,7 @@ use ledger_contract::{PolicyText, UnknownName};
 
 /// The names that come later.
 #[derive(Clone, Debug, Default, clap::Args)]
-pub(super) struct Expected {
+pub(in crate::command) struct Expected {
     /// A name that the network does not know today, and that is no slip: Org1/Farhad
     #[arg(long, value_name = "NAME")]
     expect: Vec<String>,
@@ -19,7 +19,7 @@ impl Expected {
     ///
     /// # Errors
     /// [`Code::PolicyInvalid`] if the network does not know one of them today, and it is not expected.
-    pub(super) async fn check(&self, session: &Session, policies: &[PolicyText]) -> Result<(), Rejection> {
+    pub(in crate::command) async fn check(&self, session: &Session, policies: &[PolicyText]) -> Result<(), Rejection> {
         let mut unknown = Vec::new();
         for policy in policies {
             let checked = check(session, &policy.text).await?;

@@ -11,7 +11,7 @@ use crate::time;
 use crate::words::{self, Words};
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_contract::{Reason, RobotAsset, RobotChange, SettingChange, Told};
+use ledger_contract::{Reason, Released, RobotAsset, RobotChange, SettingChange, Told};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -29,6 +29,8 @@ Who wins when several want a service (docs/conflict.md); `default` as the value 
   priority=attribute:NAME|policy|fixed:N, aging=30s, min-hold=5s, idle-release=1m
 Who can read its messages (docs/policies.md):
   confidential=true encrypts them for those whom policies permit to subscribe
+How fast the robot may be asked to go, m/s and rad/s, whatever policies say:
+  max-linear=0.5, max-angular=1.5
 How much all its publishers together may send, at most the quota of your organisation (docs/operations.md):
   bytes-per-s=N, messages-per-s=N
 Settings of the robot:
@@ -148,22 +150,31 @@ impl Facts for Changed {
             return writeln!(out, "{name} is as it was: it has these settings already");
         }
         writeln!(out, "{} {}", robot.name, if *dry_run { "would change" } else { "is changed" })?;
-        let mut table = Table::pairs();
-        for SettingChange { topic, setting, before, after } in changed {
-            let (before, after) = (shown(setting, before), shown(setting, after));
-            table.row([topic.clone(), typed(setting).to_owned(), before, "->".to_owned(), after]);
-        }
-        table.write(out, 2)?;
+        settings(out, changed)?;
         if ended.is_empty() {
             return writeln!(out, "no grant {}", if *dry_run { "would end" } else { "ended by it" });
         }
-        for grant in ended {
-            let end = if *dry_run { "would end" } else { "ended" };
-            let (service, holder, epoch) = (&grant.service, &grant.holder, grant.epoch);
-            writeln!(out, "{end}: the grant of {service} to {holder} (epoch {epoch}): {}", why(&grant.reason))?;
-        }
-        Ok(())
+        ends(out, ended, if *dry_run { "would end" } else { "ended" })
     }
+}
+
+/// Settings before and after, in the words that people type.
+pub(in crate::command) fn settings(out: &mut dyn Write, changed: &[SettingChange]) -> io::Result<()> {
+    let mut table = Table::pairs();
+    for SettingChange { topic, setting, before, after } in changed {
+        let (before, after) = (shown(setting, before), shown(setting, after));
+        table.row([topic.clone(), typed(setting).to_owned(), before, "->".to_owned(), after]);
+    }
+    table.write(out, 2)
+}
+
+/// Grants that end, each with the reason.
+pub(in crate::command) fn ends(out: &mut dyn Write, ended: &[Released], end: &str) -> io::Result<()> {
+    for grant in ended {
+        let (service, holder, epoch) = (&grant.service, &grant.holder, grant.epoch);
+        writeln!(out, "{end}: the grant of {service} to {holder} (epoch {epoch}): {}", why(&grant.reason))?;
+    }
+    Ok(())
 }
 
 /// The name that people type.
@@ -173,10 +184,18 @@ fn typed(setting: &str) -> &str {
 
 fn shown(setting: &str, value: &str) -> String {
     match value.parse::<u64>() {
-        Ok(ms) if setting.contains("_ms") => time::span(ms.saturating_mul(1000)),
+        Ok(ms) if setting.ends_with("_ms") || setting == "lease_ms_max" => time::span(ms.saturating_mul(1000)),
+        Ok(speed) if setting.ends_with("_mm_s") => format!("{} m/s", decimal(speed)),
+        Ok(speed) if setting.ends_with("_mrad_s") => format!("{} rad/s", decimal(speed)),
         _ if value.is_empty() => "none".to_owned(),
         _ => value.to_owned(),
     }
+}
+
+/// Thousandths as a decimal number.
+pub(in crate::command) fn decimal(thousandths: u64) -> String {
+    let text = format!("{}.{:03}", thousandths / 1000, thousandths % 1000);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn why(reason: &Told<Reason>) -> &str {
@@ -202,7 +221,6 @@ fn why(reason: &Told<Reason>) -> &str {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::Released;
 
     fn text(changed: Vec<SettingChange>, ended: Vec<Released>, dry_run: bool) -> String {
         let robot: RobotAsset = serde_json::from_str(

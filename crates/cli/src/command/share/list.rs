@@ -25,7 +25,7 @@ pub(super) struct Show {
 
 impl List {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
-        output.show(&Listed(session.list(ABAC, "shares").await?))
+        output.show(&ShareList(session.list(ABAC, "shares").await?))
     }
 }
 
@@ -33,7 +33,7 @@ impl Show {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let share = find(session, &self.id).await?;
         let meaning = check(session, &share.text).await?.policies;
-        output.show(&One { share, meaning })
+        output.show(&ShareInWords { share, meaning })
     }
 }
 
@@ -59,9 +59,9 @@ pub(super) async fn find(session: &Session, name: &str) -> Result<ShareEntry, Re
 }
 
 #[derive(Serialize)]
-struct Listed(Vec<ShareEntry>);
+struct ShareList(Vec<ShareEntry>);
 
-impl Facts for Listed {
+impl Facts for ShareList {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
             return writeln!(
@@ -117,13 +117,13 @@ fn limits(terms: &ShareTerms) -> String {
 }
 
 #[derive(Serialize)]
-struct One {
+struct ShareInWords {
     #[serde(flatten)]
     share: ShareEntry,
     meaning: Vec<PolicyMeaning>,
 }
 
-impl Facts for One {
+impl Facts for ShareInWords {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "{} of {}:", printable(&self.share.id), printable(&self.share.organisation))?;
         for policy in &self.meaning {
@@ -153,7 +153,7 @@ mod tests {
         };
         let entry = |text: &str| ShareEntry::of("Org2", "share-x", text).unwrap();
         let mut out = Vec::new();
-        Listed(vec![entry(&terms.text()), entry("@share(\"1\") permit (principal, action, resource);")])
+        ShareList(vec![entry(&terms.text()), entry("@share(\"1\") permit (principal, action, resource);")])
             .text(&mut out)
             .unwrap();
         let wanted = "SHARE    OF    ROBOT          WITH                  MAY                          WHEN           LIMITS\n\

@@ -1,9 +1,9 @@
 //! `unshare`: taking a share back.
 
 use super::list::find;
-use super::{How, WORDS};
+use super::{ChangeMode, WORDS};
 use crate::answer;
-use crate::command::policy::change::{Applied, Proposed, apply, propose};
+use crate::command::policy::change::{AppliedChange, ProposedChange, apply, propose};
 use crate::command::policy::rights::{Holdings, changes};
 use crate::confirm;
 use crate::failure::Failure;
@@ -33,7 +33,7 @@ pub(crate) struct Unshare {
     #[arg(long, value_name = "ORG[/PERSON]")]
     with: Option<String>,
     #[command(flatten)]
-    how: How,
+    how: ChangeMode,
 }
 
 impl Unshare {
@@ -47,7 +47,7 @@ impl Unshare {
         let preview: UnsharePreview =
             answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "a share that ends")?;
         let UnsharePreview { id, text, mut set, diff, still } = preview;
-        let ended = Previewed { id, text, diff, still };
+        let ended = UnshareDifference { id, text, diff, still };
         let format = output.format();
         if format == Format::Table {
             output.show(&ended)?;
@@ -59,9 +59,9 @@ impl Unshare {
         // Robots that nobody reaches any more were shown.
         set.means_it = true;
         if self.how.propose {
-            return output.show(&Proposed::of(ended, propose(&session, &set).await?));
+            return output.show(&ProposedChange::of(ended, propose(&session, &set).await?));
         }
-        output.show(&Applied::of(ended, apply(&session, &set).await?))
+        output.show(&AppliedChange::of(ended, apply(&session, &set).await?))
     }
 }
 
@@ -92,14 +92,14 @@ async fn of_receiver(session: &Session, resource: &str, with: &str) -> Result<Sh
 
 /// The end of a share before it is in force.
 #[derive(Serialize)]
-struct Previewed {
+struct UnshareDifference {
     id: String,
     text: String,
     diff: PolicyDiff,
     still: Vec<Access>,
 }
 
-impl Facts for Previewed {
+impl Facts for UnshareDifference {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "the share {} ends", printable(&self.id))?;
         changes(out, &self.diff)?;

@@ -1,6 +1,7 @@
 //! A holder is kept to the limits of its grant.
 
 use super::*;
+use crate::speed::Speeds;
 use ledger_contract::Limits;
 
 /// A grant of Salma in this epoch with limits.
@@ -108,6 +109,30 @@ fn a_twist_that_is_too_fast_passes_slower_and_is_counted_and_another_one_passes_
     let speed = |at: usize| f64::from_le_bytes(samples[1][at..at + 8].try_into().unwrap());
     assert!((-0.5..-0.499_999).contains(&speed(4)), "{}", speed(4));
     assert_eq!(speed(44), 0.25);
+}
+
+#[test]
+fn a_maximum_of_the_robots_own_holds_with_and_without_a_grant_and_no_policy_raises_it() {
+    let network = Network::default();
+    let salma = &network.salma;
+    let own = Speeds { linear_mm_s: Some(300), angular_mrad_s: None };
+    let speed = |samples: &[Bytes]| f64::from_le_bytes(samples[0][4..12].try_into().unwrap());
+    for (mode, limits, epoch) in [
+        ("exclusive", Limits { max_linear_mm_s: Some(500), ..Limits::default() }, 3),
+        ("exclusive", Limits::default(), 3),
+        ("open", Limits::default(), 0),
+    ] {
+        let grants = if mode == "open" { vec![] } else { vec![limited(3, limits)] };
+        let mut gate = network.gate(&Service { speeds: own, ..service(mode) }, &grants);
+        let (samples, clamped) = passed(&mut gate, salma, &salma.set(epoch, 1, &[twist(2.0, 5.0)])).unwrap();
+        assert_eq!(clamped, 1, "{mode}");
+        assert!((0.299_999..=0.3).contains(&speed(&samples)), "{mode}: {}", speed(&samples));
+    }
+    // A stricter policy counts as before.
+    let limits = Limits { max_linear_mm_s: Some(100), ..Limits::default() };
+    let mut gate = network.gate(&Service { speeds: own, ..service("exclusive") }, &[limited(3, limits)]);
+    let (samples, _) = passed(&mut gate, salma, &salma.set(3, 1, &[twist(2.0, 0.0)])).unwrap();
+    assert!(speed(&samples) <= 0.1, "{}", speed(&samples));
 }
 
 #[test]
