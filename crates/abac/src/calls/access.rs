@@ -18,8 +18,8 @@ use ledger_identity::Role;
 /// Most people of a page: each is decided about.
 const PEOPLE_MAX: usize = 32;
 
-/// `access ACCESS_JSON [PAGE_JSON]`: who may do what on this robot? Admins of its owner hear of everybody who may do something,
-/// other admins of the people of their organisation, others of themselves.
+/// `access ACCESS_JSON [PAGE_JSON]`: who may do what on this robot? The answer has all people with a right for admins of its owner,
+/// those of their organisation for other admins, and the caller alone for others.
 pub(crate) fn access(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let given = Arguments::new("access ACCESS_JSON [PAGE_JSON]", args, 1, 2)?;
     let wanted = "JSON with robot, and some of who, at and policies";

@@ -385,7 +385,7 @@ fn make(fleet: &mut Fleet, change: &Change) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// Salma is named by policies above, the officer by the built-in policy, and nobody else by any.
+    /// Salma is named by policies above, the officer by the built-in policy, and no other person by any.
     #[test]
     fn no_sequence_of_shares_and_policies_gives_override_stop_or_resume_to_anybody_who_was_not_named(
         changes in prop::collection::vec(change(), 1..12)

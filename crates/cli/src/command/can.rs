@@ -122,7 +122,7 @@ async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
     }
 }
 
-/// The rights of everybody, or of one person, on every robot.
+/// The rights of all people, or of one person, on every robot.
 async fn matrix(
     session: &Session,
     who: Option<String>,
