@@ -280,6 +280,11 @@ fn the_owner_sees_the_rights_of_every_organisation_others_those_of_their_own_peo
     for right in ["override Husky/cmd_vel", "confirm Husky/cmd_vel", "stop Husky", "resume Husky"] {
         assert!(of_owner.contains(&right.to_owned()), "{right}: {of_owner:?}");
     }
+    // An admin whose certificate was issued beside the ledger is listed all the same.
+    let known = fleet.members.1.lock().unwrap().clone();
+    fleet.members.1.lock().unwrap().retain(|known| known.id() != "Org2/admin");
+    assert_eq!(seen(&access(&mut fleet, &owner(), r#"{"robot":"Husky"}"#))[0], "Org2/admin");
+    *fleet.members.1.lock().unwrap() = known;
     let own = access(&mut fleet, &admin1(), r#"{"robot":"Husky"}"#);
     assert_eq!(seen(&own), ["Org1/Farhad", "Org1/Guest", "Org1/Officer", "Org1/Salma", "Org1/admin"]);
     assert_eq!(seen(&access(&mut fleet, &salma(), r#"{"robot":"Husky"}"#)), ["Org1/Salma"]);
