@@ -79,7 +79,7 @@ fn a_fleet_is_a_file_that_changes_nothing_when_it_is_applied_again() {
         assert!(diff.stdout.contains("nothing to change"), "{exported}: {diff:?}");
     }
 
-    // Trust goes, a share comes, a robot comes: nobody who may go on is stopped in between.
+    // Trust goes, a share comes, a robot comes: no holder who may continue is stopped in between.
     let text =
         exported.replace("[robot.Husky.service", "[robot.Husky.attributes]\nkind = \"rover\"\n\n[robot.Husky.service");
     let more = "\n[[share]]\nresource = \"Husky\"\nwith = \"Org1/Salma\"\n\n[robot.Spot]\nattr-required = \"Spot\"\n\

@@ -42,6 +42,12 @@ pub(crate) fn shell_word(text: &str) -> String {
     }
 }
 
+/// Thousandths as a decimal number.
+pub(crate) fn decimal(thousandths: u64) -> String {
+    let text = format!("{}.{:03}", thousandths / 1000, thousandths % 1000);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
 /// The text with `10 min` for `600000 ms`, also in `100 to 600000 ms`.
 pub(crate) fn spans(text: &str) -> String {
     let words: Vec<&str> = text.split(' ').collect();

@@ -179,7 +179,7 @@ pub struct PolicyDiff {
     pub incomplete: bool,
 }
 
-/// A right that somebody has.
+/// A right of a person.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Right {
     /// The service; for stop and resume the robot.

@@ -1,7 +1,7 @@
 //! Shares: policies in one fixed form, written and read without a policy language.
 //!
 //! The text of a share is composed from its terms, and only from them. So its terms can be read back from the text, and a text that
-//! somebody has edited is noticed: composed again, it differs.
+//! was edited is noticed: composed again, it differs.
 
 use crate::can::{PolicyDiff, PolicyMeaning, Right, UnknownName};
 use crate::policy::PolicyDraft;
@@ -17,7 +17,7 @@ const TRUSTED: &str = "resource.trusted.contains(principal.organisation)";
 const USE: &str = "action in [Action::\"acquire\", Action::\"publish\", Action::\"subscribe\"]";
 /// The action of a share for reading.
 const READ: &str = "action == Action::\"subscribe\"";
-/// Longest id of a share without the number that tells it from others, in bytes.
+/// Longest id of a share without the number that makes it unique, in bytes.
 const ID_BYTES_MAX: usize = 56;
 
 /// The terms on which an owner shares a robot or a service.

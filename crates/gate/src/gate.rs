@@ -62,12 +62,8 @@ use self::{
     sequences::Sequences,
 };
 pub use self::{clock::Now, refused::Refused};
-use crate::{
-    sample::Sample,
-    service::Service,
-    speed::{Layout, Speeds},
-    standing::Standing,
-};
+use crate::speed::{Layout, Speeds};
+use crate::{sample::Sample, service::Service, standing::Standing};
 
 /// How long a command may be on its way to its block. Short, because what a node holds back until then could still
 /// be brought to a robot.
@@ -435,11 +431,10 @@ impl Gate {
         now: Now,
     ) -> Result<usize, Refused> {
         let own = self.rules.as_ref().map(|rules| rules.speeds).unwrap_or_default();
-        let Some(Holding { bounds, .. }) = self.holders.get(publisher) else {
+        let Some(bounds) = self.holders.get(publisher).map(|holding| holding.bounds.within(own)) else {
             let layout = layout.filter(|_| self.is_command());
             return Bounds::default().within(own).slow_down(layout, samples);
         };
-        let bounds = bounds.within(own);
         let layout = layout.filter(|_| self.is_command() || bounds.limit_speed());
         if bounds.max_age_us.is_some_and(|most| age_us > most) {
             return Err(Refused::TooOld);

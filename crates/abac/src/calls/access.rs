@@ -18,8 +18,8 @@ use ledger_identity::Role;
 /// Most people of a page: each is decided about.
 const PEOPLE_MAX: usize = 32;
 
-/// `access ACCESS_JSON [PAGE_JSON]`: who may do what on this robot? Admins of its owner hear of everybody who may do something,
-/// other admins of the people of their organisation, others of themselves.
+/// `access ACCESS_JSON [PAGE_JSON]`: who may do what on this robot? The answer has all people with a right for admins of its owner,
+/// those of their organisation for other admins, and the caller alone for others.
 pub(crate) fn access(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let given = Arguments::new("access ACCESS_JSON [PAGE_JSON]", args, 1, 2)?;
     let wanted = "JSON with robot, and some of who, at and policies";
@@ -38,7 +38,12 @@ pub(crate) fn access(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         Some(who) if *who != caller.id() => Page { items: vec![people::certified(ctx, who)?], next: None },
         None if caller.role == Role::Admin => {
             paging.most = Some(paging.most.unwrap_or(PEOPLE_MAX).min(PEOPLE_MAX));
-            access::people_of(ctx, &paging)?
+            let mut page = access::people_of(ctx, &paging)?;
+            // A certificate that was issued beside the ledger is in no registry.
+            if paging.after.is_none() && people::certified(ctx, &caller.id()).is_err() {
+                page.items.insert(0, caller.clone());
+            }
+            page
         }
         _ => Page { items: vec![caller.clone()], next: None },
     };

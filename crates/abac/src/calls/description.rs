@@ -75,8 +75,8 @@ pub(crate) fn check_base(name: &str, before: Option<&Robot>, base: Option<&str>)
     }
 }
 
-/// Rejects the name of a new robot that differs from that of another one only in the case of its letters: people mix them up, and
-/// the identity of a robot has its exact name.
+/// Rejects the name of a new robot that differs from that of another one only in the case of its letters. People mix them up, and the
+/// identity of a robot has its exact name.
 pub(crate) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
     let keys = ctx.range(b"robot/", usize::MAX);
     let names = keys.iter().filter_map(|(key, _)| std::str::from_utf8(key).ok()?.strip_prefix("robot/"));

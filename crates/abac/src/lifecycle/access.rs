@@ -92,7 +92,7 @@ fn given_by(of: &str, action: &str, rule: String) -> Right {
     Right { of, action, policies: Vec::new(), rule, limits: ledger_contract::Limits::default(), closed: Vec::new() }
 }
 
-/// What is permitted if both are needed.
+/// The verdict on a use that needs both.
 fn both(one: Verdict, other: &Verdict) -> Verdict {
     match (one, other) {
         (Verdict::Permit(one), Verdict::Permit(other)) => Verdict::Permit(one.and(other.clone())),

@@ -64,7 +64,7 @@ fn a_plan_comes_in_force_whole_or_not_at_all() {
     fleet.refused(&owner(), Code::PolicyInvalid, "reconcile", &[&json(&plan)]);
     assert_eq!(asset(&mut fleet, "Husky").version, before.version);
     assert!(!asset(&mut fleet, "OptiTrack").version.is_empty());
-    // Somebody else has changed something meanwhile.
+    // Another admin has changed something meanwhile.
     fleet.ok(&owner(), "configure", &[HUSKY, r#"{"lease_ms":20000}"#]);
     let refused = fleet.refused(
         &owner(),

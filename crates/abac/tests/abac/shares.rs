@@ -280,6 +280,11 @@ fn the_owner_sees_the_rights_of_every_organisation_others_those_of_their_own_peo
     for right in ["override Husky/cmd_vel", "confirm Husky/cmd_vel", "stop Husky", "resume Husky"] {
         assert!(of_owner.contains(&right.to_owned()), "{right}: {of_owner:?}");
     }
+    // An admin whose certificate was issued beside the ledger is listed all the same.
+    let known = fleet.members.1.lock().unwrap().clone();
+    fleet.members.1.lock().unwrap().retain(|known| known.id() != "Org2/admin");
+    assert_eq!(seen(&access(&mut fleet, &owner(), r#"{"robot":"Husky"}"#))[0], "Org2/admin");
+    *fleet.members.1.lock().unwrap() = known;
     let own = access(&mut fleet, &admin1(), r#"{"robot":"Husky"}"#);
     assert_eq!(seen(&own), ["Org1/Farhad", "Org1/Guest", "Org1/Officer", "Org1/Salma", "Org1/admin"]);
     assert_eq!(seen(&access(&mut fleet, &salma(), r#"{"robot":"Husky"}"#)), ["Org1/Salma"]);
@@ -385,7 +390,7 @@ fn make(fleet: &mut Fleet, change: &Change) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// Salma is named by policies above, the officer by the built-in policy, and nobody else by any.
+    /// Salma is named by policies above, the officer by the built-in policy, and no other person by any.
     #[test]
     fn no_sequence_of_shares_and_policies_gives_override_stop_or_resume_to_anybody_who_was_not_named(
         changes in prop::collection::vec(change(), 1..12)

@@ -122,7 +122,7 @@ async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
     }
 }
 
-/// The rights of everybody, or of one person, on every robot.
+/// The rights of all people, or of one person, on every robot.
 async fn matrix(
     session: &Session,
     who: Option<String>,
@@ -153,7 +153,7 @@ async fn access(session: &Session, ask: &AskAccess) -> Result<Vec<Access>, Rejec
         let page = serde_json::json!({"after": after, "most": PAGE});
         let args: Vec<Bytes> = vec![ask.clone(), session::argument(&page)?];
         let response = session.ask(ABAC, "access", args).await.map_err(|refused| WORDS.told(refused))?;
-        let page: Page<Access> = answer::parse(&response, "who may do what")?;
+        let page: Page<Access> = answer::parse(&response, "the rights of people")?;
         let count = page.items.len();
         all.extend(page.items);
         after = page.next;

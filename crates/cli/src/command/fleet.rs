@@ -30,7 +30,7 @@ use std::path::PathBuf;
 ///
 /// The file names robots with their services and trust, policies, and shares: `ledgerctl export` writes one. It shows the difference,
 /// with the grants that end and the rights that people gain or lose, and asks. All of it comes in force in one step, or nothing does:
-/// also if somebody has changed the network meanwhile. What the file does not name stays, unless --prune is given. AppliedFile again, a
+/// also if another admin has changed the network meanwhile. Without --prune, all that the file does not name stays. AppliedFile again, a
 /// file changes nothing.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -91,7 +91,7 @@ impl Apply {
         }
         confirm::agree("the file", self.yes)?;
         if let Some(set) = &mut plan.policies {
-            // Robots that nobody reaches any more were shown.
+            // Robots without anyone who may publish were shown.
             (set.message, set.means_it) = (self.message, true);
         }
         let done = session.call(ABAC, "reconcile", vec![session::argument(&plan)?]).await.map_err(in_words)?;

@@ -12,7 +12,6 @@ pub(crate) use self::{
     line::turn,
     pass::{Delegate, Handover, Recall},
 };
-use super::robot::change::decimal;
 use crate::answer;
 use crate::argument::span::Milliseconds;
 use crate::failure::Failure;
@@ -20,7 +19,7 @@ use crate::global::Global;
 use crate::output::{Facts, Output};
 use crate::session::{self, ABAC, Session};
 use crate::time;
-use crate::words::Words;
+use crate::words::{Words, decimal};
 use bytes::Bytes;
 use ledger_api::Committed;
 use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Limits, Released};

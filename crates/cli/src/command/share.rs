@@ -50,7 +50,7 @@ pub(crate) struct Share {
     expect: Vec<String>,
 }
 
-/// ChangeMode a change of shares is made.
+/// How a change of shares is made.
 #[derive(Debug, clap::Args)]
 struct ChangeMode {
     /// Do not ask

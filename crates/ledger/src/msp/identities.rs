@@ -73,7 +73,7 @@ pub struct IdentityRecord {
     /// Block time at which everything of this name was last revoked, or a secret at a node cancelled, microseconds; 0 = never.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub voided: u64,
-    /// It cannot be registered by somebody else: some of its certificates were forgotten, so what they have signed is unknown, or a
+    /// It cannot become free for others: some of its certificates were forgotten, so what they have signed is unknown, or a
     /// secret that lies at a node was voided.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stays: bool,

@@ -2,8 +2,8 @@
 
 use super::plan::{FleetState, spec_of};
 use crate::argument::setting::KEYS;
-use crate::command::robot::change::decimal;
 use crate::time::rfc3339;
+use crate::words::decimal;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Attribute, Attributes, RobotSpec, ServiceSpec, ShareEntry, ShareTerms, Sharing};
 use toml::{Table, Value};

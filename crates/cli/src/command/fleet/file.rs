@@ -41,7 +41,7 @@ impl FleetFile {
     /// Reads the text of a file.
     ///
     /// # Errors
-    /// What cannot be read, and where it is.
+    /// The place that cannot be read, and the form that is wanted.
     pub(super) fn read(text: &str) -> Result<Self, String> {
         let table: Table = toml::from_str(text).map_err(|fault| fault.to_string().trim().to_owned())?;
         let mut file = Self::default();

@@ -1,4 +1,4 @@
-//! The plan that makes a network as a file has it. What the file does not name stays, unless it is pruned.
+//! The plan that makes a network as a file has it. All that the file does not name stays, unless it is pruned.
 
 use super::file::{FleetFile, RobotEntry, ServiceEntry};
 use crate::command::robot::with_replies;

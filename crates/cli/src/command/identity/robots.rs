@@ -6,8 +6,8 @@ use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::RobotAsset;
 use ledger_identity::Role;
 
-/// Rejects a name that differs from that of a robot of the own organisation only in the case of its letters, and says so if a robot
-/// of this name is not registered.
+/// Rejects a name that differs from that of a robot of the own organisation only in the case of its letters. Notes it if no robot of
+/// this name is registered.
 ///
 /// # Errors
 /// [`Code::AlreadyExists`] with the name of the robot.

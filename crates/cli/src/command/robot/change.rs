@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{self, ABAC, Session};
 use crate::time;
-use crate::words::{self, Words};
+use crate::words::{self, Words, decimal};
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Reason, Released, RobotAsset, RobotChange, SettingChange, Told};
@@ -190,12 +190,6 @@ fn shown(setting: &str, value: &str) -> String {
         _ if value.is_empty() => "none".to_owned(),
         _ => value.to_owned(),
     }
-}
-
-/// Thousandths as a decimal number.
-pub(in crate::command) fn decimal(thousandths: u64) -> String {
-    let text = format!("{}.{:03}", thousandths / 1000, thousandths % 1000);
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn why(reason: &Told<Reason>) -> &str {

@@ -56,7 +56,7 @@ impl Unshare {
             return if format == Format::Table { Ok(()) } else { output.show(&ended) };
         }
         confirm::agree("the end of the share", self.how.yes)?;
-        // Robots that nobody reaches any more were shown.
+        // Robots without anyone who may publish were shown.
         set.means_it = true;
         if self.how.propose {
             return output.show(&ProposedChange::of(ended, propose(&session, &set).await?));
