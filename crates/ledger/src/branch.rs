@@ -76,8 +76,8 @@ impl CertifiedBranch {
         Self { headers, certificate: self.certificate.clone() }
     }
 
-    /// Compares it with the log of a reader that has executed the block before its first one: the part from the first block that
-    /// contradicts an entry, and the block that this entry would be. `log` is the entry at a height.
+    /// Compares it with the log of a reader that has executed the block before its first one. Answers with the part from the first
+    /// block that contradicts an entry, and with the block that this entry would be. `log` is the entry at a height.
     ///
     /// Only entries of one term contradict: its leader has put one block there. A leader of a later term replaces others.
     pub fn against_log(&self, tip: &Tip, log: impl Fn(u64) -> Option<Entry>) -> Option<(Self, Hash)> {

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
-/// What a seed left behind.
+/// The outcome of a seed.
 pub struct Report<C> {
     /// The seed.
     pub seed: u64,
@@ -27,7 +27,7 @@ pub struct Report<C> {
 
 /// One of the simulations.
 pub trait Simulation: Sync {
-    /// What happens in a seed, to be added up.
+    /// The deeds in a seed, to be added up.
     type Counts: Default + Display + Send;
     /// How `simulate` is called for it, before the seed.
     const ARGUMENTS: &'static str;
@@ -36,7 +36,7 @@ pub trait Simulation: Sync {
     fn run(&self, seed: u64, keep_trace: bool) -> Report<Self::Counts>;
     /// Adds the deeds of another seed.
     fn add(all: &mut Self::Counts, one: &Self::Counts);
-    /// What never happened, though every run of many seeds should have it.
+    /// The deeds that never happened, though every run of many seeds should have them.
     fn missing(all: &Self::Counts) -> Vec<String>;
     /// Were there enough seeds for everything to happen?
     fn is_enough(all: &Self::Counts) -> bool;

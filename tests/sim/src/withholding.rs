@@ -1,4 +1,4 @@
-//! What a leader does that withholds control calls: it takes them, and orders other things.
+//! The filter of a leader that withholds control calls: it takes them, and orders other things.
 
 use ledger::transaction::Transaction;
 use ledger_raft::{Input, Lane, PeerMessage};

@@ -30,7 +30,7 @@ use std::path::PathBuf;
 ///
 /// The file names robots with their services and trust, policies, and shares: `ledgerctl export` writes one. It shows the difference,
 /// with the grants that end and the rights that people gain or lose, and asks. All of it comes in force in one step, or nothing does:
-/// also if another admin has changed the network meanwhile. Without --prune, all that the file does not name stays. AppliedFile again, a
+/// also if another admin has changed the network meanwhile. Without --prune, all that the file does not name stays. Applied again, a
 /// file changes nothing.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\

@@ -1,5 +1,5 @@
-//! What gates may let pass, by an arithmetic of its own: grants and stops after each block of each history, and which blocks are
-//! certified since when.
+//! The commands that gates may let pass, by an arithmetic of its own. It records grants and stops after each block of each history, and
+//! the time at which each block was certified.
 //!
 //! Source: docs/conflict.md and docs/security.md. A command passes a gate only if a certified state of the last second allows it: the
 //! signer holds the service by that grant, and the robot is not stopped. After a signed stop that the gate was notified of, nothing
