@@ -7,7 +7,7 @@
 use super::request::{READ_NAME_BYTES, READS_PENDING_MAX};
 use super::{Engine, UNPERSISTED_BYTES_MAX};
 use crate::message::RaftMessage;
-use raft::ProgressState;
+use raft::{ProgressState, StateRole};
 use raft::eraftpb::{Message, MessageType};
 
 impl Engine {
@@ -45,6 +45,10 @@ impl Engine {
                 }
                 self.guard_probe(&mut message)?;
                 Ok(message)
+            }
+            MessageType::MsgReadIndex if raft.state != StateRole::Leader => {
+                // The crate would pass it on in the name of this node, and a name that was made here is none to the leader.
+                Err("this node does not lead, so it confirms no read")
             }
             MessageType::MsgReadIndex if raft.pending_read_count() >= READS_PENDING_MAX => {
                 Err("too many reads wait for confirmation")

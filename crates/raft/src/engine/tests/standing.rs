@@ -50,6 +50,17 @@ fn a_learner_neither_leads_nor_votes_nor_ends_a_term() {
 }
 
 #[test]
+fn a_read_that_reaches_a_follower_is_not_passed_on_in_its_name() {
+    let mut node = follower();
+    let read = message(3, RaftKind::ReadIndex, |message| {
+        message.term = 0;
+        message.context = vec![7; 24].into();
+    });
+    let out = step(&mut node, read);
+    assert!(is_ignored(&out), "{out:?}");
+}
+
+#[test]
 fn a_commit_index_alone_ends_no_process() {
     for from in [1, 3, 9] {
         let mut node = follower();
