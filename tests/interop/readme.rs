@@ -28,7 +28,7 @@ const BLOCKS: [(&str, &str, Run); 6] = [
     ("Two minutes by hand", "cargo build --release && export PATH=$PWD/target/release:$PATH", Run::Here),
     ("Two minutes by hand", "ledgerctl --context dev-org1-admin identity register Salma", Run::Here),
     ("Two minutes by hand", "ledgerctl --context dev-org1-admin identity register Farhad", Run::Here),
-    ("With ROS 2", "ledgerctl --context dev-org2-admin identity register turtlebot4", Run::Here),
+    ("With ROS 2", "ledgerctl --context dev-org2-admin identity register Turtlebot4", Run::Here),
     ("A network of three", "ledgerd init", Run::There("tests/node/three.rs")),
 ];
 

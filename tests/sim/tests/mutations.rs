@@ -131,7 +131,8 @@ fn borne(mutation: Mutation) {
     if let Some((seed, violation)) = harm {
         panic!("{mutation:?} breaks {violation} with seed {seed}");
     }
-    assert!(broken.len() as u64 * 10 <= seeds, "{mutation:?} stops the cluster: {broken:?}");
+    // Where a disk was lost, a cluster may stand still until block time has come (docs/reliability.md).
+    assert!(broken.len() as u64 <= (seeds / 10).max(1), "{mutation:?} stops the cluster: {broken:?}");
 }
 
 #[test]

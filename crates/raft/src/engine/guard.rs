@@ -7,8 +7,8 @@
 use super::request::{READ_NAME_BYTES, READS_PENDING_MAX};
 use super::{Engine, UNPERSISTED_BYTES_MAX};
 use crate::message::RaftMessage;
-use raft::{ProgressState, StateRole};
 use raft::eraftpb::{Message, MessageType};
+use raft::{ProgressState, StateRole};
 
 impl Engine {
     /// The message for the crate, or why it is ignored.
