@@ -205,10 +205,11 @@ fn a_forbid_that_errs_and_is_skipped_is_noticed() {
     caught(Mutation::AcceptAnErringForbid, 1, &["the oracle agrees"]);
 }
 
-/// The leader does not count it: an acknowledgement names the hash of its block, which this node does not know.
+/// The leader does not count it: an acknowledgement names the hash of its block, which this node does not know. So its chain seems to
+/// contradict the others.
 #[test]
-fn a_catch_up_that_is_off_by_one_does_no_harm() {
-    borne(Mutation::CatchUpOffByOne);
+fn a_catch_up_that_is_off_by_one_is_noticed() {
+    caught(Mutation::CatchUpOffByOne, 0, &["nobody contradicts the chain of an honest node"]);
 }
 
 #[test]
