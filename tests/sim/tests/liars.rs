@@ -100,7 +100,7 @@ fn a_gate_that_believes_a_lying_node_about_a_grant_is_noticed() {
 
 #[test]
 fn a_gate_that_forgets_a_stop_without_a_verdict_is_noticed() {
-    caught(Mutation::ForgetAnOpenStop, 98, &["a gate that was notified of a stop waits for its verdict"]);
+    caught(Mutation::ForgetAnOpenStop, 179, &["a gate that was notified of a stop waits for its verdict"]);
 }
 
 #[test]

@@ -345,7 +345,7 @@ fn a_robot_that_compares_no_epochs_is_noticed() {
 
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
-    caught(Mutation::IgnoreStaleness, 23, &["gate"]);
+    caught(Mutation::IgnoreStaleness, 58, &["gate"]);
 }
 
 #[test]
