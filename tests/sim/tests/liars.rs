@@ -45,7 +45,7 @@ fn a_proof_that_a_node_keeps_for_itself_is_noticed() {
 
 #[test]
 fn a_liar_that_is_followed_is_noticed() {
-    caught(Mutation::FollowALiar, 21, &["nobody follows a liar of whom it has the proof"]);
+    caught(Mutation::FollowALiar, 26, &["nobody follows a liar of whom it has the proof"]);
 }
 
 #[test]
