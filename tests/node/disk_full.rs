@@ -123,8 +123,15 @@ async fn a_node_that_was_killed_without_any_space_left_starts_again_on_that_disk
     // What the node had prepared for its next blocks may be free now.
     ballast("more");
     let mut node = start();
-    let status = connect(&owner).await.status().await.unwrap();
-    assert!(status.height >= height && status.disk_accepts != "all", "{status:?}");
+    let client = connect(&owner).await;
+    let status = client.status().await.unwrap();
+    assert!(status.disk_accepts != "all", "{status:?}");
+    // It has executed what it knew to be committed; it commits the rest when it leads.
+    until("the node has what it had", || async {
+        let status = client.status().await.ok()?;
+        (status.height >= height).then_some(())
+    })
+    .await;
     node.check();
     node.interrupt();
 }
