@@ -176,7 +176,7 @@ fn the_console_is_reached_through_a_proxy_that_ends_tls_as_its_page_says() {
     let (status, body) = challenge("https://evil.example");
     assert!(status == "403" && body.contains("LGR-"), "{status} {body}");
 
-    // Without the proxy: what is not there is an answer in JSON, and nobody can name two hosts or two origins.
+    // Without the proxy: an unknown path is answered in JSON, and two hosts or two origins are rejected.
     let plain = |arguments: &[&str]| curl(arguments);
     let (status, body) = plain(&[&format!("http://{console}/nothing")]);
     assert!(

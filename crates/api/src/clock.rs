@@ -3,7 +3,7 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::{Instant, sleep};
 
-/// Between two looks at a clock by which somebody waits.
+/// Between two looks at a clock by which a deadline is measured.
 const LOOK: Duration = Duration::from_secs(2);
 
 /// The machine's clock, microseconds since the UNIX epoch.

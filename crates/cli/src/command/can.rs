@@ -16,6 +16,7 @@ use ledger_api::pages::PageBound;
 use ledger_base::rejection::{Class, Rejection};
 use ledger_contract::{Access, Ask, AskAccess, Can as Answer, Could, PolicyText, Right, RobotAsset};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
@@ -87,7 +88,8 @@ impl Can {
         let who = if who.contains('/') { who } else { format!("{}/{who}", session.identity()?.organisation) };
         let ask = ask(&action, &service);
         let answer = asked(&session, &Ask { who: Some(who), ..ask.clone() }).await?;
-        let listed = if self.who_could { Some(could(&session, &ask).await?) } else { None };
+        let listed =
+            if self.who_could { Some(in_pages::<Could>(&session, "could", &ask, "who may").await?) } else { None };
         let is_listed = listed.as_ref().is_some_and(|listed| !listed.is_empty());
         let names = |all: Vec<Could>| all.into_iter().filter(|one| one.allowed).map(|one| one.who).collect::<Vec<_>>();
         let (allowed, who_could) = (answer.allowed, listed.map(names));
@@ -102,16 +104,20 @@ pub(super) async fn asked(session: &Session, ask: &Ask) -> Result<Answer, Reject
     answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "whether somebody may")
 }
 
-/// Everybody of the caller's organisation in the registry, and whether they may.
-async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
+/// All answers of a function that gives them in pages: `could` for the caller's organisation, `access` for a robot.
+async fn in_pages<T: DeserializeOwned>(
+    session: &Session,
+    function: &str,
+    ask: &impl Serialize,
+    what: &str,
+) -> Result<Vec<T>, Rejection> {
     let ask = session::argument(ask)?;
-    let (mut all, mut after): (Vec<Could>, Option<String>) = (Vec::new(), None);
-    let mut bound = PageBound::default();
+    let (mut all, mut after, mut bound) = (Vec::new(), None, PageBound::default());
     loop {
         let page = serde_json::json!({"after": after, "most": PAGE});
         let args: Vec<Bytes> = vec![ask.clone(), session::argument(&page)?];
-        let response = session.ask(ABAC, "could", args).await.map_err(|refused| WORDS.told(refused))?;
-        let page: Page<Could> = answer::parse(&response, "who may")?;
+        let response = session.ask(ABAC, function, args).await.map_err(|refused| WORDS.told(refused))?;
+        let page: Page<T> = answer::parse(&response, what)?;
         let count = page.items.len();
         all.extend(page.items);
         after = page.next;
@@ -137,31 +143,12 @@ async fn matrix(
     let mut rows = Vec::new();
     for robot in robots {
         let ask = AskAccess { robot: robot.name.clone(), who: who.clone(), at, policies: policies.clone() };
-        for Access { who, rights, .. } in access(session, &ask).await? {
+        for Access { who, rights, .. } in in_pages(session, "access", &ask, "the rights of people").await? {
             rows.extend(rows_of(&who, &robot.name, rights));
         }
     }
     rows.sort_by(|one: &Row, other| (&one.who, &one.service).cmp(&(&other.who, &other.service)));
     Ok(Matrix(rows))
-}
-
-/// Those of whom a node says what they may do on a robot.
-async fn access(session: &Session, ask: &AskAccess) -> Result<Vec<Access>, Rejection> {
-    let ask = session::argument(ask)?;
-    let (mut all, mut after, mut bound) = (Vec::new(), None, PageBound::default());
-    loop {
-        let page = serde_json::json!({"after": after, "most": PAGE});
-        let args: Vec<Bytes> = vec![ask.clone(), session::argument(&page)?];
-        let response = session.ask(ABAC, "access", args).await.map_err(|refused| WORDS.told(refused))?;
-        let page: Page<Access> = answer::parse(&response, "the rights of people")?;
-        let count = page.items.len();
-        all.extend(page.items);
-        after = page.next;
-        if after.is_none() {
-            return Ok(all);
-        }
-        bound.count("those who may", count)?;
-    }
 }
 
 /// A row for the services and one for the robot, with each limit; one for the robot of who has no right.

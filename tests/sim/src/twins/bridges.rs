@@ -1,7 +1,7 @@
 //! Robots and drivers: the real gate of a robot at a node that may lie, and people who drive it through other nodes.
 //!
 //! A bridge trusts its node for nothing about control (`crates/ros-bridge/src/routes/delivery.rs`): it asks the voters through it, and
-//! believes a proof. Its node may be a copy of a liar, which has another history, or an honest one that follows a liar. A driver signs
+//! trusts a proof. Its node may be a copy of a liar, which has another history, or an honest one that follows a liar. A driver signs
 //! with the epoch that its own node reports, so commands arrive that only one history allows.
 
 use super::control::{Block, STALE_AFTER, result_of};
@@ -138,7 +138,7 @@ impl World {
         let driver = &self.drivers[at];
         let is_up = |home: &usize| self.copies[*home].up.is_some();
         if driver.home.filter(is_up).is_none() || self.now >= driver.leaves {
-            // The second one believes whatever a liar's copy has.
+            // The second one often drives through a liar's copy.
             let home = self.some_copy(if at == 0 { 10 } else { 80 });
             let leaves = self.now + self.random.between(1, 5) * SECOND;
             let driver = &mut self.drivers[at];
@@ -182,7 +182,7 @@ impl World {
         NONCES + self.nonces
     }
 
-    /// A copy that runs: one of a liar in so many of a hundred tries, if there is one.
+    /// A copy that runs: one of a liar with this probability in percent, if there is one.
     fn some_copy(&mut self, percent: u64) -> Option<usize> {
         let wants_liar = self.lying && self.random.percent(percent);
         let fits = |at: &usize| self.copies[*at].up.is_some() && self.copies[*at].lies == wants_liar;

@@ -194,7 +194,7 @@ impl World {
         let voters = self.plan.voters() as usize;
         // One that is proved to lie does not lead any more, and gives no vote to a shorter log than its own.
         let proved: BTreeSet<u64> = alive.iter().flat_map(|at| self.copies[*at].evidence.liars()).collect();
-        // The number of one that comes back votes when a leader has ordered the change.
+        // The new number of a node votes when a leader has ordered the change.
         let effective: BTreeSet<u64> = alive.iter().flat_map(|at| self.effective_voters(*at)).collect();
         let counts = |at: &&usize| {
             let id = self.copies[**at].node.id;
