@@ -9,8 +9,7 @@
 //!   kept         the files below the data directory
 //!   lag          how long a block that is due has had no certificate; waiting for one
 //!   recent       the newest certificates, for those who ask for a proof
-//!   passed       one in ten seconds of all before, and those of calls about control, on the disk
-//!   verdicts     the verdicts of these calls
+//!   passed       one in ten seconds of all before, on the disk
 //! ```
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
@@ -23,7 +22,6 @@ mod keys;
 mod lag;
 mod passed;
 mod recent;
-mod verdicts;
 
 pub(crate) use kept::{certified_up_to, newest_proof, set_proofs_aside};
 pub(crate) use keys::Keys;
@@ -160,21 +158,19 @@ impl Certificates {
         proof(ledger, certificate, wanted)
     }
 
-    /// A proof of the block at a height, with the verdict at that position, or else of the next certified block. None if none is
-    /// known, nor comes in two seconds.
+    /// A proof of the block at a height, or else of the next certified block. None if none is known, nor comes in two seconds.
     ///
     /// # Errors
     /// A fault of the store or of the disk.
-    pub(crate) async fn covering(&self, ledger: &Ledger, height: u64, index: u32) -> Result<Option<Proof>, Rejection> {
-        let wanted = |fact: &Fact<'_>| matches!(fact, Fact::Verdict { index: of, .. } if *of == index);
-        if self.passed.at_or_after(height)?.is_none() {
+    pub(crate) async fn covering(&self, ledger: &Ledger, height: u64) -> Result<Option<Proof>, Rejection> {
+        let mut passed = self.passed.at_or_after(height)?;
+        if passed.is_none() {
             self.recent.wait_from(height).await;
+            passed = self.passed.at_or_after(height)?;
         }
-        let recent = self.recent.at_or_after(height).map(|certificate| proof(ledger, certificate, wanted));
-        let recent = recent.transpose()?.flatten();
-        let passed = self.passed.at_or_after_with(height, |proof| verdicts::shows(proof, index))?;
-        let known = [recent, passed, self.kept.governing(height)?].into_iter().flatten();
-        Ok(known.min_by_key(|proof| (proof.certificate.statement.height, !verdicts::shows(proof, index))))
+        let recent = self.recent.at_or_after(height).map(|certificate| proof(ledger, certificate, |_| false));
+        let known = [recent.transpose()?.flatten(), passed, self.kept.governing(height)?].into_iter().flatten();
+        Ok(known.min_by_key(|proof| proof.certificate.statement.height))
     }
 
     /// The proof of the newest certified block; none if there is none.
@@ -347,32 +343,25 @@ impl Certifying {
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());
                 let passes = self.certificates.passed.wants(height, certificate.statement.time);
-                let shows = !self.ordering.storage.space.is_full() && self.certificates.passed.is_next(height);
-                if due || governs || passes || shows {
+                if due || governs || passes {
                     *written = if due { Some(Instant::now()) } else { *written };
-                    self.keep_proof(certificate, (due, governs, passes), shows).await;
+                    self.keep_proof(certificate, (due, governs, passes)).await;
                 }
             }
             Effect::Misbehaved(proof) => self.disputes.found(*proof, found),
         }
     }
 
-    /// Keeps a certificate. `shows`: also the verdicts of its calls about control, if it has any.
-    async fn keep_proof(&self, certificate: Certificate, (newest, governs, passes): (bool, bool, bool), shows: bool) {
+    /// Keeps a certificate.
+    async fn keep_proof(&self, certificate: Certificate, (newest, governs, passes): (bool, bool, bool)) {
         let (ledger, first) =
             (Arc::clone(&self.ordering.storage.ledger), self.ordering.storage.log.store.first_index());
         let certificates = Arc::clone(&self.certificates);
         self.keep(move |kept| {
-            let verdicts = if shows { verdicts::proofs(&ledger, &certificate)? } else { Vec::new() };
-            if verdicts.is_empty() && !(newest || governs || passes) {
-                return Ok(());
-            }
             // One that was certified long after it was executed is left out. Another node has it.
             let Some(proof) = proof(&ledger, certificate, |_| false)? else { return Ok(()) };
-            match &verdicts[..] {
-                [] if passes => certificates.passed.keep(std::slice::from_ref(&proof), first)?,
-                [] => {}
-                verdicts => certificates.passed.keep(verdicts, first)?,
+            if passes {
+                certificates.passed.keep(&proof, first)?;
             }
             kept.proof(&proof, newest, governs)
         })

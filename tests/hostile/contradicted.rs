@@ -13,6 +13,7 @@ use ledger_api::Context;
 use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ledger_light::{Proof, Statement};
+use rustix::process::Signal;
 use serde_json::Value;
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -115,6 +116,24 @@ impl Scene {
         self.b1().data.join("dead-branch-1")
     }
 
+    /// A bridge of the robot, in this part, that knows b1 alone. It drives what DDS carries there.
+    fn bridge(&self, side: &Side) -> Process {
+        let context = self.fleet.issue("Org2", "Turtlebot4", Role::Robot, &[]);
+        Context { nodes: vec![self.b1().address.clone()], ..context }.save(&self.fleet.home()).unwrap();
+        let config = self.fleet.path().join("bridge.toml");
+        let context = self.fleet.home().join("contexts/Turtlebot4");
+        // No silence of a busy machine stops the robot.
+        let settings = format!(
+            "context_dir = {context:?}\ndomain_id = 3\nshared_memory = false\n[[route]]\nservice = \"Turtlebot4/cmd_vel\"\n\
+             direction = \"from_ledger\"\ntopic = \"/cmd_vel\"\ntype = \"geometry_msgs/msg/Twist\"\n\
+             command_timeout_ms = 0\nstale_after_ms = 10000\n"
+        );
+        std::fs::write(&config, settings).unwrap();
+        let mut command = programs::node();
+        command.args(["bridge", "--config"]).arg(config);
+        Process::start("bridge", self.fleet.path(), side.within(&command))
+    }
+
     /// b1 is back under a new number, with the branch that is certified, and its own one is kept with the list of what was lost.
     async fn is_back(&self, lost: &str) {
         let listed = std::fs::read(self.dead_branch().join("lost-transactions.json")).unwrap();
@@ -182,6 +201,49 @@ fn a_node_that_a_strict_certificate_contradicts_stops_and_comes_back_by_the_comm
         let back = programs::said(&scene.rejoin().output().unwrap());
         assert!(back.contains(&lost) && back.contains("dead-branch-1"), "{back}");
         scene.is_back(&lost).await;
+    });
+}
+
+/// How many commands a bridge has passed to its robot, as it reports at its end.
+fn passed(mut bridge: Process) -> u64 {
+    assert!(bridge.signal(Signal::TERM).success(), "{}", bridge.stderr());
+    let report = bridge.stdout();
+    let report: Value = serde_json::from_str(report.lines().last().expect("a report")).unwrap();
+    report["routes"][0]["published"].as_u64().unwrap()
+}
+
+#[test]
+fn a_robot_at_the_node_obeys_the_certified_branch_alone_before_the_node_meets_it_and_after() {
+    const READY: &str = "the bridge of Org2/Turtlebot4 is ready";
+    const WORDS: [&str; 7] = ["publish", "Turtlebot4/cmd_vel", "{linear: {x: 0.1}}", "--rate", "20", "--count", "40"];
+    if !isolated(&|| ()) {
+        return;
+    }
+    runtime().block_on(async {
+        let mut scene = Scene::new().await;
+        let lost = scene.part().await;
+        // On the dead branch she holds the robot, and her commands are executed there. No voters certify that, so it does not move.
+        let bridge = scene.bridge(&scene.dead);
+        until("the bridge is ready", || async { bridge.stderr().contains(READY).then_some(()) }).await;
+        scene.dead.does(&scene.salma, &WORDS).await;
+        assert_eq!(passed(bridge), 0);
+
+        // The node has stopped. A bridge that knows no other one passes nothing.
+        scene.meet();
+        let bridge = scene.bridge(&scene.certified);
+        scene.certified.does(&scene.farhad, &WORDS).await;
+        assert_eq!(passed(bridge), 0);
+
+        let back = programs::said(&scene.rejoin().output().unwrap());
+        assert!(back.contains(&lost), "{back}");
+        let mut node = scene.b1().start_as(scene.certified.within(&scene.b1().command()));
+        let bridge = scene.bridge(&scene.certified);
+        let before = bridge.stderr().matches(READY).count();
+        until("the bridge is ready again", || async { (bridge.stderr().matches(READY).count() > before).then_some(()) })
+            .await;
+        scene.certified.does(&scene.farhad, &WORDS).await;
+        assert!(passed(bridge) > 0, "the holder of the certified branch drives");
+        node.interrupt();
     });
 }
 

@@ -13,7 +13,7 @@ use certified::newest_roots;
 
 use crate::block::{Header, Payload, leaf};
 use crate::chaincode::{Context, Environment, Meter, Registry};
-use crate::execution::{Execution, Executor, genesis};
+use crate::execution::{Execution, Executor, effects, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::large::Large;
@@ -78,6 +78,8 @@ pub struct Outcome {
     pub hash: Hash,
     /// State digest after the block.
     pub digest: Hash,
+    /// Hash over what the block wrote.
+    pub writes: Hash,
     /// The kind of the block.
     pub kind: BlockKind,
     /// The transactions as they were signed.
@@ -120,6 +122,13 @@ pub struct TransactionRecord {
     pub time: u64,
     /// Its verdict.
     pub result: TransactionResult,
+}
+
+impl Outcome {
+    /// The step from the state digest before the block to the one after it (docs/format.md).
+    pub fn effects(&self) -> Hash {
+        effects(self.writes, &self.results)
+    }
 }
 
 impl Ledger {
@@ -248,7 +257,7 @@ impl Ledger {
         };
         let changed_organisations = [ORGANISATION_KEYS, LIST_KEYS, STALE_KEYS].into_iter().any(wrote);
         let changed_rules = writes.contains_key(RULES_KEY);
-        let (hash, digest, kind) = (tip.hash, tip.digest, result.kind());
+        let (hash, digest, kind, wrote) = (tip.hash, tip.digest, result.kind(), result.writes());
         // Who sees the block as executed finds all of it.
         self.results.push(tip.height, &result, &foretold)?;
         {
@@ -270,7 +279,19 @@ impl Ledger {
         }
         let (results, events) = (result.results, result.events);
         let certifiable = certifiable.filter(|_| !is_unwanted);
-        Ok(Outcome { header, hash, digest, kind, transactions, ids, results, events, certifiable, governs })
+        Ok(Outcome {
+            header,
+            hash,
+            digest,
+            writes: wrote,
+            kind,
+            transactions,
+            ids,
+            results,
+            events,
+            certifiable,
+            governs,
+        })
     }
 
     /// The same for blocks that are about to be applied one after the other. It changes no verdict: applying them looks

@@ -3,8 +3,7 @@
 //! It holds the way from the genesis to a certificate of a block, and the headers from the block of the transaction to that one.
 //! The Merkle path of the transaction leads to the first of them (docs/format.md has each byte).
 //!
-//! The place of every transaction is proved. Its verdict is proved if its own block is the certified one; otherwise nothing
-//! is said about it here.
+//! The verdict has a way of its own to that certificate: over the effects of the same blocks ([`ledger_light::digest`]).
 
 mod check;
 
@@ -18,10 +17,11 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::CERTIFICATE_BYTES_MAX;
 use ledger_light::codec::{Reader, put};
+use ledger_light::digest::PROVED_VERDICT_BYTES_MAX;
 use ledger_light::governance::CHANGE_BYTES_MAX;
 use ledger_light::merkle::{PATH_BYTES_MAX, Path};
 use ledger_light::proof::PROOF_BYTES_MAX;
-use ledger_light::{Change, Proof};
+use ledger_light::{Change, Proof, ProvedVerdict};
 
 const DOMAIN: &[u8] = b"ledgerd evidence v1\0";
 const LINK_DOMAIN: &[u8] = b"ledgerd evidence link v1\0";
@@ -34,6 +34,7 @@ pub const LINK_BYTES_MAX: usize = LINK_DOMAIN.len()
     + CERTIFICATE_BYTES_MAX
     + PATH_BYTES_MAX
     + HEADERS_BYTES_MAX
+    + PROVED_VERDICT_BYTES_MAX
     + PROOF_BYTES_MAX;
 
 /// The content of the file.
@@ -65,7 +66,9 @@ pub struct Link {
     pub path: Path,
     /// The headers from its block to the certified one. Each follows the one before.
     pub headers: Vec<Header>,
-    /// The certificate of the last block. It shows the verdict if that is the block of the transaction.
+    /// Its verdict.
+    pub verdict: ProvedVerdict,
+    /// The certificate of the last block, with its ground.
     pub proof: Proof,
 }
 
@@ -77,6 +80,7 @@ impl Link {
         put(&mut bytes, &self.certificate);
         put(&mut bytes, &self.path.to_bytes());
         write_headers(&mut bytes, &self.headers);
+        self.verdict.write(&mut bytes);
         put(&mut bytes, &self.proof.to_bytes());
         bytes.into()
     }
@@ -94,9 +98,10 @@ impl Link {
         if headers.is_empty() {
             return Err(reader.malformed("no headers", &format!("1 to {HEADERS_MAX}")));
         }
+        let verdict = ProvedVerdict::read(&mut reader)?;
         let proof = Proof::from_bytes(reader.part(PROOF_BYTES_MAX)?)?;
         reader.end()?;
-        Ok(Self { transaction, certificate, path, headers, proof })
+        Ok(Self { transaction, certificate, path, headers, verdict, proof })
     }
 }
 

@@ -17,6 +17,7 @@ use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
+use ledger_light::digest::digest;
 use ledger_light::{Change, merkle};
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Event, Roots, TransactionResult};
@@ -158,7 +159,8 @@ impl Executor<'_> {
         if governs {
             log_change(&facts::change(header.height, &writes, self.registry), &mut writes);
         }
-        let digest = digest(&previous.digest, &writes, &results);
+        let wrote = hash_of_writes(&writes);
+        let digest = digest(previous.digest, effects(wrote, &results));
         let hash = header.hash();
         let roots = || facts::roots(&self.roots, (header.height, digest), (&results, &events), &control);
         let certifiable = is_certified.then(roots).transpose()?;
@@ -171,6 +173,7 @@ impl Executor<'_> {
             results,
             events,
             roots: certifiable.as_ref().map_or_else(Bytes::new, Roots::to_bytes),
+            writes: Bytes::copy_from_slice(&wrote.0),
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
         Ok(Execution {
@@ -328,15 +331,14 @@ pub(crate) fn check_network(transaction: &Transaction, network: &Hash) -> Result
         .next("enrol at this network and use that context"))
 }
 
-/// d(h) = H(d(h-1), sorted writes, verdicts). Every part carries its length, so that nothing can be read two ways.
-fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> Hash {
+/// The hash over what a block wrote.
+fn hash_of_writes(writes: &WriteSet) -> Hash {
     let mut sha = Sha256::new(&SHA256);
     let mut part = |bytes: &[u8]| {
         sha.update(&(bytes.len() as u64).to_be_bytes());
         sha.update(bytes);
     };
-    part(b"ledgerd state v1");
-    part(&previous.0);
+    part(b"ledgerd writes v1");
     part(&(writes.len() as u64).to_be_bytes());
     for (key, value) in in_order(writes) {
         part(key);
@@ -348,11 +350,12 @@ fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> 
             None => part(b"delete"),
         }
     }
-    for result in results {
-        part(&result.code.to_be_bytes());
-        part(&result.response);
-    }
     Hash::finish(sha)
+}
+
+/// The effects of a block: its writes and its verdicts.
+pub(crate) fn effects(writes: Hash, results: &[TransactionResult]) -> Hash {
+    ledger_light::digest::effects(writes, facts::verdicts(results).map(|verdict| verdict.leaf()).collect())
 }
 
 /// Logs who governs from this block on, so that a reader can follow it from the beginning.
@@ -375,7 +378,8 @@ pub(crate) fn genesis(
     registry: &Registry,
 ) -> Result<(Tip, WriteSet, BlockResult), Rejection> {
     let writes = found(genesis)?;
-    let digest = digest(&Hash::ZERO, &writes, &[]);
+    let wrote = hash_of_writes(&writes);
+    let digest = digest(Hash::ZERO, effects(wrote, &[]));
     let control = ControlWrites::of(&writes, registry);
     let roots = facts::roots(&facts::NOTHING, (0, digest), (&[], &[]), &control)?.to_bytes();
     let result = BlockResult {
@@ -384,6 +388,7 @@ pub(crate) fn genesis(
         digest: Bytes::copy_from_slice(&digest.0),
         kind: BlockKind::Genesis.into(),
         roots,
+        writes: Bytes::copy_from_slice(&wrote.0),
         ..BlockResult::default()
     };
     Ok((Tip { height: 0, term: 0, time: genesis.created, hash: network, digest }, writes, result))

@@ -84,6 +84,16 @@ pub(crate) fn governing(state: &dyn StateRead, registry: &Registry, height: u64)
 /// Before the genesis.
 pub(crate) const NOTHING: Roots = Roots { governing: Hash::ZERO, control: Hash::ZERO, results: Hash::ZERO };
 
+/// The verdicts of a block in order.
+pub(crate) fn verdicts(results: &[TransactionResult]) -> impl Iterator<Item = Fact<'static>> {
+    (0u32..).zip(results).map(|(index, result)| Fact::Verdict {
+        index,
+        id: result.id(),
+        code: result.code,
+        response: Hash::of(&[&result.response]),
+    })
+}
+
 /// The facts that executing a block gave: what its voters sign, once it is certified.
 pub(crate) struct Facts<'a> {
     /// The first one.
@@ -101,12 +111,6 @@ impl<'a> Facts<'a> {
         writes: &'a ControlWrites,
     ) -> Self {
         let Roots { governing, control, .. } = *after;
-        let verdicts = (0u32..).zip(results).map(|(index, result)| Fact::Verdict {
-            index,
-            id: result.id(),
-            code: result.code,
-            response: Hash::of(&[&result.response]),
-        });
         let events = events.iter().map(|EmittedEvent { index, event }| Fact::Event {
             index: *index,
             chaincode: &event.chaincode,
@@ -117,7 +121,7 @@ impl<'a> Facts<'a> {
         let control_writes = writes.0.iter().map(|(key, value)| Fact::Control { key, value: *value });
         Self {
             ground: Fact::Ground { governing, control, digest, previous: before.results },
-            others: verdicts.chain(events).chain(control_writes).collect(),
+            others: verdicts(results).chain(events).chain(control_writes).collect(),
         }
     }
 

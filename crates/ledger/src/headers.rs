@@ -5,9 +5,10 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_light::BranchLink;
 use ledger_light::codec::Reader;
+use ledger_light::digest::LATER_MAX;
 
 /// Most headers in one encoding.
-pub const HEADERS_MAX: usize = 16 * 1024;
+pub const HEADERS_MAX: usize = LATER_MAX;
 /// Longest encoding.
 pub(crate) const HEADERS_BYTES_MAX: usize = 8 + 32 + 4 + HEADERS_MAX * BranchLink::BYTES;
 

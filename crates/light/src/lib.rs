@@ -9,6 +9,7 @@
 //! | [`merkle`] | the tree of RFC 6962: roots, and the path from a leaf to its root |
 //! | [`fact`] | the leaves: what executing a block gave |
 //! | [`control`] | the chains over writes of control state, which show that none was left out |
+//! | [`digest`] | the state digest, and the way from a verdict to that of a later block |
 //! | [`statement`] | what a voter says about a block, and its signature |
 //! | [`vote`] | who is to lead, as a voter says, and its signature |
 //! | [`transfer`] | to whom a leader hands over, and its signature |
@@ -45,6 +46,7 @@ pub mod checkpoint;
 pub mod codec;
 pub mod complaint;
 pub mod control;
+pub mod digest;
 pub mod fact;
 pub mod governance;
 pub mod head;
@@ -60,6 +62,7 @@ pub mod way;
 pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
 pub use complaint::Complaint;
+pub use digest::ProvedVerdict;
 pub use governance::{Change, Governance};
 pub use head::{Branch, BranchLink, DoubleHead, Head, block_hash};
 pub use lie::{DoubleVote, Fault, Lie, Misbehaviour};

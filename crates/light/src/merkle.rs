@@ -61,8 +61,13 @@ impl Path {
 
     /// Does this path lead from that leaf to that root?
     pub fn leads(&self, leaf: Hash, root: Hash) -> bool {
+        self.root(leaf) == Some(root)
+    }
+
+    /// The root to which this path leads from that leaf; none if it is no path of a tree.
+    pub fn root(&self, leaf: Hash) -> Option<Hash> {
         if self.index >= self.count {
-            return false;
+            return None;
         }
         // Position of the way's node and of the last node, level by level.
         let (mut at, mut last, mut reached) = (self.index, self.count - 1, leaf);
@@ -70,12 +75,12 @@ impl Path {
         while last > 0 {
             let alone = at == last && at.is_multiple_of(2);
             if !alone {
-                let Some(sibling) = siblings.next() else { return false };
+                let sibling = siblings.next()?;
                 reached = if at.is_multiple_of(2) { node(&reached, sibling) } else { node(sibling, &reached) };
             }
             (at, last) = (at / 2, last / 2);
         }
-        siblings.next().is_none() && reached == root
+        siblings.next().is_none().then_some(reached)
     }
 
     /// Its bytes.

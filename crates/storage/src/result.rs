@@ -169,6 +169,9 @@ pub struct BlockResult {
     /// Its [`Roots`], 96 bytes; empty if the block is not certified.
     #[prost(bytes = "bytes", tag = "10")]
     pub roots: Bytes,
+    /// Hash over what it wrote, 32 bytes: with the verdicts it gives the step from one state digest to the next.
+    #[prost(bytes = "bytes", tag = "11")]
+    pub writes: Bytes,
 }
 
 impl BlockResult {
@@ -185,6 +188,11 @@ impl BlockResult {
     /// State digest after the block.
     pub fn digest(&self) -> Hash {
         Hash::from_slice(&self.digest).unwrap_or(Hash::ZERO)
+    }
+
+    /// Hash over what the block wrote.
+    pub fn writes(&self) -> Hash {
+        Hash::from_slice(&self.writes).unwrap_or(Hash::ZERO)
     }
 
     /// The transactions whose ids this block has taken: position, id, and until when it is remembered.

@@ -35,7 +35,7 @@ impl Proofs {
         let proof = self
             .peers
             .certificates
-            .covering(&self.ordering.storage.ledger, height, index)
+            .covering(&self.ordering.storage.ledger, height)
             .await?
             .ok_or_else(|| no_proof(height))?;
         let turn = self.questions.turn(&reader).await;
@@ -62,9 +62,9 @@ fn make(
     for caused in own.events.iter().filter(|emitted| emitted.index == Some(index)) {
         ledger.may_read(reader, &caused.event)?;
     }
-    let headers =
-        (height..=last).map(|height| Ok(block(blocks, height)?.header.clone())).collect::<Result<_, Rejection>>();
-    Link::of((&own.transactions, index), certificate(ledger, &own, index)?, headers?, proof)
+    let before = ledger.block_hashes(height.saturating_sub(1))?.ok_or_else(|| no_proof(height))?.digest;
+    let later = (height + 1..=last).map(|height| block(blocks, height));
+    Link::of((&own, index), before, certificate(ledger, &own, index)?, later, proof)
 }
 
 fn block(blocks: &Blocks, height: u64) -> Result<Arc<Outcome>, Rejection> {

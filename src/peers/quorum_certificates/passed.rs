@@ -1,13 +1,12 @@
-//! Certificates of long ago: about one in ten seconds of block time is kept with the ground of its block, as long as blocks are. So is
-//! that of each block with calls about control, with their verdicts.
+//! Certificates of long ago: about one in ten seconds of block time is kept with the ground of its block, as long as blocks are.
 //!
-//! Each proves all blocks before it, by their headers. Files hold some 4 MiB of records, `length u32 BE` and the bytes of a
+//! Each proves all blocks before it, by their headers, and their verdicts, by their effects. Files hold some 4 MiB of records, `length u32 BE` and the bytes of a
 //! proof. They are named by the height of the first one, `HEIGHT.passed` with 20 digits. A torn record at the end of a file, which
 //! a crash may leave, ends what is read of it. Each start begins a new file.
 
 use ledger_base::durable::failed;
 use ledger_base::rejection::Rejection;
-use ledger_light::Proof;
+use ledger_light::{Proof, Statement};
 use ledger_light::proof::PROOF_BYTES_MAX;
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
@@ -55,20 +54,14 @@ impl Passed {
         height > last && time >= at.saturating_add(EVERY_US)
     }
 
-    /// Is a block of that height newer than all that were kept in this run?
-    pub(super) fn is_next(&self, height: u64) -> bool {
-        height > self.lock().last.0
-    }
-
-    /// Keeps the proofs of a block. Blocks before `first` are dropped, and with them what proves no other.
+    /// Keeps the proof of a block. Blocks before `first` are dropped, and with them what proves no other.
     ///
     /// # Errors
     /// A fault of the disk.
-    pub(super) fn keep(&self, proofs: &[Proof], first: u64) -> Result<(), Rejection> {
-        let Some(statement) = proofs.first().map(|proof| proof.certificate.statement) else { return Ok(()) };
-        let height = statement.height;
+    pub(super) fn keep(&self, proof: &Proof, first: u64) -> Result<(), Rejection> {
+        let Statement { height, time, .. } = proof.certificate.statement;
         let mut files = self.lock();
-        files.last = (height, statement.time);
+        files.last = (height, time);
         if files.open.as_ref().is_none_or(|(_, size)| *size >= FILE_BYTES) {
             files.open = None;
             let path = self.path(height);
@@ -77,15 +70,11 @@ impl Passed {
             files.first.insert(height);
             self.drop_old(&mut files, first)?;
         }
-        let mut records = Vec::new();
-        for proof in proofs {
-            let bytes = proof.to_bytes();
-            records.extend_from_slice(&(bytes.len() as u32).to_be_bytes());
-            records.extend_from_slice(&bytes);
-        }
+        let bytes = proof.to_bytes();
+        let record = [&(bytes.len() as u32).to_be_bytes()[..], &bytes].concat();
         let Some((file, size)) = &mut files.open else { return Ok(()) };
-        *size += records.len() as u64;
-        let written = file.write_all(&records);
+        *size += record.len() as u64;
+        let written = file.write_all(&record);
         if written.is_err() {
             // Whatever of it is in the file is the torn end.
             files.open = None;
@@ -98,18 +87,6 @@ impl Passed {
     /// # Errors
     /// A fault of the disk.
     pub(super) fn at_or_after(&self, height: u64) -> Result<Option<Proof>, Rejection> {
-        self.at_or_after_with(height, |_| true)
-    }
-
-    /// The same; of several proofs of that block the one that shows something, if one does.
-    ///
-    /// # Errors
-    /// A fault of the disk.
-    pub(super) fn at_or_after_with(
-        &self,
-        height: u64,
-        shows: impl Fn(&Proof) -> bool,
-    ) -> Result<Option<Proof>, Rejection> {
         let first = self.lock().first.clone();
         let begin = first.range(..=height).next_back().copied().unwrap_or(0);
         for file in first.range(begin..) {
@@ -119,13 +96,9 @@ impl Passed {
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => continue,
                 read => read.map_err(|error| failed("read", &path, &error))?,
             };
-            let mut found = records(&bytes).skip_while(|proof| height_of(proof) < height);
-            if let Some(next) = found.next() {
-                if shows(&next) {
-                    return Ok(Some(next));
-                }
-                let better = found.take_while(|proof| height_of(proof) == height_of(&next)).find(|proof| shows(proof));
-                return Ok(Some(better.unwrap_or(next)));
+            let found = records(&bytes).find(|proof| proof.certificate.statement.height >= height);
+            if found.is_some() {
+                return Ok(found);
             }
         }
         Ok(None)
@@ -157,10 +130,6 @@ impl Passed {
     }
 }
 
-fn height_of(proof: &Proof) -> u64 {
-    proof.certificate.statement.height
-}
-
 /// The proofs of a file, up to whatever is none.
 fn records(bytes: &[u8]) -> impl Iterator<Item = Proof> {
     let mut rest = bytes;
@@ -180,9 +149,8 @@ fn records(bytes: &[u8]) -> impl Iterator<Item = Proof> {
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
-    use bytes::Bytes;
     use ledger_base::hash::Hash;
-    use ledger_light::{Certificate, Signature, Statement};
+    use ledger_light::Certificate;
 
     fn proof(height: u64) -> Proof {
         let statement = Statement {
@@ -201,43 +169,24 @@ mod tests {
     }
 
     #[test]
-    fn of_several_proofs_of_a_block_the_one_that_shows_something_is_found() {
-        let place = tempfile::tempdir().unwrap();
-        let passed = Passed::open(place.path()).unwrap();
-        let signed = |height, node| {
-            let mut proof = proof(height);
-            proof.certificate.signatures = vec![Signature { node, certificate: Bytes::new(), signature: Bytes::new() }];
-            proof
-        };
-        passed.keep(&[signed(3, 1), signed(3, 2), signed(3, 3)], 0).unwrap();
-        passed.keep(&[signed(4, 4)], 0).unwrap();
-        let found = |height, wanted: u64| {
-            let shows = |proof: &Proof| proof.certificate.signatures[0].node == wanted;
-            passed.at_or_after_with(height, shows).unwrap().map(|proof| proof.certificate.signatures[0].node)
-        };
-        assert_eq!([found(2, 3), found(3, 2), found(3, 4), found(4, 4)], [Some(3), Some(2), Some(1), Some(4)]);
-        assert!(!passed.is_next(4) && passed.is_next(5));
-    }
-
-    #[test]
     fn the_next_certificate_after_a_height_is_found_also_after_a_start_and_a_torn_write() {
         let place = tempfile::tempdir().unwrap();
         let passed = Passed::open(place.path()).unwrap();
         for height in [3, 5, 9] {
             assert!(passed.wants(height, height * EVERY_US));
-            passed.keep(&[proof(height)], 0).unwrap();
+            passed.keep(&proof(height), 0).unwrap();
         }
         assert!(!passed.wants(10, 9 * EVERY_US + 1) && !passed.wants(9, 99 * EVERY_US));
         let file = passed.path(3);
         let whole = std::fs::read(&file).unwrap();
         std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
         let again = Passed::open(place.path()).unwrap();
-        again.keep(&[proof(12)], 0).unwrap();
+        again.keep(&proof(12), 0).unwrap();
         for (height, wanted) in [(0, Some(3)), (3, Some(3)), (4, Some(5)), (6, Some(12)), (12, Some(12)), (13, None)] {
             assert_eq!(found(&again, height), wanted, "{height}");
         }
         let third = Passed::open(place.path()).unwrap();
-        third.keep(&[proof(20)], 13).unwrap();
+        third.keep(&proof(20), 13).unwrap();
         assert_eq!(
             (found(&third, 0), file.exists()),
             (Some(12), false),

@@ -175,7 +175,7 @@ impl Source {
         if height == 0 || height > ledger.tip().height {
             return Ok(CertifiedResponse::default());
         }
-        let covering = self.certificates.covering(ledger, height, u32::MAX).await;
+        let covering = self.certificates.covering(ledger, height).await;
         let Some(proof) = covering.map_err(|fault| to_status(&fault))? else {
             // Blocks of the asking node may be higher than all that is certified here, and differ from lower ones.
             let newest = self.certificates.newest(ledger).map_err(|fault| to_status(&fault))?;

@@ -18,12 +18,11 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Write a file that proves who signed a transaction and where it stands, or check one without a network.
+/// Write a file that proves who signed a transaction and what became of it, or check one without a network.
 ///
 /// The file holds the signed transaction, its way to the root of its block, headers, and a certificate that a majority of the voters
-/// has signed. The way from the genesis, or from a checkpoint, to these voters is in it, too. Its reader needs the genesis, and believes no node. The
-/// place is proved for as long as blocks are kept, and so is the verdict of a call that changed something. The verdict of a message is
-/// proved for some minutes.
+/// has signed. The way from the genesis, or from a checkpoint, to these voters is in it, too. Its reader needs the genesis, and believes no node.
+/// Place and verdict are proved for as long as blocks are kept.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -104,8 +103,7 @@ struct Shown {
     chaincode: String,
     function: String,
     args: Vec<DecodedBytes>,
-    /// None if the file does not prove it.
-    code: Option<String>,
+    code: String,
     certified_height: u64,
     certified_time: u64,
     certified_block: Hash,
@@ -133,7 +131,7 @@ impl Shown {
             chaincode: body.chaincode.clone(),
             function: body.function.clone(),
             args: body.args.iter().map(|arg| DecodedBytes::read(arg)).collect(),
-            code: proved.verdict.map(|verdict| format!("LGR-{:04}", verdict.code)),
+            code: format!("LGR-{:04}", proved.verdict.code),
             certified_height,
             certified_time,
             certified_block,
@@ -156,12 +154,7 @@ impl Facts for Shown {
         table.pair("call", format!("{} {} {}", self.chaincode, self.function, args.join(" ")).trim_end());
         table.pair("block", format!("{}, index {}", self.height, self.index));
         table.pair("time", time::rfc3339(self.time));
-        let verdict = match self.code.as_deref() {
-            Some("LGR-0000") => "executed",
-            Some(code) => code,
-            None => "not proved by this file, which proves its place",
-        };
-        table.pair("verdict", verdict);
+        table.pair("verdict", if self.code == "LGR-0000" { "executed" } else { &self.code });
         let nodes = format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters);
         table.pair("certified", format!("block {}, {}", self.certified_height, time::rfc3339(self.certified_time)));
         table.pair("certified by", nodes);

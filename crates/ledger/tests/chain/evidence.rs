@@ -4,6 +4,7 @@ use ledger::evidence::{Evidence, Step};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
 use ledger_light::Change;
+use ledger_light::fact::Fact;
 use serde_json::Value;
 
 fn vectors() -> (Vec<u8>, Vec<Value>) {
@@ -29,9 +30,24 @@ fn evidence_proves_what_its_vector_says() {
             (proved.signer.id(), proved.header.height),
             (file["signer"].as_str().unwrap().into(), file["height"].as_u64().unwrap())
         );
-        assert_eq!(proved.verdict.map(|verdict| verdict.code), file["code"].as_u64().map(|code| code as u32));
-        assert_eq!(proved.certified.0 > proved.header.height, proved.verdict.is_none());
+        assert_eq!(Some(u64::from(proved.verdict.code)), file["code"].as_u64());
     }
+}
+
+#[test]
+fn a_verdict_is_proved_by_the_certificate_of_a_later_block() {
+    let (genesis, files) = vectors();
+    let mut evidence = Evidence::from_bytes(&bytes(&files[1])).unwrap();
+    let proved = evidence.check(&genesis, None).unwrap();
+    assert!(proved.certified.0 > proved.header.height, "the block of this one is not certified");
+    assert_eq!(evidence.link.verdict.later.len() as u64, proved.certified.0 - proved.header.height);
+    // Another verdict leads to another digest.
+    let Fact::Verdict { index, id, response, .. } = Fact::from_bytes(&evidence.link.verdict.verdict.fact).unwrap() else {
+        panic!("another fact")
+    };
+    let made_up = Fact::Verdict { index, id, code: 3002, response };
+    evidence.link.verdict.verdict.fact = made_up.to_bytes().into();
+    assert_eq!(evidence.check(&genesis, None).unwrap_err().code, Code::Untrusted);
 }
 
 #[test]

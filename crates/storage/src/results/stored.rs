@@ -42,7 +42,7 @@ struct Short {
     /// For each transaction [`FORETOLD`] and what follows it, or [`OTHERWISE`].
     #[prost(bytes = "bytes", tag = "8")]
     calls: Bytes,
-    /// Hash and digest of the block, then its [`Roots`] if it has them.
+    /// Hash and digest of the block, the hash over its writes, then its [`Roots`] if it has them.
     #[prost(bytes = "bytes", tag = "9")]
     link: Bytes,
 }
@@ -78,6 +78,7 @@ impl StoredResult {
             results: results.collect(),
             events: result.events.iter().filter(|emitted| !told(emitted.index)).cloned().collect(),
             roots: result.roots.clone(),
+            writes: result.writes.clone(),
         };
         Self { result: short, foretold }
     }
@@ -97,8 +98,8 @@ impl StoredResult {
                 results.push(outcome.clone());
             }
         }
-        let BlockResult { time, hash, digest, events, roots, .. } = &self.result;
-        let link = [hash.as_ref(), digest, roots].concat().into();
+        let BlockResult { time, hash, digest, writes, events, roots, .. } = &self.result;
+        let link = [hash.as_ref(), digest, writes, roots].concat().into();
         Short { time: *time, results, events: events.clone(), calls: calls.into(), link }.encode_to_vec().into()
     }
 
@@ -122,12 +123,13 @@ impl StoredResult {
             results.push(outcome.ok_or_else(|| unreadable("transactions without a result"))?);
             foretold.push(mark == FORETOLD);
         }
-        if others.next().is_some() || ![2 * size_of::<Hash>(), 5 * size_of::<Hash>()].contains(&link.len()) {
-            return Err(unreadable("results without a transaction, or no hash and digest"));
+        if others.next().is_some() || ![3 * size_of::<Hash>(), 6 * size_of::<Hash>()].contains(&link.len()) {
+            return Err(unreadable("results without a transaction, or no hashes"));
         }
-        let (hash, digest) = (link.split_to(size_of::<Hash>()), link.split_to(size_of::<Hash>()));
+        let mut hash = || link.split_to(size_of::<Hash>());
+        let (hash, digest, writes) = (hash(), hash(), hash());
         let kind = BlockKind::Transactions.into();
-        let result = BlockResult { term: 0, time, hash, digest, kind, results, events, roots: link };
+        let result = BlockResult { term: 0, time, hash, digest, kind, results, events, roots: link, writes };
         Ok(Self { result, foretold })
     }
 
@@ -216,6 +218,7 @@ mod tests {
             results: (1..=3).map(outcome).collect(),
             events: (0..3).map(|index| EmittedEvent { index: Some(index), event: event.clone() }).collect(),
             roots: Bytes::from_static(roots),
+            writes: Bytes::from(vec![3; 32]),
         };
         StoredResult::short(&result, &[true, false, true])
     }
