@@ -141,7 +141,7 @@ impl Blocks {
         };
         let (root, payload) = content(&entry);
         let header = Header { height, term: entry.term, time: result.time, previous, root };
-        let (hash, digest, kind) = (header.hash(), result.digest(), result.kind());
+        let (hash, digest, writes, kind) = (header.hash(), result.digest(), result.writes(), result.kind());
         if hash != result.hash() {
             return Err(Rejection::new(Code::Corrupt, format!("block {height} and its result do not belong together"))
                 .found(format!("hash {hash} of the block, {} of the result", result.hash()))
@@ -153,6 +153,7 @@ impl Blocks {
             header,
             hash,
             digest,
+            writes,
             kind,
             transactions: payload.unwrap_or_default().transactions,
             ids: result.results.iter().map(TransactionResult::id).collect(),

@@ -85,7 +85,7 @@ pub(crate) fn governing(state: &dyn StateRead, registry: &Registry, height: u64)
 pub(crate) const NOTHING: Roots = Roots { governing: Hash::ZERO, control: Hash::ZERO, results: Hash::ZERO };
 
 /// The verdicts of a block in order.
-pub(crate) fn verdicts(results: &[TransactionResult]) -> impl Iterator<Item = Fact<'static>> {
+pub(crate) fn verdicts<'a>(results: &'a [TransactionResult]) -> impl Iterator<Item = Fact<'a>> {
     (0u32..).zip(results).map(|(index, result)| Fact::Verdict {
         index,
         id: result.id(),

@@ -42,6 +42,7 @@ fn block(height: u64, previous: Hash) -> Outcome {
         hash: header.hash(),
         header,
         digest: Hash::of(&[&height.to_be_bytes()]),
+        writes: Hash::ZERO,
         kind: BlockKind::Transactions,
         transactions: Vec::new(),
         ids: Vec::new(),
