@@ -17,7 +17,7 @@ use crate::ordering::Ordering;
 use crate::ordering::orderer::Engines;
 use crate::ordering::spoken_rules::Telling;
 use crate::peers::conductor::Conductor;
-use crate::peers::quorum_certificates::Keys;
+use crate::peers::quorum_certificates::{Certificates, Keys};
 use crate::peers::{Peers, Tasks};
 use crate::process::config::Config;
 use crate::process::meters::{Meters, Traced};
@@ -52,6 +52,7 @@ pub(crate) struct Instance {
 /// A running instance.
 pub(crate) struct Running {
     pub(crate) ordering: Arc<Ordering>,
+    certificates: Arc<Certificates>,
     clients: Clients,
     housekeeping: Housekeeping,
     scrub: Scrub,
@@ -143,7 +144,8 @@ impl Instance {
         ];
         beside.extend(checks.start());
         beside.extend(clients.start(&author));
-        Ok(Running { ordering, clients, housekeeping, scrub, conductor, beside })
+        let certificates = Arc::clone(&peers.certificates);
+        Ok(Running { ordering, certificates, clients, housekeeping, scrub, conductor, beside })
     }
 }
 
@@ -159,10 +161,14 @@ impl Running {
     pub(crate) async fn stop(self) {
         // A panic of it would have ended the process.
         let _ended = self.conductor.await;
-        let (slot, housekeeping, scrub) = (Arc::clone(&self.ordering.slot), self.housekeeping, self.scrub);
+        let (ordering, certificates) = (Arc::clone(&self.ordering), self.certificates);
+        let (housekeeping, scrub) = (self.housekeeping, self.scrub);
         let ended = tokio::task::spawn_blocking(move || {
             scrub.stop();
-            slot.stop();
+            ordering.slot.stop();
+            if let Err(fault) = certificates.keep_newest(&ordering.storage.ledger) {
+                tracing::warn!(code = fault.code.name(), reason = %fault, "the newest proof is not kept");
+            }
             housekeeping.stop();
         });
         if ended.await.is_err() {

@@ -54,7 +54,7 @@ use tokio::time::{MissedTickBehavior, interval};
 
 /// Pause before the disk is asked again for a block that is to be signed.
 const DISK_PAUSE: Duration = Duration::from_millis(2);
-/// Time between two writes of the newest proof, at least: a crash loses that much of them.
+/// Time between two writes of the newest proof: a crash loses at most that much.
 const KEEP_EVERY: Duration = Duration::from_secs(2);
 /// Time until the proofs of misbehaviour are sent to every member again: a member may have been away.
 const EVIDENCE_EVERY: Duration = Duration::from_secs(10);
@@ -82,6 +82,8 @@ pub(crate) struct Certificates {
     two: Mutex<String>,
     recent: Recent,
     kept: Kept,
+    /// Height of the newest proof that was written.
+    written: AtomicU64,
     passed: Passed,
 }
 
@@ -94,15 +96,15 @@ impl Certificates {
         let kept = Kept::open(data)?;
         // Bounded by what is executed, which takes longer than signing.
         let (told, events) = mpsc::unbounded_channel();
-        let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
+        let newest = kept.newest()?.map_or(0, |newest| newest.certificate.statement.height);
+        let [certified, written] = [newest; 2].map(AtomicU64::new);
         let evidence = Arc::new(Evidence::new(kept.misbehaviours()?));
         let two = Mutex::new(kept.kept_branch()?.as_ref().map(branches::two_certificates).unwrap_or_default());
         let (heard, shown, recent) = (Inbox::default(), Inbox::default(), Recent::default());
         let passed = Passed::open(kept.directory())?;
-        Ok((
-            Arc::new(Self { told, heard, shown, certified, lag: Lag::default(), evidence, two, recent, kept, passed }),
-            events,
-        ))
+        let lag = Lag::default();
+        let certificates = Self { told, heard, shown, certified, lag, evidence, two, recent, kept, written, passed };
+        Ok((Arc::new(certificates), events))
     }
 
     /// The proofs of misbehaviour.
@@ -163,14 +165,27 @@ impl Certificates {
     /// # Errors
     /// A fault of the store or of the disk.
     pub(crate) async fn covering(&self, ledger: &Ledger, height: u64) -> Result<Option<Proof>, Rejection> {
-        let mut passed = self.passed.at_or_after(height)?;
-        if passed.is_none() {
+        let newest = self.kept.newest()?.filter(|newest| newest.certificate.statement.height >= height);
+        let passed = self.passed.at_or_after(height)?;
+        if newest.is_none() && passed.is_none() {
             self.recent.wait_from(height).await;
-            passed = self.passed.at_or_after(height)?;
         }
         let recent = self.recent.at_or_after(height).map(|certificate| proof(ledger, certificate, |_| false));
-        let known = [recent.transpose()?.flatten(), passed, self.kept.governing(height)?].into_iter().flatten();
+        let known = [recent.transpose()?.flatten(), newest, passed, self.kept.governing(height)?].into_iter().flatten();
         Ok(known.min_by_key(|proof| proof.certificate.statement.height))
+    }
+
+    /// Writes the newest proof, unless it was written. A network that is quiet from now on has no later certificate.
+    ///
+    /// # Errors
+    /// A fault of the store or of the disk.
+    pub(crate) fn keep_newest(&self, ledger: &Ledger) -> Result<(), Rejection> {
+        let newest = self.recent.newest().filter(|newest| newest.statement.height > self.written.load(Relaxed));
+        let newest = newest.map(|certificate| proof(ledger, certificate, |_| false)).transpose()?.flatten();
+        let Some(newest) = newest else { return Ok(()) };
+        self.kept.write_newest(&newest)?;
+        self.written.fetch_max(newest.certificate.statement.height, Relaxed);
+        Ok(())
     }
 
     /// The proof of the newest certified block; none if there is none.
@@ -258,9 +273,9 @@ impl Certifying {
     pub(crate) async fn run(mut self) {
         let started = Instant::now();
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
-        let (mut effects, mut found, mut written) = (Vec::new(), Vec::new(), None);
-        let mut again = interval(EVIDENCE_EVERY);
-        again.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut effects, mut found) = (Vec::new(), Vec::new());
+        let [mut again, mut keeping] = [EVIDENCE_EVERY, KEEP_EVERY].map(interval);
+        [&mut again, &mut keeping].map(|every| every.set_missed_tick_behavior(MissedTickBehavior::Delay));
         loop {
             let event = tokio::select! {
                 told = self.told.recv() => match told {
@@ -294,6 +309,10 @@ impl Certifying {
                     self.disputes.again(&mut found);
                     None
                 }
+                _ = keeping.tick() => {
+                    self.keep_newest().await;
+                    None
+                }
                 () = tokio::time::sleep(DISK_PAUSE), if self.certifier.waits_for_disk() => Some(Event::Time),
                 () = until(self.certifier.wait(now())) => Some(Event::Time),
             };
@@ -305,7 +324,7 @@ impl Certifying {
                     &mut effects,
                 );
                 for effect in effects.drain(..) {
-                    self.act(effect, &mut written, &mut found).await;
+                    self.act(effect, &mut found).await;
                 }
                 if let Err(fault) = self.disputes.look(self.certificates.certified(), &mut found) {
                     tracing::warn!(code = fault.code.name(), reason = %fault, "cannot compare the blocks of voters");
@@ -324,9 +343,9 @@ impl Certifying {
         self.disputes.heard(now, from, signed, &view, found);
     }
 
-    async fn act(&mut self, effect: Effect, written: &mut Option<Instant>, found: &mut Vec<disputes::Effect>) {
+    async fn act(&mut self, effect: Effect, found: &mut Vec<disputes::Effect>) {
         match effect {
-            Effect::Record(statement) => self.keep(move |files| files.record(&statement)).await,
+            Effect::Record(statement) => self.keep(move |certificates| certificates.kept.record(&statement)).await,
             // Lost where a member is not connected; the newest own one is sent again.
             Effect::Tell(signed) => self.send_statement(&signed),
             Effect::Pass(signed) => {
@@ -339,33 +358,34 @@ impl Certifying {
                 self.certificates.certified.fetch_max(height, Relaxed);
                 let is_newest = height >= self.certifier.executed_height();
                 self.certificates.lag.certified(is_newest, Instant::now());
-                let newest = height == self.certificates.certified();
-                let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
                 self.certificates.recent.add(certificate.clone());
                 let passes = self.certificates.passed.wants(height, certificate.statement.time);
-                if due || governs || passes {
-                    *written = if due { Some(Instant::now()) } else { *written };
-                    self.keep_proof(certificate, (due, governs, passes)).await;
+                if governs || passes {
+                    self.keep_proof(certificate, governs, passes).await;
                 }
             }
             Effect::Misbehaved(proof) => self.disputes.found(*proof, found),
         }
     }
 
-    /// Keeps a certificate.
-    async fn keep_proof(&self, certificate: Certificate, (newest, governs, passes): (bool, bool, bool)) {
+    /// Keeps a certificate for good: it governs, or proves the blocks of ten seconds.
+    async fn keep_proof(&self, certificate: Certificate, governs: bool, passes: bool) {
         let (ledger, first) =
             (Arc::clone(&self.ordering.storage.ledger), self.ordering.storage.log.store.first_index());
-        let certificates = Arc::clone(&self.certificates);
-        self.keep(move |kept| {
+        self.keep(move |certificates| {
             // One that was certified long after it was executed is left out. Another node has it.
             let Some(proof) = proof(&ledger, certificate, |_| false)? else { return Ok(()) };
             if passes {
                 certificates.passed.keep(&proof, first)?;
             }
-            kept.proof(&proof, newest, governs)
+            if governs { certificates.kept.write_governing(&proof) } else { Ok(()) }
         })
         .await;
+    }
+
+    async fn keep_newest(&self) {
+        let ledger = Arc::clone(&self.ordering.storage.ledger);
+        self.keep(move |certificates| certificates.keep_newest(&ledger)).await;
     }
 
     fn send_statement(&self, signed: &Signed) {
@@ -392,7 +412,7 @@ impl Certifying {
             disputes::Effect::Exclude(liars) => self.ordering.slot.exclude(liars),
             disputes::Effect::Keep(proof) => {
                 self.say(&proof);
-                self.keep(move |files| files.misbehaviour(&proof)).await;
+                self.keep(move |certificates| certificates.kept.misbehaviour(&proof)).await;
             }
             disputes::Effect::Diverged { height } => self.stop(height).await,
             disputes::Effect::Contradicted { branch, own } => self.end_contradicted(*branch, own).await,
@@ -458,9 +478,9 @@ impl Certifying {
     }
 
     /// Writes to the disk, on a thread that may wait for it.
-    async fn keep(&self, write: impl FnOnce(&Kept) -> Result<(), Rejection> + Send + 'static) {
+    async fn keep(&self, write: impl FnOnce(&Certificates) -> Result<(), Rejection> + Send + 'static) {
         let certificates = Arc::clone(&self.certificates);
-        match tokio::task::spawn_blocking(move || write(&certificates.kept)).await {
+        match tokio::task::spawn_blocking(move || write(&certificates)).await {
             Ok(Ok(())) => {}
             Ok(Err(fault)) => tracing::warn!(code = fault.code.name(), reason = %fault, "a proof is not kept"),
             Err(_) => tracing::error!("a thread panicked while it wrote a proof"),

@@ -239,8 +239,10 @@ fn a_robot_at_the_node_obeys_the_certified_branch_alone_before_the_node_meets_it
         let mut node = scene.b1().start_as(scene.certified.within(&scene.b1().command()));
         let bridge = scene.bridge(&scene.certified);
         let before = bridge.stderr().matches(READY).count();
-        until("the bridge is ready again", || async { (bridge.stderr().matches(READY).count() > before).then_some(()) })
-            .await;
+        until("the bridge is ready again", || async {
+            (bridge.stderr().matches(READY).count() > before).then_some(())
+        })
+        .await;
         scene.certified.does(&scene.farhad, &WORDS).await;
         assert!(passed(bridge) > 0, "the holder of the certified branch drives");
         node.interrupt();

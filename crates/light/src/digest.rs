@@ -72,7 +72,10 @@ impl ProvedVerdict {
         });
         found.filter(|_| after == Some(digest) && self.later.len() + 1 == blocks).ok_or_else(|| {
             Rejection::new(Code::Untrusted, "the verdict is not the one of the certified chain")
-                .found(format!("a way over {} blocks that leads elsewhere, or another transaction", self.later.len() + 1))
+                .found(format!(
+                    "a way over {} blocks that leads elsewhere, or another transaction",
+                    self.later.len() + 1
+                ))
                 .wanted(format!("one over {blocks} blocks to the state digest {digest}"))
                 .next("ask another node")
         })

@@ -14,14 +14,13 @@ impl Certifying {
     pub(super) async fn end_contradicted(&self, branch: CertifiedBranch, own: Hash) {
         let reason = contradicted(&branch, &own.to_string());
         let ordering = Arc::clone(&self.ordering);
-        let newest = self.certificates.newest(&ordering.storage.ledger).ok().flatten();
         let certificates = Arc::clone(&self.certificates);
         let ended = tokio::task::spawn_blocking(move || {
             ordering.slot.stop();
             let mark = ordering.storage.data.join(CONTRADICTED_FILE);
             let kept = replace(&mark, &branch.to_bytes(), PUBLIC_MODE);
             // What the own certificate covers is never dropped.
-            let kept = kept.and(newest.map_or(Ok(()), |newest| certificates.kept.proof(&newest, true, false)));
+            let kept = kept.and_then(|()| certificates.keep_newest(&ordering.storage.ledger));
             if let Err(fault) = kept {
                 tracing::error!(code = fault.code.name(), reason = %fault, "cannot keep the certificate that contradicts this node");
             }
@@ -40,7 +39,7 @@ impl Certifying {
         }
         let (height, other) = (branch.height(), branch.block());
         tracing::error!(height, %other, "voters have certified another block than this node's own certificate covers; people must decide");
-        self.keep(move |kept| kept.other_branch(&branch)).await;
+        self.keep(move |certificates| certificates.kept.other_branch(&branch)).await;
     }
 }
 

@@ -156,13 +156,20 @@ impl Kept {
             .ok())
     }
 
-    /// Keeps a proof: as the newest, and for good if its block changed who governs.
-    pub(super) fn proof(&self, proof: &Proof, newest: bool, governs: bool) -> Result<(), Rejection> {
-        let bytes = proof.to_bytes();
-        if governs {
-            replace(&self.0.join(of_height(proof.certificate.statement.height)), &bytes, PUBLIC_MODE)?;
-        }
-        if newest { replace(&self.0.join(NEWEST_PROOF_FILE), &bytes, PUBLIC_MODE) } else { Ok(()) }
+    /// Keeps the newest proof.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(super) fn write_newest(&self, proof: &Proof) -> Result<(), Rejection> {
+        replace(&self.0.join(NEWEST_PROOF_FILE), &proof.to_bytes(), PUBLIC_MODE)
+    }
+
+    /// Keeps the proof of a block that changed who governs, for good.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(super) fn write_governing(&self, proof: &Proof) -> Result<(), Rejection> {
+        replace(&self.0.join(of_height(proof.certificate.statement.height)), &proof.to_bytes(), PUBLIC_MODE)
     }
 
     /// Keeps the certified part of another branch that contradicts an own certificate.
@@ -324,7 +331,12 @@ mod tests {
         assert_eq!((kept.newest().unwrap(), kept.misbehaviours().unwrap()), (None, Vec::new()));
         for (height, newest, governs) in [(5, true, true), (4, false, true), (6, true, false)] {
             let certificate = Certificate { statement: statement(height), signatures: Vec::new() };
-            kept.proof(&Proof { certificate, facts: Vec::new() }, newest, governs).unwrap();
+            let proof = Proof { certificate, facts: Vec::new() };
+            [newest, governs]
+                .iter()
+                .zip([Kept::write_newest, Kept::write_governing])
+                .filter(|(wanted, _)| **wanted)
+                .for_each(|(_, write)| write(&kept, &proof).unwrap());
         }
         let keep = |proof: &Misbehaviour| kept.misbehaviour(proof).unwrap();
         (1..=10).for_each(|height| keep(&lie(3, height)));
@@ -376,7 +388,8 @@ mod tests {
         let (place, aside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let kept = Kept::open(place.path()).unwrap();
         let certificate = Certificate { statement: statement(5), signatures: Vec::new() };
-        kept.proof(&Proof { certificate, facts: Vec::new() }, true, true).unwrap();
+        let proof = Proof { certificate, facts: Vec::new() };
+        kept.write_newest(&proof).and_then(|()| kept.write_governing(&proof)).unwrap();
         std::fs::write(kept.0.join("00000000000000000005.passed"), b"").unwrap();
         let proofs = [lie(2, 3), votes(2, 4), fault(2, 5)];
         proofs.iter().for_each(|proof| kept.misbehaviour(proof).unwrap());

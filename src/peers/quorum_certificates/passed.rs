@@ -6,8 +6,8 @@
 
 use ledger_base::durable::failed;
 use ledger_base::rejection::Rejection;
-use ledger_light::{Proof, Statement};
 use ledger_light::proof::PROOF_BYTES_MAX;
+use ledger_light::{Proof, Statement};
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::Write;

@@ -42,7 +42,8 @@ fn a_verdict_is_proved_by_the_certificate_of_a_later_block() {
     assert!(proved.certified.0 > proved.header.height, "the block of this one is not certified");
     assert_eq!(evidence.link.verdict.later.len() as u64, proved.certified.0 - proved.header.height);
     // Another verdict leads to another digest.
-    let Fact::Verdict { index, id, response, .. } = Fact::from_bytes(&evidence.link.verdict.verdict.fact).unwrap() else {
+    let Fact::Verdict { index, id, response, .. } = Fact::from_bytes(&evidence.link.verdict.verdict.fact).unwrap()
+    else {
         panic!("another fact")
     };
     let made_up = Fact::Verdict { index, id, code: 3002, response };
