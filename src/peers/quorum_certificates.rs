@@ -275,7 +275,9 @@ impl Certifying {
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
         let (mut effects, mut found) = (Vec::new(), Vec::new());
         let [mut again, mut keeping] = [EVIDENCE_EVERY, KEEP_EVERY].map(interval);
-        [&mut again, &mut keeping].map(|every| every.set_missed_tick_behavior(MissedTickBehavior::Delay));
+        for every in [&mut again, &mut keeping] {
+            every.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        }
         loop {
             let event = tokio::select! {
                 told = self.told.recv() => match told {

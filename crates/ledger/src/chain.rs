@@ -257,7 +257,7 @@ impl Ledger {
         };
         let changed_organisations = [ORGANISATION_KEYS, LIST_KEYS, STALE_KEYS].into_iter().any(wrote);
         let changed_rules = writes.contains_key(RULES_KEY);
-        let (hash, digest, kind, wrote) = (tip.hash, tip.digest, result.kind(), result.writes());
+        let (hash, digest, kind) = (tip.hash, tip.digest, result.kind());
         // Who sees the block as executed finds all of it.
         self.results.push(tip.height, &result, &foretold)?;
         {
@@ -277,21 +277,9 @@ impl Ledger {
         if changed_rules {
             self.reload_rules()?;
         }
-        let (results, events) = (result.results, result.events);
+        let (writes, results, events) = (result.writes(), result.results, result.events);
         let certifiable = certifiable.filter(|_| !is_unwanted);
-        Ok(Outcome {
-            header,
-            hash,
-            digest,
-            writes: wrote,
-            kind,
-            transactions,
-            ids,
-            results,
-            events,
-            certifiable,
-            governs,
-        })
+        Ok(Outcome { header, hash, digest, writes, kind, transactions, ids, results, events, certifiable, governs })
     }
 
     /// The same for blocks that are about to be applied one after the other. It changes no verdict: applying them looks

@@ -53,8 +53,8 @@ pub struct ProvedVerdict {
 }
 
 impl ProvedVerdict {
-    /// The number of the code and the hash of the answer of the transaction with this id, at this position of its block, if
-    /// the way leads to `digest` over as many blocks.
+    /// The number of the code and the hash of the answer, if the way leads over so many blocks to `digest`, and from the transaction
+    /// with this id at this position of its block.
     ///
     /// # Errors
     /// [`Code::Untrusted`] if it does not, or is that of another transaction; [`Code::Malformed`].

@@ -196,11 +196,11 @@ impl Link {
         Ok(Verdict { code, response })
     }
 
-    /// The link of a transaction, which a node makes of what it has: its block, the state digest before that, the certificate of its
-    /// creator, the blocks after it up to the certified one, and the proof of that.
+    /// The link of a transaction, which a node makes of what it has. `before` is the state digest before its block, `later` are
+    /// the blocks after it up to the certified one.
     ///
     /// # Errors
-    /// [`Code::Internal`] if there is no such transaction in the block; what reading a block says.
+    /// [`Code::Internal`] if there is no such transaction in the block, or the fault of a block that cannot be read.
     pub fn of(
         (own, index): (&Outcome, u32),
         before: Hash,
