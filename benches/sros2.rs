@@ -173,7 +173,7 @@ fn after_the_end_with_sros2(keystore: &Keystore, robot: &Path) -> usize {
 fn revoked_on_the_ledger(runtime: &Runtime, site: &Site, ends: &mut Ends) -> Option<Duration> {
     let founding = site.network.founding();
     let certificate = Certificate::parse(&founding.salma.chain[0]).unwrap();
-    let issuer = hex::encode(Hash::of(&[&certificate.issuer_name]).0);
+    let issuer = hex::encode(certificate.issuer_name.hash().0);
     let args = vec![issuer.into(), hex::encode(&certificate.serial).into()];
     let admin = runtime.block_on(site.network.connect(&founding.operator));
     let mut revoking = None;

@@ -7,7 +7,7 @@ use crate::process::config::{Config, Fault, OfBridge};
 use crate::process::terminal::{eprint_line, print_line, stop_signal};
 use crate::process::{memory, telemetry};
 use crate::tools::ca_commands;
-use crate::tools::{backup, demo, dev, join, lab, recover, setup, verify};
+use crate::tools::{backup, demo, dev, join, lab, prove, recover, setup, verify};
 use clap::{CommandFactory, Parser, Subcommand};
 use futures::{Stream, stream};
 use ledger_api::report;
@@ -83,6 +83,9 @@ enum Command {
     /// the first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the
     /// others. Blocks that call a chaincode of your own are verified by the program that has that chaincode.
     Verify(verify::Options),
+    /// Proves what policies can never permit.
+    #[command(subcommand)]
+    Policy(prove::Policy),
     /// Prints what a shell needs to complete these commands.
     Completions {
         /// The shell.
@@ -136,12 +139,12 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
 /// Runs a program of its own beside the command line, such as an experiment on [`crate::demo`]: a rejection goes to
 /// standard error, and decides the exit code.
 pub fn run_program(body: impl Future<Output = Result<(), Rejection>>) -> ExitCode {
-    exit_code(block_on(body))
+    exit_code(block_on(body).map(|()| ExitCode::SUCCESS))
 }
 
-fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
+fn exit_code(outcome: Result<ExitCode, Rejection>) -> ExitCode {
     match outcome {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(rejection) => {
             eprint_line(&report(&rejection));
             ExitCode::from(match rejection.code {
@@ -154,8 +157,8 @@ fn exit_code(outcome: Result<(), Rejection>) -> ExitCode {
     }
 }
 
-fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
-    match command {
+fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejection> {
+    let done = match command {
         Command::Demo(options) => block_on(demo::run(options)),
         Command::Dev(options) => block_on(dev::run(builder, options)),
         Command::Lab(options) => block_on(lab::run(options)),
@@ -182,11 +185,11 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
         Command::Join(options) => {
             block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
-            if !options.run {
-                return Ok(());
+            if options.run {
+                let options = RunOptions { config: options.config, trust_clock: false };
+                return execute(Command::Run(options), builder);
             }
-            let options = RunOptions { config: options.config, trust_clock: false };
-            execute(Command::Run(options), builder)
+            Ok(())
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
@@ -226,6 +229,10 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Bridge(WithConfig { config: path }) => run_bridge(&path),
         Command::Verify(options) => verify::run(builder, &options),
+        Command::Policy(command) => {
+            let is_proved = prove::run(command)?;
+            return Ok(if is_proved { ExitCode::SUCCESS } else { ExitCode::FAILURE });
+        }
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Arguments::command(), "ledgerd", &mut script);
@@ -237,7 +244,8 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
                 .found(error.to_string())
                 .next("name a directory that exists and that you may write to")
         }),
-    }
+    };
+    done.map(|()| ExitCode::SUCCESS)
 }
 
 /// Runs a bridge that is a process of its own, with its page.

@@ -86,6 +86,7 @@ pub(crate) fn identity(organisation: &str, name: &str, role: Role, serial: u64) 
         serial: serial.to_be_bytes().to_vec(),
         fingerprint: Hash::of(&[name.as_bytes(), &serial.to_be_bytes()]).0,
         public_key: PublicKey::from_spki(&spki).unwrap(),
+        valid_from: 0,
         not_before: 0,
         not_after: u64::MAX,
     }

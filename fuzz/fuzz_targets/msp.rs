@@ -11,7 +11,7 @@ use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
     let directory = files::write(&File::all(bytes));
-    if let Ok(read) = MspDirectory::read(directory.path(), "Org3") {
+    if let Ok(read) = MspDirectory::read(directory.path(), "Org3", 0) {
         let msp = Msp::new("Org3", &read.roots, &read.intermediates).expect("the ledger takes them too");
         assert!(read.lists.iter().all(|list| msp.verify_list(list).is_ok()));
     }

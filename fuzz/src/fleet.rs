@@ -140,6 +140,7 @@ fn person(organisation: &str, name: &str, role: Role) -> Identity {
         serial: vec![1],
         fingerprint: Hash::of(&[organisation.as_bytes(), name.as_bytes()]).0,
         public_key: PublicKey::from_spki(&key).expect("a key"),
+        valid_from: 0,
         not_before: 0,
         not_after: 2 * NOW,
     }

@@ -185,7 +185,7 @@ impl Audit {
     fn signer(&self, creator: &Hash) -> Option<Holder> {
         let name = self.storage.ledger.creator_name(creator)?;
         let parsed = Certificate::parse(&self.storage.ledger.certificate(creator).ok()??).ok()?;
-        let certificate = certificates::named(&Hash::of(&[&parsed.issuer_name]), &parsed.serial);
+        let certificate = certificates::named(&self.storage.ledger.msps().issuer(&parsed.issuer_name), &parsed.serial);
         Some(Holder { certificate, name })
     }
 

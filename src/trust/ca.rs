@@ -306,7 +306,7 @@ impl CertificateAuthority {
         registered.add(
             IssuedCertificate {
                 serial: certificate.serial,
-                issuer: Hash::of(&[&certificate.issuer_name]),
+                issuer: certificate.issuer_name.hash(),
                 fingerprint: Hash::of(&[&der]),
                 not_before: certificate.not_before,
                 not_after: certificate.not_after,

@@ -4,7 +4,6 @@ use crate::support::connect;
 use crate::support::wire;
 use crate::target::Target;
 use ledger_api::Context;
-use ledger_base::hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
 use std::time::Duration;
@@ -87,7 +86,7 @@ async fn a_revoked_certificate_loses_its_connections_also_one_that_only_listens(
     let mut listening = wire::tls(&farhad, true).await.unwrap();
     let mut other = wire::tls(&target.salma, true).await.unwrap();
     let certificate = Certificate::parse(&farhad.chain[0]).unwrap();
-    let issuer = hex::encode(Hash::of(&[&certificate.issuer_name]).0);
+    let issuer = hex::encode(certificate.issuer_name.hash().0);
     let revoked = vec![issuer.into(), hex::encode(&certificate.serial).into()];
     connect(&target.admin).await.invoke("msp", "revoke", revoked).await.unwrap();
     closed(&mut listening).await;

@@ -186,7 +186,7 @@ async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_roo
     let refused = client.invoke("abac", "acquire", acquire("Turtlebot4")).await.unwrap_err();
     assert_eq!(refused.code, Code::DiskFull, "{refused}");
     let certificate = ledger_identity::certificate::Certificate::parse(&salma.chain[0]).unwrap();
-    let issuer = hex::encode(ledger_base::hash::Hash::of(&[&certificate.issuer_name]).0);
+    let issuer = hex::encode(certificate.issuer_name.hash().0);
     let revoked = vec![issuer.into(), hex::encode(&certificate.serial).into()];
     boss.invoke("msp", "revoke", revoked).await.unwrap();
     assert!(!held().await.contains("Husky"), "{}", held().await);

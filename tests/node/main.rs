@@ -52,6 +52,7 @@ mod packaging;
 mod passing;
 mod policies;
 mod power;
+mod proofs;
 mod readers;
 mod rebuild;
 mod reference;

@@ -65,6 +65,7 @@ pub use ledger_contract::{
     ShareTerms, Sharing, SideDoor, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told, UnsharePreview,
     Wrapped,
 };
+pub use policy::analysis::{Analysis, terms};
 pub use policy::defaults::{DEFAULT_POLICY, SCHEMA};
 pub use policy::limits::POLICY_BYTES_MAX;
 pub use rules::{Claim, Decision, Rule, Situation, contend, precedence};

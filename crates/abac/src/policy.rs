@@ -6,6 +6,7 @@
 //! that is left, so stacks of different sizes would decide differently on different nodes.
 
 pub(crate) mod action;
+pub(crate) mod analysis;
 mod annotation;
 mod asked;
 pub(crate) mod by_rule;

@@ -13,11 +13,11 @@
 mod node_units;
 
 use ledger_base::rejection::{Code, Rejection};
-use ledger_identity::Role;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
-use ledger_identity::msp::Msp;
+use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::revocation_list::{LIST_BYTES_MAX, RevocationList};
 use ledger_identity::units::Units;
+use ledger_identity::{Identity, IdentityError, Role};
 use rustls_pki_types::pem::PemObject;
 use rustls_pki_types::{CertificateDer, CertificateRevocationListDer};
 use std::collections::BTreeMap;
@@ -47,14 +47,16 @@ pub struct MspDirectory {
     pub lists: Vec<Vec<u8>>,
     /// Hints for its owner, each a warning and the next step.
     pub warnings: Vec<[String; 2]>,
+    msp: Msp,
 }
 
 impl MspDirectory {
-    /// Reads the directory as that of an organisation of this name.
+    /// Reads the directory as that of an organisation of this name, at a time in microseconds since the UNIX epoch.
     ///
     /// # Errors
-    /// [`Code::BadFile`] with the file and its fault; [`Code::CertificateMalformed`] if the authorities do not fit together.
-    pub fn read(directory: &Path, organisation: &str) -> Result<Self, Rejection> {
+    /// [`Code::BadFile`] with the file and its fault; [`Code::CertificateMalformed`] if the authorities do not fit together, or
+    /// nobody could sign in by one of them.
+    pub fn read(directory: &Path, organisation: &str, at: u64) -> Result<Self, Rejection> {
         let mut warnings = Vec::new();
         let roots = certificates(directory, "cacerts")?;
         if roots.is_empty() {
@@ -86,12 +88,54 @@ impl MspDirectory {
                 "enable NodeOUs with an AdminOUIdentifier first, unless that is what you want".to_owned(),
             ]);
         }
+        for (path, root) in &roots {
+            let alone = Msp::new(organisation, std::slice::from_ref(root), &[] as &[Vec<u8>])?;
+            alone.check_entry(None, at).map_err(|error| refused_with(path, error))?;
+        }
         let ders = |read: Found| read.into_iter().map(|(_, der)| der).collect::<Vec<_>>();
         let (roots, intermediates) = (ders(roots), ders(intermediates));
         let msp = Msp::new(organisation, &roots, &intermediates)?.with_units(Some(units.clone()))?;
+        msp.check_entry(None, at)?;
         let lists = lists(directory, &msp)?;
-        Ok(Self { roots, intermediates, units, lists, warnings })
+        Ok(Self { roots, intermediates, units, lists, warnings, msp })
     }
+
+    /// The person whom the network would see, if this directory were its organisation: the first certificate in `signcerts` of a
+    /// directory, or in a file.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`], and the reason why the person could not sign in, as a node would give it.
+    pub fn person(&self, path: &Path, at: u64) -> Result<Identity, Rejection> {
+        let path = if path.is_dir() { signcert(path)? } else { path.to_owned() };
+        let chain = chain(&path)?;
+        let der = chain.first().map_or(&[][..], Vec::as_slice);
+        let mut msps = Msps::new();
+        msps.insert(self.msp.clone())?;
+        // Issuers that come along do not count on the ledger.
+        let person = msps.verify(der, &[], at).map_err(|error| refused_with(&path, error))?;
+        for list in &self.lists {
+            let (list, issuer) = self.msp.verify_list(list)?;
+            if issuer.name.0 == person.issuer && list.serials.contains(&person.serial) {
+                return Err(Rejection::new(Code::Revoked, format!("the certificate in {} is revoked", path.display()))
+                    .found(format!("serial {} in a list of {}", hex::encode(&person.serial), list.issuer))
+                    .wanted("a certificate that its CA still stands for"));
+            }
+        }
+        Ok(person)
+    }
+}
+
+/// The certificate in the directory of a person.
+fn signcert(directory: &Path) -> Result<PathBuf, Rejection> {
+    files(directory, "signcerts")?.into_iter().next().ok_or_else(|| {
+        bad(&directory.join("signcerts"), "no certificate")
+            .wanted("the MSP directory of a person, with the certificate in signcerts/*.pem, or the certificate itself")
+    })
+}
+
+/// The reason, with the file that it is about.
+fn refused_with(path: &Path, error: IdentityError) -> Rejection {
+    Rejection::from(error).prefix(format!("{}: ", path.display()))
 }
 
 /// A revocation list in PEM or DER.
@@ -152,15 +196,16 @@ fn certificates(directory: &Path, part: &str) -> Result<Found, Rejection> {
     Ok(found)
 }
 
-/// The newest list of each authority; each has to be signed by it.
+/// The newest list of each key of an authority and each scope; each has to be signed by it.
 fn lists(directory: &Path, msp: &Msp) -> Result<Vec<Vec<u8>>, Rejection> {
-    let mut newest: BTreeMap<Vec<u8>, (u64, Vec<u8>)> = BTreeMap::new();
+    let mut newest = BTreeMap::new();
     for path in files(directory, "crls")? {
         let der = list(&path)?;
-        let read = msp.verify_list(&der).map_err(|error| {
+        let (read, issuer) = msp.verify_list(&der).map_err(|error| {
             bad(&path, error.to_string()).wanted("a revocation list of an authority of this directory")
         })?;
-        let known = newest.entry(read.issuer_name).or_insert_with(|| (read.this_update, der.clone()));
+        let scope = (issuer.name, issuer.key, read.scope.point);
+        let known = newest.entry(scope).or_insert_with(|| (read.this_update, der.clone()));
         if known.0 < read.this_update {
             *known = (read.this_update, der);
         }

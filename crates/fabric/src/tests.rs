@@ -9,6 +9,9 @@ use rcgen::{
 use std::os::unix::fs::symlink;
 use tempfile::TempDir;
 
+/// 2030-01-01, microseconds since the UNIX epoch.
+const NOW: u64 = 1_893_456_000_000_000;
+
 type Issuer = CertifiedIssuer<'static, KeyPair>;
 
 fn params(name: &str) -> CertificateParams {
@@ -79,7 +82,7 @@ impl Place {
     }
 
     fn read(&self) -> Result<MspDirectory, Rejection> {
-        MspDirectory::read(self.directory.path(), "Org3")
+        MspDirectory::read(self.directory.path(), "Org3", NOW)
     }
 
     /// The refusal with this file.
@@ -210,7 +213,7 @@ fn links_and_what_is_no_file_are_not_followed() {
     }
     assert!(place.read().unwrap_err().found.contains("entries"));
     let empty = tempfile::tempdir().unwrap();
-    let refused = MspDirectory::read(empty.path(), "Org3").unwrap_err();
+    let refused = MspDirectory::read(empty.path(), "Org3", NOW).unwrap_err();
     assert!(refused.wanted.contains("cacerts/*.pem"), "{refused}");
 }
 

@@ -189,7 +189,7 @@ impl Network {
     /// The members after the revocation of these.
     pub fn members(&self, revoked: &[&User]) -> Members {
         let revoked = revoked.iter().filter_map(|user| user.revocation(self).key()).collect();
-        Members { msps: Arc::clone(&self.msps), revoked: Arc::new(revoked) }
+        Members { msps: Arc::clone(&self.msps), revoked: Arc::new(revoked), barred: Arc::default() }
     }
 }
 

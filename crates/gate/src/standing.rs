@@ -1,6 +1,7 @@
 //! How a robot stands: its services, who holds them, and who governs the network, as voters have signed it.
 
-use std::{collections::BTreeSet, sync::Arc};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -17,6 +18,8 @@ pub struct Members {
     pub msps: Arc<Msps>,
     /// Keys of the revoked certificates ([`Identity::revocation_key`]).
     pub revoked: Arc<BTreeSet<Vec<u8>>>,
+    /// Names whose certificates were revoked, up to when these begin: [`Governance::barred`].
+    pub barred: Arc<BTreeMap<String, u64>>,
 }
 
 impl Members {
@@ -26,12 +29,17 @@ impl Members {
     /// [`Code::Malformed`] if a record of an organisation cannot be read.
     pub fn of(governance: &Governance) -> Result<Self, Rejection> {
         let revoked = governance.revocations().map(<[u8]>::to_vec).collect();
-        Ok(Self { msps: Arc::new(governance.msps()?), revoked: Arc::new(revoked) })
+        Ok(Self {
+            msps: Arc::new(governance.msps()?),
+            revoked: Arc::new(revoked),
+            barred: Arc::new(governance.barred()?),
+        })
     }
 
-    /// Was this identity's certificate revoked?
+    /// Was this identity's certificate revoked, by itself or with its name?
     pub fn has_revoked(&self, identity: &Identity) -> bool {
-        self.revoked.contains(&identity.revocation_key())
+        let is_barred = || self.barred.get(&identity.id()).is_some_and(|time| identity.valid_from <= *time);
+        self.revoked.contains(&identity.revocation_key()) || (!self.barred.is_empty() && is_barred())
     }
 }
 

@@ -7,14 +7,21 @@ mod attributes;
 
 pub use attributes::{ATTRIBUTES_BYTES_MAX, ATTRIBUTES_MAX, ATTRIBUTES_OID, encode_attributes};
 
-use crate::identity::{IdentityError, Role, check_name, check_validity, printable};
-use std::collections::BTreeMap;
+use crate::der;
+use crate::distinguished_name::{COMMON_NAME, DistinguishedName, EMAIL, UNIT};
+use crate::identity::{IdentityError, Role, at_most, check_name, check_validity, malformed, printable};
+use crate::name_constraints::{GeneralName, NameConstraints};
+use crate::signature::Signed;
+use std::collections::{BTreeMap, BTreeSet};
 use x509_parser::certificate::X509Certificate;
 use x509_parser::error::X509Error;
-use x509_parser::oid_registry::Oid;
-use x509_parser::prelude::FromDer;
+use x509_parser::oid_registry::{
+    OID_X509_EXT_BASIC_CONSTRAINTS, OID_X509_EXT_CERTIFICATE_POLICIES, OID_X509_EXT_CRL_DISTRIBUTION_POINTS,
+    OID_X509_EXT_EXTENDED_KEY_USAGE, OID_X509_EXT_KEY_USAGE, OID_X509_EXT_NAME_CONSTRAINTS,
+    OID_X509_EXT_SUBJECT_ALT_NAME, Oid,
+};
+use x509_parser::prelude::{FromDer, X509Version};
 use x509_parser::time::ASN1Time;
-use x509_parser::x509::{AttributeTypeAndValue, X509Name};
 
 /// Largest certificate that is read, in bytes of DER.
 pub const CERTIFICATE_BYTES_MAX: usize = 16 * 1024;
@@ -41,10 +48,10 @@ pub struct Certificate {
     pub subject: String,
     /// The issuer, for people.
     pub issuer: String,
-    /// The subject's distinguished name in DER.
-    pub subject_name: Vec<u8>,
-    /// The issuer's distinguished name in DER.
-    pub issuer_name: Vec<u8>,
+    /// The subject's distinguished name.
+    pub subject_name: DistinguishedName,
+    /// The issuer's distinguished name.
+    pub issuer_name: DistinguishedName,
     /// The serial number: the content of a DER INTEGER that is not negative.
     pub serial: Vec<u8>,
     /// Start of validity, in microseconds since the UNIX epoch.
@@ -67,7 +74,27 @@ pub struct Certificate {
     key_usage: Option<KeyUsage>,
     /// The extended key usage extension, if there is one.
     extended_key_usage: Option<ExtendedKeyUsage>,
+    /// The names of the subject: the distinguished one, and those of the extension.
+    names: Vec<GeneralName>,
+    /// The names that it may certify.
+    name_constraints: Option<NameConstraints>,
+    /// A critical extension that is not known here.
+    unknown_critical: Option<String>,
+    /// The part that its issuer has signed, and the signature.
+    signed: Signed,
 }
+
+/// Critical extensions that are followed, or ask for nothing that could be left out. Policies count only for a verifier that
+/// wants some. Lists are read from the ledger, wherever a certificate says that they are.
+const KNOWN_CRITICAL: [Oid<'_>; 7] = [
+    OID_X509_EXT_KEY_USAGE,
+    OID_X509_EXT_SUBJECT_ALT_NAME,
+    OID_X509_EXT_BASIC_CONSTRAINTS,
+    OID_X509_EXT_NAME_CONSTRAINTS,
+    OID_X509_EXT_EXTENDED_KEY_USAGE,
+    OID_X509_EXT_CERTIFICATE_POLICIES,
+    OID_X509_EXT_CRL_DISTRIBUTION_POINTS,
+];
 
 #[derive(Clone, Copy, Debug)]
 struct KeyUsage {
@@ -90,38 +117,67 @@ impl Certificate {
     /// [`IdentityError::TooLarge`] before anything is parsed; [`IdentityError::Malformed`] with the reason.
     pub fn parse(der: &[u8]) -> Result<Self, IdentityError> {
         at_most("bytes of certificate", der.len(), CERTIFICATE_BYTES_MAX)?;
-        let (rest, parsed) = X509Certificate::from_der(der)
-            .map_err(|error| malformed(error.to_string(), "an X.509 version 3 certificate in DER"))?;
+        let wanted = "an X.509 version 3 certificate in DER";
+        let (rest, parsed) = X509Certificate::from_der(der).map_err(|error| malformed(error.to_string(), wanted))?;
         if !rest.is_empty() {
             return Err(malformed(format!("{} bytes after it", rest.len()), "a certificate and nothing after it"));
         }
-        Self::from_parsed(&parsed)
+        if !der::is_strict(der) {
+            return Err(malformed("an encoding that is not DER".into(), wanted));
+        }
+        if parsed.version() != X509Version::V3 {
+            return Err(malformed(format!("a certificate of version {}", parsed.version()), wanted));
+        }
+        let signed = Signed::of(der).ok_or_else(|| {
+            malformed("a signature in another form".into(), "one algorithm inside and outside, and whole bytes")
+        })?;
+        Self::from_parsed(&parsed, signed)
     }
 
-    fn from_parsed(parsed: &X509Certificate<'_>) -> Result<Self, IdentityError> {
+    fn from_parsed(parsed: &X509Certificate<'_>, signed: Signed) -> Result<Self, IdentityError> {
         let extension = |error: X509Error| malformed(error.to_string(), "each extension once, in its form");
         // x509-parser keeps an extension that it cannot read as an error inside, and its accessors would then say
         // "absent". A key usage or a CA flag that cannot be read must not pass as none.
         if let Some(bad) = parsed.extensions().iter().find(|found| found.parsed_extension().error().is_some()) {
             return Err(malformed(format!("an unreadable extension {}", bad.oid), "each extension once, in its form"));
         }
+        let mut once = BTreeSet::new();
+        if let Some(twice) = parsed.extensions().iter().find(|found| !once.insert(found.oid.as_bytes())) {
+            return Err(malformed(format!("the extension {} twice", twice.oid), "each extension once, in its form"));
+        }
+        let content =
+            |oid: &Oid<'_>| parsed.extensions().iter().find(|found| found.oid == *oid).map(|found| found.value);
+        let unknown = |oid: &Oid<'_>| !KNOWN_CRITICAL.contains(oid);
+        let unknown_critical = parsed.extensions().iter().find(|found| found.critical && unknown(&found.oid));
         let basic = parsed.basic_constraints().map_err(extension)?;
         let usage = parsed.key_usage().map_err(extension)?;
         let extended = parsed.extended_key_usage().map_err(extension)?;
         let oid = Oid::from(ATTRIBUTES_OID)
             .map_err(|_| malformed("the attribute OID".into(), "an object identifier that can be encoded"))?;
         let attributes = parsed.get_extension_unique(&oid).map_err(extension)?;
+        let subject_name = DistinguishedName::parse(parsed.subject().as_raw())?;
+        let issuer_name = DistinguishedName::parse(parsed.issuer().as_raw())?;
+        let mut names: Vec<_> = subject_name.values(EMAIL)?.into_iter().map(GeneralName::Email).collect();
+        if !subject_name.is_empty() {
+            names.push(GeneralName::Directory(subject_name.clone()));
+        }
+        if let Some(content) = content(&OID_X509_EXT_SUBJECT_ALT_NAME) {
+            names.extend(GeneralName::all(content)?);
+        }
+        if parsed.validity().not_before > parsed.validity().not_after {
+            return Err(malformed("an end of validity before its start".into(), "a time in which it is valid"));
+        }
         Ok(Self {
-            subject: name_text(parsed.subject()),
-            issuer: name_text(parsed.issuer()),
-            subject_name: parsed.subject().as_raw().to_vec(),
-            issuer_name: parsed.issuer().as_raw().to_vec(),
+            subject: name_text(&subject_name),
+            issuer: name_text(&issuer_name),
             serial: serial_number(parsed.raw_serial())?,
             not_before: microseconds(parsed.validity().not_before),
             not_after: microseconds(parsed.validity().not_after).saturating_add(999_999),
             public_key_info: parsed.public_key().raw.to_vec(),
-            common_names: values(parsed.subject().iter_common_name())?,
-            units: values(parsed.subject().iter_organizational_unit())?,
+            common_names: values(&subject_name, COMMON_NAME)?,
+            units: values(&subject_name, UNIT)?,
+            subject_name,
+            issuer_name,
             attributes: attributes.map(|found| found.value.to_vec()),
             is_authority: basic.as_ref().is_some_and(|found| found.value.ca),
             path_length_max: basic.and_then(|found| found.value.path_len_constraint),
@@ -135,6 +191,10 @@ impl Certificate {
                 client: found.value.client_auth,
                 server: found.value.server_auth,
             }),
+            names,
+            name_constraints: content(&OID_X509_EXT_NAME_CONSTRAINTS).map(NameConstraints::read).transpose()?,
+            unknown_critical: unknown_critical.map(|found| found.oid.to_id_string()),
+            signed,
         })
     }
 
@@ -230,22 +290,40 @@ impl Certificate {
         }
     }
 
+    /// Checks that an extended key usage, if there is one, allows this use to those whom this authority certifies.
+    pub(crate) fn allows(&self, usage: Usage) -> bool {
+        self.extended_key_usage
+            .is_none_or(|found| found.any || if usage == Usage::Client { found.client } else { found.server })
+    }
+
     /// How many authorities may stand between this one and an identity.
     pub(crate) fn path_length_max(&self) -> Option<u32> {
         self.path_length_max
     }
-}
 
-pub(crate) fn malformed(found: String, wanted: &'static str) -> IdentityError {
-    IdentityError::Malformed { found, wanted }
-}
+    /// Has it the name of its issuer? Such an authority does not count in the length of a path.
+    pub(crate) fn is_self_issued(&self) -> bool {
+        self.subject_name == self.issuer_name
+    }
 
-pub(crate) fn at_most(unit: &'static str, found: usize, max: usize) -> Result<(), IdentityError> {
-    if found > max { Err(IdentityError::TooLarge { unit, found, max }) } else { Ok(()) }
+    /// The part that its issuer has signed, and the signature.
+    pub(crate) fn signed(&self) -> &Signed {
+        &self.signed
+    }
+
+    /// The object identifier of a critical extension that is not known here.
+    pub(crate) fn unknown_critical(&self) -> Option<&str> {
+        self.unknown_critical.as_deref()
+    }
+
+    /// Checks that this authority may certify the names of that one; answers with what is wrong.
+    pub(crate) fn check_names(&self, of: &Self) -> Result<(), String> {
+        self.name_constraints.as_ref().map_or(Ok(()), |constraints| constraints.check(of.names.iter()))
+    }
 }
 
 /// A distinguished name for people, cut so that messages stay short.
-pub(crate) fn name_text(name: &X509Name<'_>) -> String {
+pub(crate) fn name_text(name: &DistinguishedName) -> String {
     name.to_string().chars().take(256).collect()
 }
 
@@ -267,12 +345,8 @@ pub(crate) fn serial_number(bytes: &[u8]) -> Result<Vec<u8>, IdentityError> {
     }
 }
 
-fn values<'a>(found: impl Iterator<Item = &'a AttributeTypeAndValue<'a>>) -> Result<Vec<String>, IdentityError> {
-    let mut values = Vec::new();
-    for value in found {
-        at_most("values of one kind in the subject", values.len() + 1, SUBJECT_VALUES_MAX)?;
-        let text = value.as_str().map_err(|error| malformed(error.to_string(), "a UTF-8 or printable string"))?;
-        values.push(text.to_owned());
-    }
+fn values(name: &DistinguishedName, kind: &[u8]) -> Result<Vec<String>, IdentityError> {
+    let values = name.values(kind)?;
+    at_most("values of one kind in the subject", values.len(), SUBJECT_VALUES_MAX)?;
     Ok(values)
 }

@@ -6,7 +6,7 @@
 mod error;
 
 pub use error::IdentityError;
-pub(crate) use error::printable;
+pub(crate) use error::{at_most, malformed, printable};
 
 use crate::key::PublicKey;
 use ledger_base::rejection::{Code, Rejection};
@@ -80,6 +80,8 @@ pub struct Identity {
     pub fingerprint: [u8; 32],
     /// Verifies what this identity signs.
     pub public_key: PublicKey,
+    /// Since when the certificate itself is valid, whatever its path, in microseconds since the UNIX epoch (block time).
+    pub valid_from: u64,
     /// Since when certificate and path are valid, in microseconds since the UNIX epoch (block time).
     pub not_before: u64,
     /// Until when certificate and path are valid: the last valid microsecond since the UNIX epoch (block time).

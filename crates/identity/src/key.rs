@@ -7,6 +7,7 @@
 
 mod ecdsa;
 mod ed25519;
+pub(crate) mod info;
 mod sec1;
 
 use ledger_base::shared_results::verified;
@@ -115,10 +116,13 @@ pub enum KeyError {
     },
     /// The public key of a certificate is of another kind.
     #[error(
-        "found a public key of another algorithm or form, wanted Ed25519 or an uncompressed point of ECDSA P-256 or P-384; \
+        "found {found}, wanted Ed25519 or an uncompressed point of ECDSA P-256 or P-384; \
          try a new key of kind ed25519 or p256"
     )]
-    UnsupportedPublicKey,
+    UnsupportedPublicKey {
+        /// The key in words.
+        found: String,
+    },
     /// An Ed25519 key of small order, which says nothing about who signed.
     #[error(
         "found an Ed25519 public key of small order, under which one signature fits every message, wanted the key of a \
@@ -354,6 +358,7 @@ impl PublicKey {
     /// [`KeyError::UnsupportedPublicKey`] for other algorithms, bytes that stand for no point, compressed points and
     /// superfluous bytes; [`KeyError::WeakPublicKey`].
     pub fn from_spki(der: &[u8]) -> Result<Self, KeyError> {
+        let unsupported = || KeyError::UnsupportedPublicKey { found: info::key_text(der) };
         let (kind, bytes) = if let Some(bytes) = der.strip_prefix(ED25519_INFO) {
             (KeyKind::Ed25519, bytes)
         } else if let Some(bytes) = der.strip_prefix(P256_INFO) {
@@ -361,7 +366,7 @@ impl PublicKey {
         } else if let Some(bytes) = der.strip_prefix(P384_INFO) {
             (KeyKind::P384, bytes)
         } else {
-            return Err(KeyError::UnsupportedPublicKey);
+            return Err(unsupported());
         };
         let key = Self::new(kind, bytes);
         match (&key.point, bytes) {
@@ -369,7 +374,7 @@ impl PublicKey {
             (Some(_), _) => Ok(key),
             (None, [0x04, ..]) if kind == KeyKind::P256 && bytes.len() == 65 => Ok(key),
             (None, [0x04, ..]) if kind == KeyKind::P384 && bytes.len() == 97 => Ok(key),
-            (None, _) => Err(KeyError::UnsupportedPublicKey),
+            (None, _) => Err(unsupported()),
         }
     }
 

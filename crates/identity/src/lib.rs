@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`key`] | keys of the kinds Ed25519, P-256 and P-384: making, reading, signing, verifying |
 //! | [`certificate`] | reading a certificate within limits, and its attributes |
+//! | [`distinguished_name`] | names of X.509, compared as RFC 5280 says |
 //! | [`msp`] | the organisations of a network, and the path from a certificate to one of their roots |
 //! | [`revocation_list`] | reading a revocation list within limits |
 //! | [`units`] | the units that name roles, where an organisation has words of its own |
@@ -25,11 +26,15 @@
 //! ```
 
 pub mod certificate;
+mod der;
+pub mod distinguished_name;
 mod identity;
 pub mod key;
 pub mod msp;
 mod name;
+mod name_constraints;
 pub mod revocation_list;
+mod signature;
 pub mod units;
 
 pub use identity::{Identity, IdentityError, NAME_BYTES_MAX, NEW_NAME_BYTES_MAX, Role, check_name, check_new_name};

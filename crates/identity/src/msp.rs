@@ -1,20 +1,23 @@
 //! The authorities of an organisation (MSP, as in Fabric), and the check of a certificate against
 //! those of all organisations.
 //!
-//! The path itself is checked by rustls-webpki. Its callers must check the rest, which happens here: the validity, path
-//! length and CA flag of the root, key usage, and that no certificate passes for two organisations.
+//! The path is checked as RFC 5280 section 6 says, a root like any other authority, without policies. Beyond that no
+//! certificate passes for two organisations.
 
+mod entry;
 mod path;
 
 pub use crate::certificate::Usage;
 
-use crate::certificate::{Certificate, at_most, malformed};
-use crate::identity::{Identity, IdentityError, check_name, printable};
+use crate::certificate::Certificate;
+use crate::distinguished_name::DistinguishedName;
+use crate::identity::{Identity, IdentityError, at_most, check_name, malformed, printable};
 use crate::key::PublicKey;
 use crate::revocation_list::RevocationList;
+use crate::signature::{Fault, WANTED};
 use crate::units::Units;
 use ledger_base::hash::Hash;
-use rustls_pki_types::{CertificateDer, TrustAnchor};
+use rustls_pki_types::CertificateDer;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
@@ -44,19 +47,22 @@ pub struct Msp {
 struct Authority {
     der: CertificateDer<'static>,
     certificate: Certificate,
-    /// Name, key and name constraints, as webpki wants a root.
-    anchor: TrustAnchor<'static>,
+}
+
+/// The authority that has signed a revocation list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ListIssuer {
+    /// SHA-256 of its distinguished name, as its own certificate writes it.
+    pub name: Hash,
+    /// SHA-256 of its public key (SubjectPublicKeyInfo).
+    pub key: Hash,
 }
 
 impl Authority {
     fn new(der: &[u8]) -> Result<Self, IdentityError> {
         let certificate = Certificate::parse(der)?;
         certificate.check_authority()?;
-        let der = CertificateDer::from(der.to_vec());
-        let anchor = webpki::anchor_from_trusted_cert(&der)
-            .map_err(|error| malformed(format!("{error} in an authority's certificate"), "an X.509 version 3 CA"))?
-            .to_owned();
-        Ok(Self { der, certificate, anchor })
+        Ok(Self { der: CertificateDer::from(der.to_vec()), certificate })
     }
 
     fn all(ders: &[impl AsRef<[u8]>]) -> Result<Vec<Self>, IdentityError> {
@@ -127,19 +133,50 @@ impl Msp {
     ///
     /// # Errors
     /// As [`RevocationList::parse`]; [`IdentityError::Untrusted`] if its issuer is none of them,
-    /// [`IdentityError::BadSignature`], [`IdentityError::WrongUsage`] if that authority may not sign lists.
-    pub fn verify_list(&self, der: &[u8]) -> Result<RevocationList, IdentityError> {
+    /// [`IdentityError::BadSignature`], [`IdentityError::UnsupportedSignature`], [`IdentityError::WrongUsage`] if that
+    /// authority may not sign lists.
+    pub fn verify_list(&self, der: &[u8]) -> Result<(RevocationList, ListIssuer), IdentityError> {
         let list = RevocationList::parse(der)?;
         let mut refused =
             IdentityError::Untrusted { issuer: printable(&list.issuer), wanted: vec![self.organisation.clone()] };
         // An authority that was renewed stands here twice, with one name and two keys.
-        for authority in self.authorities().filter(|found| found.certificate.subject_name == list.issuer_name) {
-            match path::check_list(&self.organisation, &authority.certificate, &list) {
-                Ok(()) => return Ok(list),
+        let mut signer = None;
+        for Authority { certificate, .. } in self.named(&list.issuer_name) {
+            match self.check_list(certificate, &list) {
+                Ok(()) => signer = signer.or(Some(certificate)),
                 Err(error) => refused = path::more_telling(refused, error),
             }
         }
-        Err(refused)
+        let signer = signer.ok_or(refused)?;
+        let issuer = ListIssuer { name: signer.subject_name.hash(), key: Hash::of(&[&signer.public_key_info]) };
+        Ok((list, issuer))
+    }
+
+    /// Checks that this authority, which has the name that the list gives, has signed it.
+    fn check_list(&self, authority: &Certificate, list: &RevocationList) -> Result<(), IdentityError> {
+        authority.check_signs_lists()?;
+        list.signed().verify(&authority.public_key_info).map_err(|fault| match fault {
+            Fault::Unsupported(found) => IdentityError::UnsupportedSignature {
+                what: format!("the revocation list of {}", printable(&list.issuer)),
+                found,
+                wanted: WANTED,
+            },
+            Fault::Mismatch => IdentityError::BadSignature {
+                subject: "a revocation list".into(),
+                issuer: printable(&list.issuer),
+                organisation: self.organisation.clone(),
+            },
+        })
+    }
+
+    /// SHA-256 of the distinguished name of the authority that has this name, as its own certificate writes it: what names the
+    /// issuer of a certificate on the ledger.
+    pub fn issuer(&self, name: &DistinguishedName) -> Option<Hash> {
+        self.named(name).next().map(|authority| authority.certificate.subject_name.hash())
+    }
+
+    fn named(&self, name: &DistinguishedName) -> impl Iterator<Item = &Authority> {
+        self.authorities().filter(move |found| found.certificate.subject_name == *name)
     }
 
     fn authorities(&self) -> impl Iterator<Item = &Authority> {
@@ -149,13 +186,13 @@ impl Msp {
 
 /// The names of the authorities that lead to a root.
 fn standing(roots: &[Authority], intermediates: &[Authority]) -> BTreeSet<[u8; 32]> {
-    let mut names: BTreeSet<&[u8]> = roots.iter().map(|root| &root.certificate.subject_name[..]).collect();
+    let mut names: BTreeSet<&DistinguishedName> = roots.iter().map(|root| &root.certificate.subject_name).collect();
     loop {
         let below = intermediates.iter().map(|found| &found.certificate);
-        let below = below.filter(|found| names.contains(&found.issuer_name[..]));
-        let more: BTreeSet<&[u8]> = below.map(|found| &found.subject_name[..]).collect();
+        let below = below.filter(|found| names.contains(&found.issuer_name));
+        let more: BTreeSet<_> = below.map(|found| &found.subject_name).collect();
         if more.is_subset(&names) {
-            return names.into_iter().map(|name| Hash::of(&[name]).0).collect();
+            return names.into_iter().map(|name| name.hash().0).collect();
         }
         names.extend(more);
     }
@@ -166,8 +203,8 @@ fn standing(roots: &[Authority], intermediates: &[Authority]) -> BTreeSet<[u8; 3
 #[derive(Clone, Debug, Default)]
 pub struct Msps {
     organisations: BTreeMap<String, Arc<Msp>>,
-    /// Distinguished name (DER) of each declared authority -> its organisation.
-    names: HashMap<Vec<u8>, String>,
+    /// Name of each declared authority -> its organisation.
+    names: HashMap<DistinguishedName, String>,
     /// Public key (DER) of each declared authority -> its organisation.
     keys: HashMap<Vec<u8>, String>,
 }
@@ -187,18 +224,16 @@ impl Msps {
         let mut changed = self.clone();
         changed.remove(&msp.organisation);
         for authority in msp.authorities() {
-            let Authority { certificate, .. } = authority;
-            for (owners, claimed) in
-                [(&mut changed.names, &certificate.subject_name), (&mut changed.keys, &certificate.public_key_info)]
-            {
-                let owner = owners.entry(claimed.clone()).or_insert_with(|| msp.organisation.clone());
-                if *owner != msp.organisation {
-                    return Err(IdentityError::SharedAuthority {
-                        subject: printable(&certificate.subject),
-                        first: owner.clone(),
-                        second: msp.organisation.clone(),
-                    });
-                }
+            let Certificate { subject, subject_name, public_key_info, .. } = &authority.certificate;
+            let own = || msp.organisation.clone();
+            let of_name = changed.names.entry(subject_name.clone()).or_insert_with(own);
+            let of_key = changed.keys.entry(public_key_info.clone()).or_insert_with(own);
+            if let Some(owner) = [of_name, of_key].into_iter().find(|owner| **owner != msp.organisation) {
+                return Err(IdentityError::SharedAuthority {
+                    subject: printable(subject),
+                    first: owner.clone(),
+                    second: msp.organisation.clone(),
+                });
             }
         }
         changed.organisations.insert(msp.organisation.clone(), Arc::new(msp));
@@ -216,6 +251,12 @@ impl Msps {
     /// One organisation.
     pub fn get(&self, organisation: &str) -> Option<&Msp> {
         self.organisations.get(organisation).map(Arc::as_ref)
+    }
+
+    /// SHA-256 of the name that a certificate gives its issuer, as the ledger writes it ([`Msp::issuer`]).
+    pub fn issuer(&self, name: &DistinguishedName) -> Hash {
+        let declared = self.names.get(name).and_then(|organisation| self.get(organisation)?.issuer(name));
+        declared.unwrap_or_else(|| name.hash())
     }
 
     /// All organisations, in the order of their names.
@@ -264,10 +305,9 @@ impl Msps {
         let attributes = certificate.attributes()?;
         let public_key = PublicKey::from_spki(&certificate.public_key_info)
             .map_err(|reason| IdentityError::UnsupportedKey { subject: printable(&certificate.subject), reason })?;
-        let leaf = path::Leaf { der: CertificateDer::from(der), certificate: &certificate, usage, at };
         for msp in candidates {
-            match leaf.path_to(msp, &presented) {
-                Ok(path::Path { issuer, not_before, not_after }) => {
+            match path::find(msp, &presented, (&certificate, usage, at)) {
+                Ok(path::Path { issuer, issuer_name, not_before, not_after }) => {
                     let role = match (common, &msp.units) {
                         (Some(role), _) => role,
                         (None, Some(units)) => units.role(certificate.units(), &issuer)?,
@@ -278,10 +318,11 @@ impl Msps {
                         name: name.to_owned(),
                         role,
                         attributes,
-                        issuer: Hash::of(&[&certificate.issuer_name]).0,
+                        issuer: issuer_name.0,
                         serial: certificate.serial.clone(),
                         fingerprint: Hash::of(&[der]).0,
                         public_key,
+                        valid_from: certificate.not_before,
                         not_before,
                         not_after,
                     });

@@ -4,13 +4,20 @@
 //! complete lists are read, because a part must not pass for the whole. Lists of changes, lists that speak for other issuers,
 //! and lists with a critical extension that is not known here are refused.
 
-use crate::certificate::{at_most, malformed, microseconds, serial_number};
-use crate::identity::IdentityError;
+use crate::certificate::{microseconds, name_text, serial_number};
+use crate::der::{self, Element, SEQUENCE};
+use crate::distinguished_name::DistinguishedName;
+use crate::identity::{IdentityError, at_most, malformed};
+use crate::signature::Signed;
+use ledger_base::hash::Hash;
 use std::collections::BTreeSet;
 use x509_parser::extensions::{ParsedExtension, X509Extension};
-use x509_parser::oid_registry::{OID_X509_EXT_CRL_NUMBER, OID_X509_EXT_REASON_CODE};
+use x509_parser::oid_registry::{
+    OID_X509_EXT_CRL_NUMBER, OID_X509_EXT_ISSUER_DISTRIBUTION_POINT, OID_X509_EXT_REASON_CODE, Oid,
+};
 use x509_parser::prelude::FromDer;
 use x509_parser::revocation_list::{CertificateRevocationList, RevokedCertificate};
+use x509_parser::x509::ReasonCode;
 
 /// Largest list that is read, in bytes of DER.
 pub const LIST_BYTES_MAX: usize = 128 * 1024;
@@ -26,8 +33,8 @@ const NUMBER_BYTES_MAX: usize = 20;
 pub struct RevocationList {
     /// The issuer, for people.
     pub issuer: String,
-    /// The issuer's distinguished name in DER.
-    pub issuer_name: Vec<u8>,
+    /// The issuer's distinguished name.
+    pub issuer_name: DistinguishedName,
     /// When it was made, microseconds since the UNIX epoch.
     pub this_update: u64,
     /// Last microsecond since the UNIX epoch before which the next one should have come; none if it does not say.
@@ -36,11 +43,18 @@ pub struct RevocationList {
     pub number: Option<Vec<u8>>,
     /// The serial numbers that it revokes, as [`crate::certificate::Certificate::serial`].
     pub serials: BTreeSet<Vec<u8>>,
-    /// The bytes that are signed.
-    signed: Vec<u8>,
-    /// The algorithm of the signature: content of its object identifier.
-    algorithm: Vec<u8>,
-    signature: Vec<u8>,
+    /// The certificates that it speaks about.
+    pub scope: Scope,
+    signed: Signed,
+}
+
+/// The certificates that a list speaks about: of these it names all that are revoked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Scope {
+    /// SHA-256 of the issuing distribution point; none: all certificates of its issuer. Lists of one scope replace each other.
+    pub point: Option<Hash>,
+    /// It leaves out the certificates of people, or some reasons to revoke them.
+    pub leaves_out_people: bool,
 }
 
 impl RevocationList {
@@ -56,44 +70,45 @@ impl RevocationList {
         if !rest.is_empty() {
             return Err(malformed(format!("{} bytes after it", rest.len()), "a revocation list and nothing after it"));
         }
+        if !der::is_strict(der) {
+            return Err(malformed("an encoding that is not DER".into(), wanted));
+        }
+        let signed = Signed::of(der).ok_or_else(|| {
+            malformed("a signature in another form".into(), "one algorithm inside and outside, and whole bytes")
+        })?;
         let tbs = &parsed.tbs_cert_list;
-        if tbs.signature != parsed.signature_algorithm {
-            return Err(malformed("two algorithms of its signature".into(), "the same one inside and outside"));
-        }
-        if parsed.signature_value.unused_bits != 0 {
-            return Err(malformed("a signature that ends within a byte".into(), "a signature of whole bytes"));
-        }
         at_most("certificates in a revocation list", tbs.revoked_certificates.len(), LISTED_MAX)?;
-        check_extensions(tbs.extensions(), &OID_X509_EXT_CRL_NUMBER)?;
+        check_extensions(tbs.extensions(), &[OID_X509_EXT_CRL_NUMBER, OID_X509_EXT_ISSUER_DISTRIBUTION_POINT])?;
         let next_update = tbs.next_update.map(|time| microseconds(time).saturating_add(999_999));
         let this_update = microseconds(tbs.this_update);
         if next_update.is_some_and(|next| next < this_update) {
             return Err(malformed("a next update before this one".into(), "a next update after this one"));
         }
+        let issuer_name = DistinguishedName::parse(parsed.issuer().as_raw())?;
+        let mut serials = BTreeSet::new();
+        for entry in &tbs.revoked_certificates {
+            serials.extend(listed(entry)?);
+        }
         Ok(Self {
-            issuer: crate::certificate::name_text(parsed.issuer()),
-            issuer_name: parsed.issuer().as_raw().to_vec(),
+            issuer: name_text(&issuer_name),
+            issuer_name,
             this_update,
             next_update,
             number: number(tbs.extensions())?,
-            serials: tbs.revoked_certificates.iter().map(listed).collect::<Result<_, _>>()?,
-            signed: tbs.as_ref().to_vec(),
-            algorithm: parsed.signature_algorithm.algorithm.as_bytes().to_vec(),
-            signature: parsed.signature_value.data.to_vec(),
+            serials,
+            scope: scope(tbs.extensions())?,
+            signed,
         })
     }
 
-    /// The signed bytes, the algorithm (content of its object identifier) and the signature.
-    pub(crate) fn signature(&self) -> (&[u8], &[u8], &[u8]) {
-        (&self.signed, &self.algorithm, &self.signature)
+    /// The part that its issuer has signed, and the signature.
+    pub(crate) fn signed(&self) -> &Signed {
+        &self.signed
     }
 }
 
 /// Refuses extensions that cannot be read, stand twice, or are critical and not known here.
-fn check_extensions(
-    extensions: &[X509Extension<'_>],
-    known: &x509_parser::oid_registry::Oid<'_>,
-) -> Result<(), IdentityError> {
+fn check_extensions(extensions: &[X509Extension<'_>], known: &[Oid<'_>]) -> Result<(), IdentityError> {
     let mut seen = BTreeSet::new();
     for extension in extensions {
         let oid = &extension.oid;
@@ -103,7 +118,7 @@ fn check_extensions(
                 "each extension once, in its form",
             ));
         }
-        if extension.critical && oid != known {
+        if extension.critical && !known.contains(oid) {
             return Err(malformed(
                 format!("a critical extension {oid} of a revocation list that is not known here"),
                 "a complete list of one issuer; no list of changes, and none that speaks for others",
@@ -113,10 +128,49 @@ fn check_extensions(
     Ok(())
 }
 
-/// The serial number of an entry.
-fn listed(entry: &RevokedCertificate<'_>) -> Result<Vec<u8>, IdentityError> {
-    check_extensions(entry.extensions(), &OID_X509_EXT_REASON_CODE)?;
-    serial_number(entry.raw_serial())
+/// The serial number of an entry; none if it takes back what another list revoked, which nothing does here.
+fn listed(entry: &RevokedCertificate<'_>) -> Result<Option<Vec<u8>>, IdentityError> {
+    check_extensions(entry.extensions(), &[OID_X509_EXT_REASON_CODE])?;
+    let is_removed = |extension: &X509Extension<'_>| {
+        matches!(extension.parsed_extension(), ParsedExtension::ReasonCode(ReasonCode::RemoveFromCRL))
+    };
+    let serial = serial_number(entry.raw_serial())?;
+    Ok((!entry.extensions().iter().any(is_removed)).then_some(serial))
+}
+
+/// The scope that the issuing distribution point gives a list.
+fn scope(extensions: &[X509Extension<'_>]) -> Result<Scope, IdentityError> {
+    let point = extensions.iter().find(|extension| extension.oid == OID_X509_EXT_ISSUER_DISTRIBUTION_POINT);
+    let Some(point) = point else { return Ok(Scope::default()) };
+    let refused = |found: &str, wanted| malformed(format!("an issuing distribution point {found}"), wanted);
+    let parts = Element::inside(point.value, SEQUENCE);
+    let (mut people, mut authorities, mut reasons) = (false, false, false);
+    for part in parts.ok_or_else(|| refused("that cannot be read", "the form of RFC 5280 section 5.2.5"))? {
+        match (part.tag, part.content) {
+            // Where it lies: lists of another place are of another scope.
+            (0xa0, _) | (0x81 | 0x82 | 0x84 | 0x85, [0]) => {}
+            (0x81, [_]) => people = true,
+            (0x82, [_]) => authorities = true,
+            (0x83, _) => reasons = true,
+            (0x84, [_]) => {
+                return Err(refused(
+                    "of an indirect list",
+                    "a list of the authority's own certificates alone (indirectCRL false)",
+                ));
+            }
+            (0x85, [_]) => {
+                return Err(refused(
+                    "of attribute certificates",
+                    "a list of public key certificates, which people have",
+                ));
+            }
+            _ => return Err(refused("with an unknown part", "the form of RFC 5280 section 5.2.5")),
+        }
+    }
+    if people && authorities {
+        return Err(refused("of people alone and of authorities alone", "one of them, or neither"));
+    }
+    Ok(Scope { point: Some(Hash::of(&[point.value])), leaves_out_people: authorities || reasons })
 }
 
 /// The number of a list, if it has one.

@@ -4,8 +4,7 @@
 //! other words, and another meaning of ours. So an organisation can say which unit stands for which role; then no other
 //! word counts. As in Fabric (NodeOUs), a certificate has to have exactly one of the roles.
 
-use crate::certificate::{at_most, malformed};
-use crate::identity::{IdentityError, Role};
+use crate::identity::{IdentityError, Role, at_most, malformed};
 use ledger_base::hash::Hash;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

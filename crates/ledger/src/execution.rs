@@ -103,8 +103,8 @@ impl Executor<'_> {
                 not_after = Some(transaction.body().not_after);
                 if let Some(certificate) = new {
                     overlay.write(certificate_key(&transaction.creator()), Some(certificate));
-                    if let Some((key, end)) = identities.end(&identity) {
-                        overlay.write(key, Some(end));
+                    for (key, value) in identities.seen(&identity, time)?.into_iter().flatten() {
+                        overlay.write(key, Some(value));
                     }
                 }
                 let body = transaction.body();

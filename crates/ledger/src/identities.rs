@@ -109,12 +109,12 @@ impl Identities {
         Ok((identity, new))
     }
 
-    /// The end of a certificate that the ledger does not know yet, to be written with it. Only of organisations whose CAs
-    /// are not ours: of the others every certificate is registered. A revocation list forgets what has ended.
-    pub(crate) fn end(&self, identity: &Identity) -> Option<(Bytes, Bytes)> {
+    /// The records of a certificate that the ledger does not know yet, to be written with it at this time. Only of
+    /// organisations whose CAs are not ours: of the others every certificate is registered.
+    pub(crate) fn seen(&self, identity: &Identity, time: u64) -> Result<Option<[(Bytes, Bytes); 2]>, Rejection> {
         let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
-        trusted.msps.get(&identity.organisation)?.units()?;
-        Some(msp::end_of(identity))
+        let is_imported = trusted.msps.get(&identity.organisation).is_some_and(|msp| msp.units().is_some());
+        is_imported.then(|| msp::seen(identity, time)).transpose()
     }
 
     /// Those of the transactions, by what they are given with, whose signatures are seen to verify when they are
@@ -180,8 +180,9 @@ pub(crate) fn check_organisation(identity: &Identity, msps: &Msps) -> Result<(),
     }
 }
 
-/// Refuses an identity whose certificate was revoked.
+/// Refuses an identity whose certificate was revoked, by itself or with its name.
 pub(crate) fn check_revoked(identity: &Identity, overlay: &Overlay) -> Result<(), Rejection> {
+    msp::check_barred(identity, overlay)?;
     match overlay.get(&revoked_key(&identity.revocation_key())) {
         None => Ok(()),
         Some(_) if active(Mutation::SkipTheRevocationCheck) => Ok(()),

@@ -30,7 +30,7 @@
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
 //! | `revoke ISSUER SERIAL [REASON]` | an admin of the issuing organisation | [`RevocationRecord`] |
-//! | `record_revocation_list {list, ended?}` ([`RecordList`]) | an admin, of an authority of their own | [`RecordedList`] |
+//! | `record_revocation_list {list}` ([`RecordList`]) | an admin, of an authority of their own | [`RecordedList`] |
 //! | `revocation_lists` | | array of [`KnownList`] |
 //! | `set_stale_lists {stale}` ([`SetStale`]) | an admin, for their own | [`SetStale`] |
 //! | `invitations` | | array of [`Invitation`] |
@@ -57,7 +57,7 @@
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
 //! name; `revocation_list` with the [`RecordedList`] and the authority's name; `stale_lists_set` with the [`SetStale`] and the
 //! organisation; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
-//! number; `invitation_cancelled` with the [`Invitation`] and its name; `registrar_set` with the [`SetRegistrar`], `registered` and `registration_cancelled` with
+//! number; `invitation_cancelled` with the [`Invitation`] and its name; `name_barred` with the [`BarredName`], `registrar_set` with the [`SetRegistrar`], `registered` and `registration_cancelled` with
 //! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
 //! `ORGANISATION/NAME`; `ca_carried`, `ca_copied` and `ca_dropped` with the [`CarrierRecord`] and the node; `members_forced`
 //! with the [`Recovery`] and the node; `rules_activated` with the [`crate::Activation`] and the number; `refused` with the [`TellRefusals`] and no subject, for admins and nodes.
@@ -101,11 +101,12 @@ pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, Copied, UncarryCa, carriers};
 pub use certificate_rule::SetCertificateRule;
 pub use identities::{
-    AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IdentityRecord,
-    IssuedCertificate, KnownIdentity, LocalSecret, Maker, REGISTRARS_MAX, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE,
-    RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use, identity,
-    issued,
+    AFFILIATION, BarredName, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground,
+    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, Maker, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
+    RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use,
+    identity, issued,
 };
+pub(crate) use identities::{check_barred, seen};
 pub use invitations::{CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, JoinOrganisation};
 pub use join_node::JoinNode;
 pub use joins::{JOINS_MAX, JOINS_TIME};
@@ -122,9 +123,7 @@ pub use read::{
 };
 pub use recovery::{REASON_BYTES_MAX, Recovery};
 pub use refusals::{REFUSALS_BYTES_MAX, REFUSALS_MAX, REFUSALS_PAUSE, REFUSED_TEXT_MAX, Refused, TellRefusals};
-pub use revocation_lists::{
-    ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
-};
+pub use revocation_lists::{KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale};
 pub use revocations::RevocationRecord;
 pub use rules::{RulesOverview, SpokenBy};
 
@@ -134,7 +133,7 @@ pub(crate) use read::{activations, members_record, organisations_in};
 pub(crate) use recovery::note as note_recovery;
 pub(crate) use revocation_lists::{Due, due, publishes_list};
 pub(crate) use store::{
-    LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, end_of, revoked_key,
+    LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, revoked_key,
 };
 
 use crate::chaincode::{Chaincode, Context, Foretold, MSP, Quorum};
@@ -264,7 +263,7 @@ const URGENT: [&str; 9] = [
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 32] = [
+const EVENTS: [&str; 33] = [
     "approved",
     "attested",
     "ca_carried",
@@ -279,6 +278,7 @@ const EVENTS: [&str; 32] = [
     "joined",
     "members_forced",
     "moved",
+    "name_barred",
     "nodes_allowed",
     "organisation_joined",
     "organisation_removed",
@@ -340,7 +340,7 @@ impl Chaincode for MspChaincode {
     }
 
     fn control_keys(&self) -> &'static [&'static str] {
-        &["certificates", "members", "node/", "organisation/", "recovery/", "revoked/", "rules"]
+        &["barred/", "certificates", "members", "node/", "organisation/", "recovery/", "revoked/", "rules"]
     }
 
     fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {

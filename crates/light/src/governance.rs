@@ -32,6 +32,7 @@ const VALUE_BYTES_MAX: usize = 1024 * 1024;
 /// Longest encoding of the governing writes of one block: those of a network that begins with all it has.
 pub const CHANGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
+const BARRED: &[u8] = b"msp\0barred/";
 const CERTIFICATE_RULE: &[u8] = b"msp\0certificates";
 const MEMBERS: &[u8] = b"msp\0members";
 const NODES: &[u8] = b"msp\0node/";
@@ -121,6 +122,14 @@ struct Node {
     organisation: String,
 }
 
+/// A name whose certificates were revoked.
+#[derive(Deserialize)]
+struct Barred {
+    organisation: String,
+    name: String,
+    time: u64,
+}
+
 #[derive(Deserialize)]
 struct Organisation {
     name: String,
@@ -177,9 +186,27 @@ impl Governance {
         Ok(msps)
     }
 
-    /// Has this identity's certificate been revoked?
+    /// Has this identity's certificate been revoked, by itself or with its name?
     pub fn is_revoked(&self, identity: &Identity) -> bool {
+        let barred = || {
+            let value = self.state.get(&[BARRED, identity.id().as_bytes()].concat()[..])?;
+            Some(serde_json::from_slice::<Barred>(value).map_or(u64::MAX, |barred| barred.time))
+        };
         self.state.contains_key(&[REVOKED, &identity.revocation_key()].concat()[..])
+            || barred().is_some_and(|time| identity.valid_from <= time)
+    }
+
+    /// Names whose certificates were revoked, each as `ORGANISATION/NAME` with the time up to which they begin, microseconds
+    /// since the UNIX epoch.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if a record cannot be read.
+    pub fn barred(&self) -> Result<BTreeMap<String, u64>, Rejection> {
+        let read = |(key, value): (&[u8], &[u8])| {
+            let Barred { organisation, name, time } = parse(key, value)?;
+            Ok(([&*organisation, "/", &*name].concat(), time))
+        };
+        self.under(BARRED).map(read).collect()
     }
 
     /// Keys of the revoked certificates ([`Identity::revocation_key`]).

@@ -25,7 +25,7 @@ impl List {
     /// The list as this CA signs it, in DER.
     pub fn signed(&self, ca: &Ca) -> Bytes {
         let issuer = Certificate::parse(&ca.root()).unwrap().subject_name;
-        self.signed_as(&issuer, &ca.key())
+        self.signed_as(issuer.der(), &ca.key())
     }
 
     /// The list with the issuer's name and the key of somebody, in DER.

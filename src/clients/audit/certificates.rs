@@ -50,7 +50,7 @@ mod tests {
     #[test]
     fn a_list_has_a_row_for_each_certificate_that_it_revokes() {
         let payload = serde_json::json!({
-            "organisation": "Org3", "issuer": Hash([7; 32]), "subject": "ica.org3", "this_update": 1, "listed": 3,
+            "organisation": "Org3", "issuer": Hash([7; 32]), "key_fingerprint": Hash([6; 32]), "subject": "ica.org3", "this_update": 1, "listed": 3,
             "fingerprint": Hash([8; 32]), "height": 9, "time": 10, "by": "Org3/Chief", "serials": ["0a01", "0b"],
         });
         let event = Event {

@@ -157,6 +157,7 @@ mod tests {
             serial: vec![1],
             fingerprint: [0; 32],
             public_key: PublicKey::from_ed25519([1; 32]),
+            valid_from: 0,
             not_before: 0,
             not_after: u64::MAX,
         })

@@ -180,7 +180,7 @@ impl EnrolmentService {
                 let der = lock(&authority).enrol(&asked, &request.secret, &request.request, (shared.clock)())?;
                 // An answer that was lost is given again; not so once it was revoked, or has signed something.
                 let certificate = Certificate::parse(&der)?;
-                let issuer = Hash::of(&[&certificate.issuer_name]);
+                let issuer = certificate.issuer_name.hash();
                 let used = shared.ledger.certificate(&Hash::of(&[&der]))?.is_some();
                 if used || shared.ledger.is_revoked(&issuer, &certificate.serial)? {
                     return Err(CertificateAuthority::refusal());

@@ -83,6 +83,9 @@ mod tests {
         let list = ListRecord {
             organisation: "Org3".into(),
             issuer: Hash::ZERO,
+            key_fingerprint: Hash::ZERO,
+            scope: None,
+            partial: false,
             subject: "CN=fabric\u{1b}".into(),
             this_update: 0,
             next_update: Some(END - 100 * DAY),

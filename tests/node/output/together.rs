@@ -49,6 +49,8 @@ impl Printed {
         fabric.user("chief", "admin", &[], &PKCS_ECDSA_P256_SHA256);
         fabric.list("list.pem", 60, &[serial]);
         let path = |name: &str| fleet.path().join("fabric").join(name).display().to_string();
+        let person = [&path("salma"), "Org3", "--msp", &path("MSP")];
+        self.run(&fleet.ctl(), "network add-org --check", &person);
         self.agree((boss, owner), "network add-org", &["Org3", "--msp", &path("MSP")]);
         let known = boss.json(&["network", "organisations"]);
         let fingerprint = known[0]["roots"][0]["fingerprint"].as_str().unwrap();
@@ -63,6 +65,7 @@ impl Printed {
         self.run(&chief, "identity crl FILE", &[&path("list.pem")]);
         self.run(&chief, "identity crl --when-ended", &["refuse"]);
         self.run(&chief, "identity crl", &[]);
+        self.run(&chief, "identity revoke PERSON", &["salma"]);
         self.agree((boss, owner), "network remove-organisation", &["Org3"]);
     }
 }

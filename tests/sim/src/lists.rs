@@ -6,7 +6,6 @@ use crate::people::{People, ca_key};
 use bytes::Bytes;
 use ledger::msp::RecordList;
 use ledger::transaction::Body;
-use ledger_base::hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::revocation_list::RevocationList;
 use std::collections::{BTreeMap, BTreeSet};
@@ -56,7 +55,7 @@ impl Signed {
             serials: self.serials.iter().cloned().collect(),
             ..List::default()
         };
-        list.signed_as(&issuer, &ca_key(&self.organisation))
+        list.signed_as(issuer.der(), &ca_key(&self.organisation))
     }
 }
 
@@ -86,6 +85,6 @@ pub fn listed(body: &Body) -> Vec<(String, String)> {
     let record = argument.and_then(|argument| serde_json::from_slice::<RecordList>(argument).ok());
     let der = record.and_then(|record| hex::decode(record.list).ok());
     let Some(list) = der.and_then(|der| RevocationList::parse(&der).ok()) else { return Vec::new() };
-    let issuer = hex::encode(Hash::of(&[&list.issuer_name]).0);
+    let issuer = hex::encode(list.issuer_name.hash().0);
     list.serials.iter().map(|serial| (issuer.clone(), hex::encode(serial))).collect()
 }

@@ -52,6 +52,11 @@ pub(super) fn check(policies: &PolicySet) -> Result<(), Vec<String>> {
     if faults.is_empty() { Ok(()) } else { Err(faults) }
 }
 
+/// The annotations of a policy that mean something.
+pub(super) fn meant(policy: &Policy) -> impl Iterator<Item = (&str, &str)> {
+    policy.annotations().filter(|(name, _)| MEANT.contains(name))
+}
+
 /// The word of a policy that matches.
 pub(super) enum Said {
     /// It permits, and says this with it.

@@ -106,6 +106,7 @@ pub(crate) fn identity(organisation: &str, name: &str, role: Role, attributes: &
         serial: vec![serial],
         fingerprint: Hash::of(&[organisation.as_bytes(), name.as_bytes(), &[serial]]).0,
         public_key: public_key(),
+        valid_from: 0,
         not_before: 0,
         not_after: START + 365 * 86_400 * SECOND,
     }

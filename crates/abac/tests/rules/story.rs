@@ -256,7 +256,7 @@ fn identities(teller: &mut Teller) {
     // Farhad still holds the Turtlebot4: his grant ends in this block.
     teller.read(FARHAD, "abac", "GetSubmittingClientIdentity", &[]);
     let certificate = Certificate::parse(&teller.farhad.certificate).unwrap();
-    let issuer = Hash::of(&[&certificate.issuer_name]).to_string();
+    let issuer = certificate.issuer_name.hash().to_string();
     let serial = hex::encode(&certificate.serial);
     teller.call(OWNER, Code::NotAdmin, "msp", "revoke", &[&issuer, &serial]);
     teller.call(BOSS, Ok, "msp", "revoke", &[&issuer, &serial, "left"]);

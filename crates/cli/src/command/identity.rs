@@ -5,6 +5,7 @@ mod import;
 mod list;
 mod registrar;
 mod renew;
+mod revoke;
 mod robots;
 
 use crate::argument::attribute::Attribute;
@@ -12,14 +13,11 @@ use crate::argument::span::Milliseconds;
 use crate::command::ca;
 use crate::failure::Failure;
 use crate::global::Global;
-use crate::in_force::{Described, until_in_force};
 use crate::output::{Facts, Output, Table, attributes};
-use crate::session::{MSP, Session};
+use crate::session::Session;
 use crate::time;
 use crate::words::shell_word;
-use bytes::Bytes;
 use ledger::msp::{AFFILIATION, IdentityRecord, IssuedCertificate};
-use ledger_api::Committed;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
@@ -36,7 +34,7 @@ pub(crate) enum Identity {
     List(list::List),
     Show(Show),
     Cancel(Cancel),
-    Revoke(Revoke),
+    Revoke(revoke::Revoke),
     Renew(renew::Renew),
     Import(import::Import),
     Crl(crl::Crl),
@@ -91,28 +89,6 @@ pub(crate) struct Show {
 pub(crate) struct Cancel {
     /// The name
     name: String,
-}
-
-/// Revoke an identity: its certificates and, if it has not enrolled, its secret; its grants end in the same block.
-///
-/// For admins, through any node of the network. Nobody enrols with a secret from before.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Example:
-  ledgerctl identity revoke Salma
-  ledgerctl identity revoke Salma --serial 5ab3f0 --reason 'laptop stolen'")]
-pub(crate) struct Revoke {
-    /// The name
-    name: String,
-    /// Only the certificate with this serial number
-    #[arg(long, value_name = "HEX")]
-    serial: Option<String>,
-    /// Why; stays on the ledger
-    #[arg(long, value_name = "TEXT")]
-    reason: Option<String>,
-    /// Give up after this time, with an error if it is not in force by then [default: never]
-    #[arg(long, value_name = "TIME")]
-    timeout: Option<Milliseconds>,
 }
 
 fn role(text: &str) -> Result<Role, String> {
@@ -322,98 +298,6 @@ impl Facts for Person {
             ]);
         }
         table.write(out, 0)
-    }
-}
-
-/// The revoked certificates.
-#[derive(Serialize)]
-struct Revoked {
-    name: String,
-    certificates: Vec<RevokedCertificate>,
-    /// A secret that could still be used is void.
-    cancelled: bool,
-}
-
-#[derive(Serialize)]
-struct RevokedCertificate {
-    serial: String,
-    height: u64,
-    transaction: Hash,
-    certified: bool,
-}
-
-impl Facts for Revoked {
-    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        for certificate in &self.certificates {
-            writeln!(
-                out,
-                "revoked {} serial {} in block {}: in force",
-                self.name, certificate.serial, certificate.height
-            )?;
-        }
-        if self.cancelled {
-            writeln!(out, "the secret of {} is void", self.name)?;
-        }
-        Ok(())
-    }
-}
-
-impl Cancel {
-    async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let session = Session::open(global).await?;
-        session.client.cancel_registration(&self.name).await?;
-        output.show(&Revoked { name: self.name, certificates: Vec::new(), cancelled: true })
-    }
-}
-
-impl Revoke {
-    async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let session = Session::open(global).await?;
-        let typed = shell_word(&self.name);
-        let described = Described {
-            what: format!("the revocation of {}", self.name),
-            command: match &self.serial {
-                Some(serial) => format!("ledgerctl identity revoke {typed} --serial {serial}"),
-                None => format!("ledgerctl identity revoke {typed}"),
-            },
-            robot: None,
-        };
-        let timeout = self.timeout.map(|Milliseconds(ms)| Duration::from_millis(ms));
-        let Some(serial) = self.serial.as_ref().map(|serial| serial.to_lowercase().replace(':', "")) else {
-            let reason = self.reason.unwrap_or_default();
-            // An unknown name is answered with the nearest one.
-            find(&session, &self.name).await?;
-            let attempt = || session.client.revoke_identity(&self.name, &reason);
-            let revoked = until_in_force(&session, &described, timeout, output, attempt).await?;
-            let (revoked, done) = revoked;
-            session.warn_uncertified(&done);
-            let Committed { height, id: transaction, certified, .. } = done;
-            let certificates = revoked.certificates.into_iter().map(|issued| issued.serial);
-            let certificates =
-                certificates.map(|serial| RevokedCertificate { serial, height, transaction, certified }).collect();
-            return output.show(&Revoked { name: self.name, certificates, cancelled: revoked.cancelled });
-        };
-        let person = find(&session, &self.name).await?;
-        let live: Vec<_> = person.certificates.iter().filter(|issued| !issued.revoked).collect();
-        let Some(chosen) = live.iter().find(|issued| issued.serial == serial) else {
-            let serials: Vec<_> = live.iter().map(|issued| issued.serial.as_str()).collect();
-            return Err(Rejection::new(Code::NotFound, format!("{} has no such certificate to revoke", self.name))
-                .found(serial)
-                .wanted(if serials.is_empty() {
-                    "a certificate that is not revoked; there is none".to_owned()
-                } else {
-                    format!("one of {}", serials.join(", "))
-                })
-                .next(format!("ledgerctl identity show {}", shell_word(&self.name)))
-                .into());
-        };
-        let args = [Some(chosen.issuer.to_string()), Some(serial.clone()), self.reason];
-        let args: Vec<_> = args.into_iter().flatten().map(Bytes::from).collect();
-        let attempt = || session.call(MSP, "revoke", args.clone());
-        let done = until_in_force(&session, &described, timeout, output, attempt).await?;
-        let (height, transaction, certified) = (done.height, done.id, done.certified);
-        let revoked = RevokedCertificate { serial, height, transaction, certified };
-        output.show(&Revoked { name: self.name, certificates: vec![revoked], cancelled: false })
     }
 }
 

@@ -46,6 +46,11 @@ pub(crate) enum Network {
 
 impl Network {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        if let Self::AddOrg(command) = &self
+            && let Some(checked) = command.check(global, output)
+        {
+            return checked;
+        }
         let session = &Session::open(global).await?;
         match self {
             Self::Status(command) => command.run(session, output).await,

@@ -8,9 +8,10 @@ use serde_json::value::RawValue;
 use std::fmt::{self, Write};
 
 /// The fields that hold a time, microseconds since the UNIX epoch, 0 for none, wherever they stand.
-const TIMES: [&str; 30] = [
+const TIMES: [&str; 31] = [
     "acquired_at",
     "at",
+    "barred",
     "before",
     "block_time",
     "break_glass_from",

@@ -1,7 +1,6 @@
 //! The attribute extension: JSON `{"attrs":{"name":"value"}}`, read strictly.
 
-use super::{at_most, malformed};
-use crate::identity::IdentityError;
+use crate::identity::{IdentityError, at_most, malformed};
 use serde::de::{Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;

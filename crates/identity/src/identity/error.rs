@@ -126,6 +126,26 @@ pub enum IdentityError {
         /// The rule that is broken.
         found: String,
     },
+    /// A signature that nobody here verifies.
+    #[error("the signature of {what} cannot be verified: found {found}, wanted {wanted}")]
+    UnsupportedSignature {
+        /// A certificate or a list, and whose.
+        what: String,
+        /// Its algorithm, and the key that made it.
+        found: String,
+        /// The algorithms that are verified.
+        wanted: &'static str,
+    },
+    /// An authority that nobody could sign in by.
+    #[error("the authority {subject} cannot vouch for anybody here: found {found}, wanted {wanted}")]
+    UnusableAuthority {
+        /// The authority's distinguished name.
+        subject: String,
+        /// Its fault.
+        found: String,
+        /// The properties that are wanted instead.
+        wanted: &'static str,
+    },
     /// Two organisations claim the same authority, so it could not be told whose identities it issues.
     #[error(
         "the authority {subject} is shared: found it in {first} and {second}, wanted each name and key in one organisation"
@@ -166,6 +186,12 @@ impl IdentityError {
             Self::Authority { .. } => "use a certificate that the authority issued to an identity".into(),
             Self::WrongUsage { .. } | Self::BadPath { .. } => "have a certificate issued for this use".into(),
             Self::UnsupportedKey { .. } => "enrol again with a key of kind ed25519 or p256".into(),
+            Self::UnsupportedSignature { .. } => {
+                "have it signed again with one of these (OpenSSL: -sha256), by a key that fits".into()
+            }
+            Self::UnusableAuthority { .. } => {
+                "bring an authority that fits, such as an intermediate one with a key of P-256, or have this one issued again".into()
+            }
             Self::SharedAuthority { .. } => "let each organisation run its own CA with its own name and key".into(),
         }
     }
@@ -178,12 +204,14 @@ impl IdentityError {
             | Self::UnsupportedKey { .. }
             | Self::BadName { .. }
             | Self::SharedAuthority { .. }
+            | Self::UnusableAuthority { .. }
             | Self::NotAnAuthority { .. } => Code::CertificateMalformed,
             Self::NotYetValid { .. } => Code::CertificateNotYetValid,
             Self::Expired { .. } => Code::CertificateExpired,
             Self::Untrusted { .. }
             | Self::BadSignature { .. }
             | Self::Authority { .. }
+            | Self::UnsupportedSignature { .. }
             | Self::WrongUsage { .. }
             | Self::BadPath { .. } => Code::Untrusted,
         }
@@ -194,6 +222,16 @@ impl From<IdentityError> for Rejection {
     fn from(error: IdentityError) -> Self {
         Self::told(error.code(), &error.to_string()).next(error.remedy())
     }
+}
+
+/// The rejection of something in another form.
+pub(crate) fn malformed(found: String, wanted: &'static str) -> IdentityError {
+    IdentityError::Malformed { found, wanted }
+}
+
+/// Refuses more than is ever read.
+pub(crate) fn at_most(unit: &'static str, found: usize, max: usize) -> Result<(), IdentityError> {
+    if found > max { Err(IdentityError::TooLarge { unit, found, max }) } else { Ok(()) }
 }
 
 /// A name from a certificate, quoted, escaped and cut, fit for one line of a log.

@@ -1,207 +1,179 @@
-//! The path from a certificate to a root of one organisation.
+//! The path from a certificate to a root of one organisation (RFC 5280 section 6), without policies.
 
 use super::{Authority, Msp, Usage};
 use crate::certificate::Certificate;
-use crate::identity::{IdentityError, printable};
-use crate::key::{KeyKind, PublicKey};
-use crate::revocation_list::RevocationList;
+use crate::identity::{IdentityError, check_validity, printable};
+use crate::signature::{Fault, WANTED};
 use ledger_base::hash::Hash;
-use rustls_pki_types::{CertificateDer, SignatureVerificationAlgorithm, UnixTime};
-use std::time::Duration;
-use webpki::ring::{ECDSA_P256_SHA256, ECDSA_P384_SHA384, ED25519};
-use webpki::{EndEntityCert, ExtendedKeyUsageValidator, KeyPurposeId, KeyPurposeIdIter};
 
-/// Algorithms with which authorities may sign. P-384 is common for the keys of a CA.
-const ALGORITHMS: &[&dyn SignatureVerificationAlgorithm] = &[ED25519, ECDSA_P256_SHA256, ECDSA_P384_SHA384];
-
-const ANY_USAGE: KeyPurposeId<'_> = KeyPurposeId::new(&[0x55, 0x1d, 0x25, 0x00]);
-const SERVER_AUTH: KeyPurposeId<'_> = KeyPurposeId::new(&[0x2b, 0x06, 0x01, 0x05, 0x05, 0x07, 0x03, 0x01]);
-const CLIENT_AUTH: KeyPurposeId<'_> = KeyPurposeId::new(&[0x2b, 0x06, 0x01, 0x05, 0x05, 0x07, 0x03, 0x02]);
-
-/// A certificate whose path is looked for.
-pub(super) struct Leaf<'a> {
-    pub(super) der: CertificateDer<'a>,
-    pub(super) certificate: &'a Certificate,
-    pub(super) usage: Usage,
-    /// The time of the check, in microseconds since the UNIX epoch.
-    pub(super) at: u64,
-}
+/// Most signatures that are checked for one certificate: authorities of one name could make the search long.
+const SIGNATURES_MAX: usize = 100;
 
 /// A path that was found.
 #[derive(Debug)]
 pub(super) struct Path {
     /// SHA-256 of the certificate that has issued the leaf.
     pub(super) issuer: Hash,
+    /// SHA-256 of its name, as that certificate writes it.
+    pub(super) issuer_name: Hash,
     /// Since when every certificate of it is valid, in microseconds since the UNIX epoch.
     pub(super) not_before: u64,
     /// Until when every certificate of it is valid, in microseconds since the UNIX epoch.
     pub(super) not_after: u64,
 }
 
-impl Path {
-    fn narrow(&mut self, certificate: &Certificate) {
-        self.not_before = self.not_before.max(certificate.not_before);
-        self.not_after = self.not_after.min(certificate.not_after);
+/// Looks for a path from a certificate, used at a time (microseconds since the UNIX epoch), to any root of the organisation.
+pub(super) fn find(
+    msp: &Msp,
+    presented: &[Authority],
+    (certificate, usage, at): (&Certificate, Usage, u64),
+) -> Result<Path, IdentityError> {
+    let mut search = Search { msp, presented, usage, at: Some(at), below: 0, signatures: 0 };
+    if let Some(oid) = certificate.unknown_critical() {
+        return Err(search.broken(certificate, format!("the critical extension {oid}, which is not known here")));
     }
+    let mut path = Vec::new();
+    search.climb(certificate, &mut path)?;
+    let Some(issuer) = path.first() else { return Err(search.untrusted(certificate)) };
+    let mut found = Path {
+        issuer: Hash::of(&[issuer.der.as_ref()]),
+        issuer_name: issuer.certificate.subject_name.hash(),
+        not_before: certificate.not_before,
+        not_after: certificate.not_after,
+    };
+    for Authority { certificate, .. } in path {
+        found.not_before = found.not_before.max(certificate.not_before);
+        found.not_after = found.not_after.min(certificate.not_after);
+    }
+    Ok(found)
 }
 
-impl Leaf<'_> {
-    /// Looks for a path to any root of the organisation.
-    pub(super) fn path_to(&self, msp: &Msp, presented: &[Authority]) -> Result<Path, IdentityError> {
-        let issuers: Vec<_> = msp.intermediates.iter().chain(presented).map(|found| found.der.clone()).collect();
-        let mut refused = self.untrusted(msp);
-        for root in &msp.roots {
-            match self.path_to_root(msp, root, &issuers) {
-                Ok(path) => return Ok(path),
+/// Checks that an intermediate authority leads to a root, at some time, with room for the certificates that it issues.
+pub(super) fn check_leads_to_root(msp: &Msp, intermediate: &Authority) -> Result<(), IdentityError> {
+    let certificate = &intermediate.certificate;
+    let below = usize::from(!certificate.is_self_issued());
+    let mut search = Search { msp, presented: &[], usage: Usage::Client, at: None, below, signatures: 0 };
+    search.climb(certificate, &mut Vec::new())
+}
+
+struct Search<'a> {
+    msp: &'a Msp,
+    presented: &'a [Authority],
+    usage: Usage,
+    /// None: the time does not matter.
+    at: Option<u64>,
+    /// Intermediate authorities below the certificate where the search begins, it included.
+    below: usize,
+    /// How many were checked.
+    signatures: usize,
+}
+
+impl<'a> Search<'a> {
+    /// Adds to the path the authorities from this certificate's issuer up to a root.
+    fn climb(&mut self, leaf: &Certificate, path: &mut Vec<&'a Authority>) -> Result<(), IdentityError> {
+        let msp = self.msp;
+        let lowest = path.last().map_or(leaf, |authority| &authority.certificate).issuer_name.clone();
+        let mut refused = self.untrusted(leaf);
+        for root in msp.roots.iter().filter(|root| root.certificate.subject_name == lowest) {
+            match self.check_link(leaf, path, root, true) {
+                Ok(()) => {
+                    path.push(root);
+                    return Ok(());
+                }
                 Err(error) => refused = more_telling(refused, error),
             }
+        }
+        let presented = self.presented;
+        for issuer in msp.intermediates.iter().chain(presented) {
+            let Certificate { subject_name, public_key_info, .. } = &issuer.certificate;
+            let same = |known: &&Authority| {
+                known.certificate.subject_name == *subject_name && known.certificate.public_key_info == *public_key_info
+            };
+            if *subject_name != lowest || path.iter().any(same) {
+                continue;
+            }
+            if let Err(error) = self.check_link(leaf, path, issuer, false) {
+                refused = more_telling(refused, error);
+                continue;
+            }
+            path.push(issuer);
+            match self.climb(leaf, path) {
+                Ok(()) => return Ok(()),
+                Err(error) => refused = more_telling(refused, error),
+            }
+            path.pop();
         }
         Err(refused)
     }
 
-    fn path_to_root(&self, msp: &Msp, root: &Authority, issuers: &[CertificateDer<'_>]) -> Result<Path, IdentityError> {
-        let leaf = EndEntityCert::try_from(&self.der).map_err(|error| self.explain(msp, &error))?;
-        // webpki reads neither the path length nor the validity of an anchor.
-        let length_max = root.certificate.path_length_max().and_then(|max| usize::try_from(max).ok());
-        let within_length = |path: &webpki::VerifiedPath<'_>| match length_max {
-            Some(max) if path.intermediate_certificates().count() > max => {
-                Err(webpki::Error::PathLenConstraintViolated)
-            }
-            _ => Ok(()),
-        };
-        let path = leaf
-            .verify_for_usage(
-                ALGORITHMS,
-                std::slice::from_ref(&root.anchor),
-                issuers,
-                UnixTime::since_unix_epoch(Duration::from_micros(self.at)),
-                self.usage,
-                None,
-                Some(&within_length),
-            )
-            .map_err(|error| self.explain(msp, &error))?;
-        root.certificate.check_validity(self.at)?;
-        // The intermediates stand in the order from the leaf to the root.
-        let direct = path.intermediate_certificates().next().map(|issuer| Hash::of(&[issuer.der().as_ref()]));
-        let mut found = Path {
-            issuer: direct.unwrap_or_else(|| Hash::of(&[root.der.as_ref()])),
-            not_before: self.certificate.not_before,
-            not_after: self.certificate.not_after,
-        };
-        found.narrow(&root.certificate);
-        for issuer in path.intermediate_certificates() {
-            found.narrow(&Certificate::parse(&issuer.der())?);
+    /// Checks that an authority may have issued the last certificate of a path that is built so far.
+    fn check_link(
+        &mut self,
+        leaf: &Certificate,
+        path: &[&Authority],
+        issuer: &Authority,
+        is_root: bool,
+    ) -> Result<(), IdentityError> {
+        let authority = &issuer.certificate;
+        let certificate = path.last().map_or(leaf, |lower| &lower.certificate);
+        self.signatures += 1;
+        if self.signatures > SIGNATURES_MAX {
+            return Err(self.broken(leaf, format!("more than {SIGNATURES_MAX} signatures of authorities to check")));
         }
-        Ok(found)
-    }
-
-    fn untrusted(&self, msp: &Msp) -> IdentityError {
-        IdentityError::Untrusted { issuer: printable(&self.certificate.issuer), wanted: vec![msp.organisation.clone()] }
-    }
-
-    /// The verdict of webpki, in our words. The certificate's own validity was checked before, so that an expired one
-    /// here is an issuer's.
-    fn explain(&self, msp: &Msp, error: &webpki::Error) -> IdentityError {
-        let issuer = || format!("an intermediate authority of {}", msp.organisation);
-        let subject = printable(&self.certificate.subject);
-        match error {
-            webpki::Error::UnknownIssuer => self.untrusted(msp),
-            webpki::Error::CertExpired { not_after, .. } => IdentityError::Expired {
-                subject: issuer(),
-                not_after: not_after.as_secs().saturating_mul(1_000_000).saturating_add(999_999),
-                at: self.at,
+        certificate.signed().verify(&authority.public_key_info).map_err(|fault| match fault {
+            Fault::Unsupported(found) => IdentityError::UnsupportedSignature {
+                what: format!("the certificate of {}", printable(&certificate.subject)),
+                found,
+                wanted: WANTED,
             },
-            webpki::Error::CertNotValidYet { not_before, .. } => IdentityError::NotYetValid {
-                subject: issuer(),
-                not_before: not_before.as_secs().saturating_mul(1_000_000),
-                at: self.at,
+            Fault::Mismatch => IdentityError::BadSignature {
+                subject: printable(&certificate.subject),
+                issuer: printable(&certificate.issuer),
+                organisation: self.msp.organisation.clone(),
             },
-            webpki::Error::InvalidSignatureForPublicKey
-            | webpki::Error::UnsupportedSignatureAlgorithmForPublicKeyContext(_) => IdentityError::BadSignature {
-                subject,
-                issuer: printable(&self.certificate.issuer),
-                organisation: msp.organisation.clone(),
-            },
-            webpki::Error::EmptyEkuExtension => IdentityError::WrongUsage {
-                subject,
-                found: "an extended key usage without this use, in the certificate or an issuer's".into(),
-                wanted: match self.usage {
-                    Usage::Client => "clientAuth, or no extended key usage",
-                    Usage::Server => "serverAuth, or no extended key usage",
-                },
-            },
-            webpki::Error::BadDer
-            | webpki::Error::BadDerTime
-            | webpki::Error::ExtensionValueInvalid
-            | webpki::Error::InvalidCertValidity
-            | webpki::Error::InvalidSerialNumber
-            | webpki::Error::MalformedExtensions
-            | webpki::Error::SignatureAlgorithmMismatch
-            | webpki::Error::TrailingData(_)
-            | webpki::Error::UnsupportedCertVersion => {
-                IdentityError::Malformed { found: error.to_string(), wanted: "an X.509 version 3 certificate in DER" }
-            }
-            _ => IdentityError::BadPath { subject, organisation: msp.organisation.clone(), found: broken_rule(error) },
+        })?;
+        if let Some(at) = self.at {
+            let subject = || match is_root {
+                true => authority.subject.clone(),
+                false => format!("intermediate authority {}", authority.subject),
+            };
+            check_validity(subject, authority.not_before, authority.not_after, at)?;
         }
-    }
-}
-
-/// The rules that people break, in words; the rest as webpki calls it.
-fn broken_rule(error: &webpki::Error) -> String {
-    match error {
-        webpki::Error::PathLenConstraintViolated => "more authorities than a path length constraint allows".into(),
-        webpki::Error::NameConstraintViolation => "a name that a name constraint excludes".into(),
-        webpki::Error::UnsupportedCriticalExtension => "a critical extension that is not known here".into(),
-        webpki::Error::UnsupportedSignatureAlgorithmContext(_) => {
-            "a signature that is neither Ed25519 nor ECDSA P-256 with SHA-256 nor P-384 with SHA-384".into()
+        self.check_rules(leaf, path, authority).map_err(|found| self.broken(leaf, found))?;
+        if authority.allows(self.usage) {
+            return Ok(());
         }
-        _ => error.to_string(),
+        Err(IdentityError::WrongUsage {
+            subject: printable(&leaf.subject),
+            found: format!("an issuer, {}, with an extended key usage without this use", printable(&authority.subject)),
+            wanted: match self.usage {
+                Usage::Client => "clientAuth, or no extended key usage",
+                Usage::Server => "serverAuth, or no extended key usage",
+            },
+        })
     }
-}
 
-/// Absent extended key usages are accepted, as users of Fabric have none; if present, they must allow the use.
-impl ExtendedKeyUsageValidator for Usage {
-    fn validate(&self, found: KeyPurposeIdIter<'_, '_>) -> Result<(), webpki::Error> {
-        let wanted = match self {
-            Self::Client => CLIENT_AUTH,
-            Self::Server => SERVER_AUTH,
-        };
-        let mut absent = true;
-        for purpose in found {
-            let purpose = purpose?;
-            if purpose == wanted || purpose == ANY_USAGE {
-                return Ok(());
-            }
-            absent = false;
+    /// Checks the rules that an authority sets for what stands below it; answers with the one that is broken.
+    fn check_rules(&self, leaf: &Certificate, path: &[&Authority], authority: &Certificate) -> Result<(), String> {
+        let subject = printable(&authority.subject);
+        if let Some(oid) = authority.unknown_critical() {
+            return Err(format!("the critical extension {oid} in {subject}, which is not known here"));
         }
-        // The error for "not this use" cannot be made outside of webpki; `explain` words this one for both.
-        if absent { Ok(()) } else { Err(webpki::Error::EmptyEkuExtension) }
+        let lower = || path.iter().map(|lower| &lower.certificate).filter(|lower| !lower.is_self_issued());
+        let length = self.below + lower().count();
+        if authority.path_length_max().and_then(|max| usize::try_from(max).ok()).is_some_and(|max| length > max) {
+            return Err(format!("more authorities than the path length of {subject} allows"));
+        }
+        let checked = lower().chain([leaf]).try_for_each(|certificate| authority.check_names(certificate));
+        checked.map_err(|found| format!("{found} of {subject}"))
     }
-}
 
-/// Checks that an authority of this organisation, which has the name that a revocation list gives, has signed it.
-pub(super) fn check_list(
-    organisation: &str,
-    authority: &Certificate,
-    list: &RevocationList,
-) -> Result<(), IdentityError> {
-    authority.check_signs_lists()?;
-    let (signed, algorithm, signature) = list.signature();
-    let not_signed = || IdentityError::BadSignature {
-        subject: "a revocation list".into(),
-        issuer: printable(&list.issuer),
-        organisation: organisation.to_owned(),
-    };
-    let key = PublicKey::from_spki(&authority.public_key_info).map_err(|_| not_signed())?;
-    let algorithms: [(&dyn SignatureVerificationAlgorithm, &[u8], KeyKind); 3] = [
-        (ED25519, &[0x2b, 0x65, 0x70], KeyKind::Ed25519),
-        (ECDSA_P256_SHA256, &[0x2a, 0x86, 0x48, 0xce, 0x3d, 0x04, 0x03, 0x02], KeyKind::P256),
-        (ECDSA_P384_SHA384, &[0x2a, 0x86, 0x48, 0xce, 0x3d, 0x04, 0x03, 0x03], KeyKind::P384),
-    ];
-    let known = algorithms.iter().find(|(_, oid, kind)| *oid == algorithm && *kind == key.kind());
-    match known {
-        Some((verifier, ..)) => verifier.verify_signature(key.bytes(), signed, signature).map_err(|_| not_signed()),
-        None => Err(not_signed()),
+    fn untrusted(&self, leaf: &Certificate) -> IdentityError {
+        IdentityError::Untrusted { issuer: printable(&leaf.issuer), wanted: vec![self.msp.organisation.clone()] }
+    }
+
+    fn broken(&self, leaf: &Certificate, found: String) -> IdentityError {
+        IdentityError::BadPath { subject: printable(&leaf.subject), organisation: self.msp.organisation.clone(), found }
     }
 }
 

@@ -222,7 +222,7 @@ fn bytes_that_stand_for_no_point_are_no_key() {
     let mut no_point = [0; 32];
     no_point[0] = 2;
     let key = PublicKey::from_ed25519(no_point);
-    assert_eq!(PublicKey::from_spki(&key.to_spki()), Err(KeyError::UnsupportedPublicKey));
+    assert!(matches!(PublicKey::from_spki(&key.to_spki()), Err(KeyError::UnsupportedPublicKey { .. })));
     assert_eq!(key.verify(b"forward", &[0; 64]), Err(SignatureError::Mismatch(KeyKind::Ed25519)));
 }
 
@@ -260,7 +260,7 @@ fn a_key_of_another_algorithm_is_refused_with_what_is_wanted() {
     let refused = SigningKey::from_pem(p521).unwrap_err().to_string();
     assert!(refused.contains("wanted Ed25519, ECDSA P-256 or P-384"), "{refused}");
     let compressed = [&key(KeyKind::P384).public_key().to_spki()[..23], &[2; 49]].concat();
-    assert_eq!(PublicKey::from_spki(&compressed), Err(KeyError::UnsupportedPublicKey));
+    assert!(matches!(PublicKey::from_spki(&compressed), Err(KeyError::UnsupportedPublicKey { .. })));
 }
 
 #[test]

@@ -2,8 +2,9 @@
 
 use crate::authority::{Ca, NONE, ca_params};
 use ledger_identity::IdentityError;
+use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::Msp;
-use ledger_identity::revocation_list::{LIST_BYTES_MAX, LISTED_MAX, RevocationList};
+use ledger_identity::revocation_list::{LIST_BYTES_MAX, LISTED_MAX, RevocationList, Scope};
 use proptest::prelude::*;
 use rcgen::{
     CertificateRevocationListParams, KeyIdMethod, KeyUsagePurpose, RevokedCertParams, SerialNumber, date_time_ymd,
@@ -34,7 +35,9 @@ fn list(ca: &Ca, serials: &[u64]) -> Vec<u8> {
 fn a_list_is_read_and_verified_against_the_authority_it_names_whatever_kind_its_key_has() {
     for algorithm in [&rcgen::PKCS_ED25519, &rcgen::PKCS_ECDSA_P256_SHA256, &rcgen::PKCS_ECDSA_P384_SHA384] {
         let ca = Ca::with_algorithm("ca.org1", algorithm);
-        let read = ca.msp("Org1").verify_list(&list(&ca, &[5, 300])).unwrap();
+        let (read, issuer) = ca.msp("Org1").verify_list(&list(&ca, &[5, 300])).unwrap();
+        assert_eq!(issuer.name, Certificate::parse(&ca.der()).unwrap().subject_name.hash());
+        assert_eq!(read.scope, Scope::default());
         assert_eq!(read.this_update, MADE);
         assert_eq!(read.next_update, Some(MADE + 31 * 86_400_000_000 + 999_999));
         assert_eq!(read.number, Some(vec![7]));

@@ -6,5 +6,6 @@ mod certificates;
 mod hostile;
 mod keys;
 mod lists;
+mod openssl;
 mod units;
 mod verification;

@@ -6,13 +6,14 @@ use super::caller::{admin, check_name, object};
 use super::invitations::check_look;
 use super::organisations;
 use super::own_call::own_call;
-use super::proposals::decide;
-use super::revocation_lists;
+use super::proposals::{decide, is_proposed};
+use super::revocation_lists::{self, Age};
 use super::store::{invitation_key, json};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::revocation_list::RevocationList;
 use ledger_identity::units::Units;
 use serde::{Deserialize, Serialize};
 
@@ -46,7 +47,18 @@ pub(super) fn add(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Reje
         return execute(ctx, &add, &approved.proposer);
     }
     let caller = admin(ctx, "add organisations")?;
-    json(&decide(ctx, caller, own_call(ADD_ORGANISATION, &add)?)?)
+    let call = own_call(ADD_ORGANISATION, &add)?;
+    if !is_proposed(ctx, &call)? {
+        check_lists(ctx, &add)?;
+    }
+    json(&decide(ctx, caller, call)?)
+}
+
+/// A proposal comes with lists of today. They may end while it waits: then they count as ended, and void nothing.
+fn check_lists(ctx: &Context<'_>, add: &AddOrganisation) -> Result<(), Rejection> {
+    ders(&add.lists)?
+        .iter()
+        .try_for_each(|der| revocation_lists::check_time(&RevocationList::parse(der)?, ctx.block_time()))
 }
 
 /// Does what was approved; a proposal is rehearsed with it as well.
@@ -69,7 +81,7 @@ fn execute(ctx: &mut Context<'_>, add: &AddOrganisation, by: &str) -> Result<Byt
     organisations::add(ctx, &organisation)?;
     ctx.delete(invitation_key(&add.name).as_bytes());
     for list in ders(&add.lists)? {
-        revocation_lists::take(ctx, &organisation, (&list, &[]), by)?;
+        revocation_lists::take(ctx, &organisation, &list, by, Age::Any)?;
     }
     let standing = organisations::find(ctx, &add.name)?.unwrap_or(organisation);
     let answer = json(&organisations::describe(&standing)?)?;

@@ -51,18 +51,21 @@ pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
             Rejection::new(Code::BadArgument, "a certificate is not usable").found(error.to_string()).wanted(wanted)
         })
     };
+    let before = find(ctx, &caller.organisation)?;
     let organisation = FoundingOrganisation {
         name: caller.organisation.clone(),
         roots: ders(&update.roots)?,
         intermediates: ders(&update.intermediates)?,
         // The words of the organisation stay.
-        units: find(ctx, &caller.organisation)?.and_then(|known| known.units),
+        units: before.as_ref().and_then(|known| known.units.clone()),
     };
     if organisation.roots.is_empty() {
         return Err(Rejection::new(Code::LastOne, format!("{} would have no root", organisation.name))
             .wanted("at least one root; add the new one before the old one goes"));
     }
     let msps = trusted_with(ctx, &organisation)?;
+    let before = before.map(|before| before.msp()).transpose()?;
+    organisation.msp()?.check_entry(before.as_ref(), ctx.block_time())?;
     check_not_locked_out(ctx, caller, &msps)?;
     replace(ctx, &organisation)
 }

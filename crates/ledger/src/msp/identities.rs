@@ -9,6 +9,7 @@
 
 mod certificates;
 mod holder;
+mod imported;
 mod list;
 mod registrar;
 mod registration;
@@ -16,12 +17,14 @@ mod revocation;
 
 pub use certificates::{Ground, KnownIdentity, RecordCertificate, Recorded};
 pub use holder::CertifiedHolder;
+pub use imported::BarredName;
 pub use registrar::{AFFILIATION, REGISTRARS_MAX, SetRegistrar};
 pub use registration::{CancelRegistration, Register};
 pub use revocation::{RevokeIdentity, RevokedIdentity};
 
-pub(super) use certificates::{adopt, record, verified};
+pub(super) use certificates::{adopt, record};
 pub(super) use holder::holder;
+pub(crate) use imported::{check_barred, seen};
 use list::shown;
 pub(super) use list::{enrolled, list};
 pub(super) use registrar::{registrars, set as set_registrar};

@@ -114,7 +114,8 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
         .next("ask for an invitation under another name"));
     }
     check_room(ctx)?;
-    if let Some(former) = store::read::<FoundingOrganisation>(ctx, &former_key(name))?
+    let former: Option<FoundingOrganisation> = store::read(ctx, &former_key(name))?;
+    if let Some(former) = &former
         && !organisation.roots.iter().any(|root| former.roots.contains(root))
     {
         return Err(Rejection::new(Code::AlreadyExists, format!("{name} is the name of a former organisation"))
@@ -123,6 +124,10 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
             .next("ask for an invitation under another name"));
     }
     trusted_with(ctx, organisation)?;
+    organisation.msp()?.check_entry(None, ctx.block_time())?;
+    if let Some(former) = &former {
+        organisation.msp()?.check_spelling(&former.msp()?)?;
+    }
     ctx.delete(former_key(name).as_bytes());
     store::write(ctx, &organisation_key(name), organisation)
 }

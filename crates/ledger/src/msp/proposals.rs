@@ -181,6 +181,11 @@ pub(super) fn propose(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, 
     json(&decide(ctx, caller, call)?)
 }
 
+/// Does this call wait for approvals already?
+pub(super) fn is_proposed(ctx: &Context<'_>, call: &Call) -> Result<bool, Rejection> {
+    Ok(standing(ctx)?.iter().any(|proposal| proposal.call == *call))
+}
+
 /// Proposes a call for the caller's organisation, or approves the same one that is proposed already.
 pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, call: Call) -> Result<Decision, Rejection> {
     forget_expired(ctx)?;

@@ -5,7 +5,7 @@ use super::attestations::{ATTESTATIONS_MAX, AttestationRecord};
 use super::invitations::Invitation;
 use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
-use super::revocation_lists::{LISTS_MAX, ListRecord};
+use super::revocation_lists::{LISTS_MAX, ListRecord, current};
 use super::store::{
     ACTIVATIONS, ATTESTATIONS, CERTIFICATE_RULE, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATION_KEYS,
     ORGANISATIONS, RECOVERY_KEYS, change_key, full, identity_key, invitation_key, json, list_state, parse, read_state,
@@ -48,12 +48,12 @@ pub(crate) fn organisations_in(overlay: &Overlay) -> Result<Vec<FoundingOrganisa
     overlay.range(ORGANISATION_KEYS, ORGANISATIONS_MAX).iter().map(|(key, value)| parse(key, value)).collect()
 }
 
-/// The newest revocation lists of authorities.
+/// The revocation lists of authorities that say something about today.
 ///
 /// # Errors
 /// As [`nodes`].
 pub fn revocation_lists(state: &dyn StateRead) -> Result<Vec<ListRecord>, Rejection> {
-    list_state(state, LISTS, LISTS_MAX)
+    list_state(state, LISTS, LISTS_MAX).map(current)
 }
 
 /// The last attestation of each node.

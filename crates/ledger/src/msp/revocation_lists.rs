@@ -1,39 +1,40 @@
 //! Revocation lists (CRLs) of authorities: those of organisations whose CA is another software.
 //!
 //! A list says which certificates an authority no longer stands for. It is a transaction, so what it revokes ends in one
-//! block at every node. The ledger keeps the newest list of each authority. A list never takes a revocation back: a certificate
-//! that was listed once stays revoked, and a list that leaves one out is refused unless that certificate has ended.
+//! block at every node. A list never takes a revocation back: a certificate that was listed once stays revoked, and the answer
+//! names those that a newer list leaves out. The ledger keeps the newest list of each key of an authority and each scope.
 //!
 //! A list that has ended says nothing about today. Its organisation decides what follows: a warning, or that its
 //! people are refused until a new one comes. Its nodes are not: the network must not stop for a file that is late.
 
+mod current;
 mod due;
 mod follows;
 
+pub(super) use current::current;
 pub(crate) use due::{Due, due, publishes_list};
 pub use follows::LIST_AHEAD_MAX;
+pub(super) use follows::check_time;
 
 use super::caller::{admin, bad, object};
-use super::identities::verified;
 use super::revocations::{Ground, put_revocation};
-use super::store::{self, LISTS, json, list_key, listed_key, stale_key};
+use super::store::{self, LISTS, json, list_key, listed_key, lists_of, stale_key};
 use super::{authorities, organisations};
 use crate::chaincode::{Context, Revocation};
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
-use follows::Kept;
+use current::{LISTS_OF_AUTHORITY_MAX, superfluous};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
-use ledger_identity::msp::{INTERMEDIATES_MAX, ROOTS_MAX};
+use ledger_identity::certificate::Certificate;
+use ledger_identity::msp::{INTERMEDIATES_MAX, ListIssuer, ROOTS_MAX};
 use ledger_identity::revocation_list::{LIST_BYTES_MAX, RevocationList};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Most certificates that may come along with a list, to prove that they have ended.
-pub const ENDED_MAX: usize = 64;
-/// Most lists that are answered with: one for each authority of each organisation.
-pub(super) const LISTS_MAX: usize = organisations::ORGANISATIONS_MAX * (ROOTS_MAX + INTERMEDIATES_MAX);
+/// Most lists that are kept.
+pub(super) const LISTS_MAX: usize =
+    organisations::ORGANISATIONS_MAX * (ROOTS_MAX + INTERMEDIATES_MAX) * LISTS_OF_AUTHORITY_MAX;
 
 /// Argument of `record_revocation_list`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -41,18 +42,23 @@ pub(super) const LISTS_MAX: usize = organisations::ORGANISATIONS_MAX * (ROOTS_MA
 pub struct RecordList {
     /// The list, DER in hexadecimal.
     pub list: String,
-    /// Certificates that have ended, DER in hexadecimal: the list may leave them out, though the ledger does not know them.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub ended: Vec<String>,
 }
 
-/// The newest list of an authority, as it stands on the ledger.
+/// The newest list of a key of an authority and a scope, as it stands on the ledger.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListRecord {
     /// Organisation of the authority.
     pub organisation: String,
     /// SHA-256 of the authority's distinguished name.
     pub issuer: Hash,
+    /// SHA-256 of the public key that has signed the list. A CA that is founded again has another one, and counts from one again.
+    pub key_fingerprint: Hash,
+    /// SHA-256 of the issuing distribution point; none: the list is about all certificates of the authority.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scope: Option<Hash>,
+    /// It leaves out people, or some reasons to revoke them: its age says nothing about theirs.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub partial: bool,
     /// The authority's name, for people.
     pub subject: String,
     /// When the list was made, microseconds since the UNIX epoch.
@@ -112,11 +118,18 @@ pub struct RecordedList {
     pub list: ListRecord,
     /// The serial numbers, in hexadecimal, that were not revoked before.
     pub serials: Vec<String>,
+    /// The serial numbers, in hexadecimal, that the list before named and this one does not, though the certificates have not
+    /// ended as far as the ledger knows. They stay revoked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<String>,
+    /// Its number is not above that of the list before, though it was made later.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub restarted: bool,
 }
 
-/// `revocation_lists`: the newest of each authority.
+/// `revocation_lists`: those that say something about today.
 pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
-    let records: Vec<ListRecord> = store::list(ctx, LISTS.as_bytes(), LISTS_MAX)?;
+    let records: Vec<ListRecord> = current(store::list(ctx, LISTS.as_bytes(), LISTS_MAX)?);
     let known = |list: ListRecord| {
         let stale = store::read(ctx, &stale_key(&list.organisation))?.unwrap_or_default();
         Ok(KnownList { list, stale })
@@ -134,48 +147,60 @@ pub(super) fn set_stale(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes
     Ok(event)
 }
 
-/// `record_revocation_list {list, ended?}`: by an admin of the authority's organisation.
+/// `record_revocation_list {list}`: by an admin of the authority's organisation.
 pub(super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
-    let wanted = "{\"list\": DER in hexadecimal, \"ended\": [DER in hexadecimal]}";
-    let RecordList { list, ended } = object("record_revocation_list", argument, wanted)?;
+    let RecordList { list } = object("record_revocation_list", argument, "{\"list\": DER in hexadecimal}")?;
     let caller = admin(ctx, "record revocation lists")?;
     let organisation = organisations::find(ctx, &caller.organisation)?
         .ok_or_else(|| Rejection::new(Code::NotFound, "the network has no such organisation"))?;
-    let der = decoded(&list, LIST_BYTES_MAX)?;
-    if ended.len() > ENDED_MAX {
-        return Err(bad("record_revocation_list", "ended", "at most 64 certificates"));
-    }
-    let ended = ended.iter().map(|text| decoded(text, CERTIFICATE_BYTES_MAX)).collect::<Result<Vec<_>, _>>()?;
-    json(&take(ctx, &organisation, (&der, &ended), &caller.id())?)
+    let der = hex::decode(&list).ok().filter(|der| der.len() <= LIST_BYTES_MAX).ok_or_else(|| {
+        bad("record_revocation_list", "LIST_JSON", "DER in hexadecimal")
+            .found(format!("{} characters", list.len()))
+            .wanted(format!("DER in hexadecimal, at most {LIST_BYTES_MAX} bytes"))
+    })?;
+    json(&take(ctx, &organisation, &der, &caller.id(), Age::Current)?)
 }
 
-/// Takes a list that an authority of this organisation has signed, if it follows the one before. The certificates in it are revoked, and the
-/// rights of its holders end in this block.
+/// How old a list may be.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Age {
+    /// Good now, and newer than the one before.
+    Current,
+    /// Any: it was good when its organisation was proposed. It revokes, and once it has ended it counts as ended.
+    Any,
+}
+
+/// Takes a list that an authority of this organisation has signed. The certificates in it are revoked, and the rights of its
+/// holders end in this block.
 pub(super) fn take(
     ctx: &mut Context<'_>,
     organisation: &FoundingOrganisation,
-    (der, ended): (&[u8], &[Vec<u8>]),
+    der: &[u8],
     by: &str,
+    age: Age,
 ) -> Result<RecordedList, Rejection> {
-    let list = organisation.msp()?.verify_list(der).map_err(unusable)?;
-    let (issuer, fingerprint) = (Hash::of(&[&list.issuer_name]), Hash::of(&[der]));
-    let key = list_key(&issuer);
-    let known: Option<ListRecord> = store::read(ctx, &key)?;
-    if let Some(known) = known.as_ref().filter(|known| known.fingerprint == fingerprint) {
+    let (list, issuer) = organisation.msp()?.verify_list(der).map_err(unusable)?;
+    let (key, listed) = (list_key(&issuer, list.scope.point), listed_key(&issuer, list.scope.point));
+    let fingerprint = Hash::of(&[der]);
+    let before: Option<ListRecord> = store::read(ctx, &key)?;
+    if let Some(known) = before.as_ref().filter(|known| known.fingerprint == fingerprint) {
         // An answer that was lost is asked for again.
-        return Ok(RecordedList { list: known.clone(), serials: Vec::new() });
+        return Ok(RecordedList { list: known.clone(), serials: Vec::new(), left_out: Vec::new(), restarted: false });
     }
-    follows::check_time(&list, ctx.block_time())?;
-    if let Some(known) = &known {
-        let serials: Vec<String> = store::read(ctx, &listed_key(&issuer))?.unwrap_or_default();
-        let ends = Ends::of(ctx, organisation, &issuer, ended)?;
-        let serials = serials.into_iter().filter_map(|serial| hex::decode(serial).ok()).collect();
-        let kept = Kept { this_update: known.this_update, number: known.number.clone(), serials };
-        follows::check(&kept, &list, &|serial| ends.have(ctx, serial))?;
+    if age == Age::Current {
+        check_time(&list, ctx.block_time())?;
     }
-    let record = ListRecord {
+    let follows = before.as_ref().map_or(Ok(()), |before| follows::check(before, &list));
+    let is_newest = match (follows, age) {
+        (Err(older), Age::Current) => return Err(older),
+        (follows, _) => follows.is_ok(),
+    };
+    let mut record = ListRecord {
         organisation: organisation.name.clone(),
-        issuer,
+        issuer: issuer.name,
+        key_fingerprint: issuer.key,
+        scope: list.scope.point,
+        partial: list.scope.leaves_out_people,
         subject: list.issuer.clone(),
         this_update: list.this_update,
         next_update: list.next_update,
@@ -186,23 +211,60 @@ pub(super) fn take(
         time: ctx.block_time(),
         by: by.to_owned(),
     };
-    store::write(ctx, &key, &record)?;
-    store::write(ctx, &listed_key(&issuer), &list.serials.iter().map(hex::encode).collect::<Vec<_>>())?;
-    let serials = revoke(ctx, organisation, &list, by)?;
+    let restarted = before.as_ref().is_some_and(|before| !follows::grows(before, &list));
+    let mut left_out = Vec::new();
+    match before {
+        Some(newer) if !is_newest => record = newer,
+        _ => {
+            left_out = names_no_longer(ctx, &issuer.name, &listed, &list)?;
+            store::write(ctx, &key, &record)?;
+            store::write(ctx, &listed, &list.serials.iter().map(hex::encode).collect::<Vec<_>>())?;
+            forget_oldest(ctx, &issuer.name)?;
+        }
+    }
+    let serials = revoke(ctx, organisation, (&issuer.name, &list), by)?;
     forget_intermediates(ctx, organisation, &list)?;
-    let recorded = RecordedList { list: record, serials };
+    let recorded = RecordedList { list: record, serials, left_out, restarted: restarted && is_newest };
     ctx.emit("revocation_list", &recorded.list.subject, json(&recorded)?);
     Ok(recorded)
+}
+
+/// The serial numbers in hexadecimal that the list before names and this one does not, without those whose certificates are
+/// known to have ended.
+fn names_no_longer(
+    ctx: &Context<'_>,
+    issuer: &Hash,
+    listed: &str,
+    list: &RevocationList,
+) -> Result<Vec<String>, Rejection> {
+    let before: BTreeSet<String> = store::read(ctx, listed)?.unwrap_or_default();
+    let names = |serial: &String| hex::decode(serial).is_ok_and(|serial| list.serials.contains(&serial));
+    let has_ended = |serial: &String| {
+        let serial = hex::decode(serial).ok()?;
+        let end = ctx.get(&store::end_key(&[&issuer.0[..], &serial].concat()))?;
+        Some(u64::from_be_bytes(end[..].try_into().ok()?) < ctx.block_time())
+    };
+    Ok(before.into_iter().filter(|serial| !names(serial) && !has_ended(serial).unwrap_or(false)).collect())
+}
+
+/// Keeps the lists of an authority few, however often its CA changes key or scope.
+fn forget_oldest(ctx: &mut Context<'_>, issuer: &Hash) -> Result<(), Rejection> {
+    let known: Vec<ListRecord> = store::list(ctx, lists_of(issuer).as_bytes(), LISTS_OF_AUTHORITY_MAX + 1)?;
+    if let Some(oldest) = superfluous(known) {
+        let issuer = ListIssuer { name: oldest.issuer, key: oldest.key_fingerprint };
+        ctx.delete(list_key(&issuer, oldest.scope).as_bytes());
+        ctx.delete(listed_key(&issuer, oldest.scope).as_bytes());
+    }
+    Ok(())
 }
 
 /// Revokes what a list names and was not revoked before; answers with those serial numbers in hexadecimal.
 fn revoke(
     ctx: &mut Context<'_>,
     organisation: &FoundingOrganisation,
-    list: &RevocationList,
+    (issuer, list): (&Hash, &RevocationList),
     by: &str,
 ) -> Result<Vec<String>, Rejection> {
-    let issuer = Hash::of(&[&list.issuer_name]);
     let mut new = Vec::new();
     for serial in &list.serials {
         let revoked = Revocation { issuer: issuer.0, serial: serial.clone() };
@@ -231,52 +293,6 @@ fn forget_intermediates(
         return Ok(());
     }
     authorities::replace(ctx, &changed).map(drop)
-}
-
-/// The certificates of an authority that are known to have ended.
-struct Ends {
-    issuer: Hash,
-    /// Serial numbers of those that came along.
-    shown: BTreeSet<Vec<u8>>,
-}
-
-impl Ends {
-    fn of(
-        ctx: &Context<'_>,
-        organisation: &FoundingOrganisation,
-        issuer: &Hash,
-        ended: &[Vec<u8>],
-    ) -> Result<Self, Rejection> {
-        let mut shown = BTreeSet::new();
-        for der in ended {
-            let holder = verified(ctx, &organisation.name, der)?;
-            if holder.issuer != issuer.0 || holder.not_after >= ctx.block_time() {
-                return Err(Rejection::new(Code::OldList, "a certificate that came along proves nothing")
-                    .found(format!("the certificate of {} with serial {}", holder.id(), hex::encode(&holder.serial)))
-                    .wanted("certificates of the list's issuer that have ended")
-                    .next("leave it out, or take the certificate that the list no longer names"));
-            }
-            shown.insert(holder.serial);
-        }
-        Ok(Self { issuer: *issuer, shown })
-    }
-
-    /// Is it known that the certificate with this serial number has ended?
-    fn have(&self, ctx: &Context<'_>, serial: &[u8]) -> bool {
-        let noted = || {
-            let end = ctx.get(&store::end_key(&[&self.issuer.0[..], serial].concat()))?;
-            Some(u64::from_be_bytes(end[..].try_into().ok()?) < ctx.block_time())
-        };
-        self.shown.contains(serial) || noted().unwrap_or(false)
-    }
-}
-
-fn decoded(text: &str, most: usize) -> Result<Vec<u8>, Rejection> {
-    hex::decode(text).ok().filter(|der| der.len() <= most).ok_or_else(|| {
-        bad("record_revocation_list", "LIST_JSON", "DER in hexadecimal")
-            .found(format!("{} characters", text.len()))
-            .wanted(format!("DER in hexadecimal, at most {most} bytes"))
-    })
 }
 
 /// The refusal of a list that cannot be read or that nobody of the organisation has signed.

@@ -143,7 +143,7 @@ fn issued_by(ctx: &Context<'_>, issuer: &Hash) -> Result<String, Rejection> {
     let organisations = organisations::all(ctx)?;
     for organisation in &organisations {
         for der in organisation.roots.iter().chain(&organisation.intermediates) {
-            if Certificate::parse(der).is_ok_and(|ca| Hash::of(&[&ca.subject_name]) == *issuer) {
+            if Certificate::parse(der).is_ok_and(|ca| ca.subject_name.hash() == *issuer) {
                 return Ok(organisation.name.clone());
             }
         }

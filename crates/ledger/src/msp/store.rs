@@ -18,10 +18,12 @@
 //! | `attestation/<organisation>/<node>` | [`super::AttestationRecord`] |
 //! | `certificate/<fingerprint, 32 bytes>` | a known certificate in DER |
 //! | `revoked/<issuer, 32 bytes><serial>` | [`super::RevocationRecord`] |
-//! | `list/<issuer, 64 hex digits>` | [`super::ListRecord`]: the newest revocation list of an authority |
-//! | `listed/<issuer, 64 hex digits>` | array of the serial numbers in that list, in hexadecimal |
+//! | `list/<issuer, 64 hex digits>/<key, 64 hex digits>[/<scope, 64 hex digits>]` | [`super::ListRecord`]: the newest revocation list of a key of an authority about a scope |
+//! | `listed/<the same>` | array of the serial numbers in that list, in hexadecimal |
 //! | `stale/<organisation>` | [`super::Stale`]: what follows when its lists have ended |
 //! | `end/<issuer, 32 bytes><serial>` | 8 bytes BE: the end (µs) of a known certificate of a CA that is not ours |
+//! | `seen/<organisation>/<name>/<issuer, 64 hex digits>/<serial, hex digits>` | [`super::IssuedCertificate`]: a certificate of a CA that is not ours, since it signed something |
+//! | `barred/<organisation>/<name>` | [`super::BarredName`]: a name of such a CA whose certificates were revoked |
 //! | `identity/<organisation>/<name>` | [`super::IdentityRecord`] |
 //! | `registered/<organisation>` | how many names it has registered |
 //! | `look/<organisation>/<look>` | the registered name that looks so |
@@ -35,6 +37,7 @@ use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_identity::msp::ListIssuer;
 use ledger_identity::{Identity, looks};
 use ledger_storage::state::StateRead;
 use serde::Serialize;
@@ -162,12 +165,21 @@ pub(super) fn carrier_key(organisation: &str, node_organisation: &str, node: &st
     format!("{CARRIERS}{organisation}/{node_organisation}/{node}")
 }
 
-pub(super) fn list_key(issuer: &Hash) -> String {
-    format!("{LISTS}{issuer}")
+/// Where the lists of an authority stand.
+pub(super) fn lists_of(issuer: &Hash) -> String {
+    format!("{LISTS}{issuer}/")
 }
 
-pub(super) fn listed_key(issuer: &Hash) -> String {
-    format!("listed/{issuer}")
+pub(super) fn list_key(issuer: &ListIssuer, scope: Option<Hash>) -> String {
+    format!("{LISTS}{}", of_key_and_scope(issuer, scope))
+}
+
+pub(super) fn listed_key(issuer: &ListIssuer, scope: Option<Hash>) -> String {
+    format!("listed/{}", of_key_and_scope(issuer, scope))
+}
+
+fn of_key_and_scope(ListIssuer { name, key }: &ListIssuer, scope: Option<Hash>) -> String {
+    scope.map_or_else(|| format!("{name}/{key}"), |scope| format!("{name}/{key}/{scope}"))
 }
 
 pub(super) fn stale_key(organisation: &str) -> String {
@@ -180,8 +192,17 @@ pub(super) fn end_key(key: &[u8]) -> Vec<u8> {
 }
 
 /// The full key of a certificate's end, and the end itself.
-pub(crate) fn end_of(identity: &Identity) -> (Bytes, Bytes) {
+pub(super) fn end_of(identity: &Identity) -> (Bytes, Bytes) {
     (full(&end_key(&identity.revocation_key())), Bytes::copy_from_slice(&identity.not_after.to_be_bytes()))
+}
+
+/// Where the certificates of a name stand that have signed something.
+pub(super) fn seen_of(organisation: &str, name: &str) -> String {
+    format!("seen/{organisation}/{name}/")
+}
+
+pub(super) fn barred_key(organisation: &str, name: &str) -> String {
+    format!("barred/{organisation}/{name}")
 }
 
 /// Where a certificate stands that has signed a transaction.

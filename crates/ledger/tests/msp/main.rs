@@ -5,6 +5,7 @@ mod approvals;
 mod attestations;
 mod certificates;
 mod identities;
+mod imported;
 mod lists;
 mod model;
 mod nodes;

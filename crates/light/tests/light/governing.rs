@@ -119,6 +119,18 @@ fn a_revoked_certificate_signs_nothing_any_more_and_an_organisation_brings_its_a
     assert!(after.is_revoked(&node1) && !begun.is_revoked(&node1));
     assert_eq!(after.revocations().count(), 1);
     assert_eq!(by(&[1, 2, 3]).unwrap(), after, "the signature of a revoked one spoils nothing");
+    // A name that is barred has no certificate that begins before that.
+    let node2 = world.identify(&world.nodes[1].certificate, NOW).unwrap();
+    for (time, is_revoked) in [(node2.valid_from, true), (node2.valid_from - 1, false)] {
+        let (organisation, name) = (&node2.organisation, &node2.name);
+        let record = serde_json::json!({ "organisation": organisation, "name": name, "time": time, "height": 8 });
+        let key = format!("msp\0barred/{organisation}/{name}").into();
+        let barred = Change { height: 8, writes: vec![(key, Some(record.to_string().into()))] };
+        let proof = proof_of(&world, 8, &[&first, &revoked, &barred], &[2, 3]);
+        let after = after.follow(&[barred], &proof).unwrap();
+        assert_eq!(after.barred().unwrap(), [(node2.id(), time)].into());
+        assert_eq!(after.is_revoked(&node2), is_revoked);
+    }
     let gone = change(8, &[("organisation/Org2", None)]);
     let proof = proof_of(&world, 8, &[&first, &revoked, &gone], &[2, 3]);
     let without = after.follow(&[gone], &proof).unwrap();

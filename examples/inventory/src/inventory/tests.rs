@@ -49,6 +49,7 @@ fn member(organisation: &str, name: &str) -> Identity {
         serial: vec![1],
         fingerprint: [2; 32],
         public_key: PublicKey::from_spki(&spki).unwrap(),
+        valid_from: 0,
         not_before: 0,
         not_after: u64::MAX,
     }

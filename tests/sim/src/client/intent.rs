@@ -238,8 +238,6 @@ pub enum Call {
     Publish {
         /// The list, DER in hexadecimal.
         list: String,
-        /// Certificates that have ended, DER in hexadecimal.
-        ended: Vec<String>,
     },
     /// To revoke a certificate: issuer and serial in hexadecimal.
     Revoke {
@@ -342,9 +340,8 @@ impl Call {
                 let call = json!({"chaincode": "abac", "function": "set_policy_approvals", "args": args});
                 ("msp", "propose", vec![text(&call.to_string())])
             }
-            Self::Publish { list, ended } => {
-                let record = json!({"list": list, "ended": ended});
-                ("msp", "record_revocation_list", vec![text(&record.to_string())])
+            Self::Publish { list } => {
+                ("msp", "record_revocation_list", vec![text(&json!({ "list": list }).to_string())])
             }
             Self::Describe(terms) => ("abac", "replace", vec![text(&terms.json())]),
             Self::Enter { key } => ("abac", "reader", vec![text(SERVICE), text(key)]),
@@ -376,7 +373,7 @@ impl Call {
         match self {
             Self::Put(policy) => format!("policy put {}", policy.id()),
             Self::Remove(policy) => format!("policy remove {}", policy.id()),
-            Self::Publish { ended, .. } => format!("list with {} certificates", ended.len()),
+            Self::Publish { .. } => "list".to_owned(),
             Self::Share { epoch, .. } => format!("share in epoch {epoch}"),
             Self::Seal { epoch, seq, .. } => format!("seal number {seq} of epoch {epoch}"),
             other => format!("{other:?}"),

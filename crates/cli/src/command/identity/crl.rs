@@ -14,8 +14,8 @@ use std::path::PathBuf;
 /// Record the newest revocation list of your CA; without a file, show those that the ledger has.
 ///
 /// For admins of the organisation of the CA. Everybody whom the list names is revoked, and their grants end in the same block. A
-/// list never takes a revocation back: it has to be newer than the one before, and to name all that the one before named,
-/// except certificates that have ended.
+/// list never takes a revocation back: whom a newer one leaves out stays revoked, and the answer says so. It has to be newer than
+/// the one before by the same key.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -25,9 +25,6 @@ Example:
 pub(crate) struct Crl {
     /// The list, in PEM or DER
     file: Option<PathBuf>,
-    /// A certificate that has ended and is in the list no longer, in PEM; needed where the ledger never saw it
-    #[arg(long, value_name = "FILE", requires = "file")]
-    ended: Vec<PathBuf>,
     /// The consequence when a list has ended and no new one was recorded: warn, or refuse the people of your organisation
     #[arg(long, value_name = "warn|refuse", value_parser = stale, conflicts_with = "file")]
     when_ended: Option<Stale>,
@@ -43,28 +40,21 @@ fn stale(text: &str) -> Result<Stale, String> {
 
 impl Crl {
     pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let record = self.file.as_deref().map(|file| record(file, &self.ended)).transpose()?;
+        let list = self.file.as_deref().map(fabric::list).transpose()?;
         let session = Session::open(global).await?;
         if let Some(stale) = self.when_ended {
             let done = session.call(MSP, "set_stale_lists", vec![argument(&SetStale { stale })?]).await?;
             return output.show(&WhenEnded(answer::parse(&done.response, "the setting")?));
         }
-        let Some(record) = record else {
+        let Some(list) = list else {
             let known = answer::parse(&session.ask(MSP, "revocation_lists", vec![]).await?, "the revocation lists")?;
             return output.show(&Known { lists: known, now: session.client.now() });
         };
+        let record = RecordList { list: hex::encode(list) };
         let done = session.call(MSP, "record_revocation_list", vec![argument(&record)?]).await?;
         let recorded = answer::parse(&done.response, "the recorded list")?;
         output.show(&Recorded(recorded))
     }
-}
-
-fn record(file: &std::path::Path, ended: &[PathBuf]) -> Result<RecordList, ledger_base::rejection::Rejection> {
-    let mut certificates = Vec::new();
-    for path in ended {
-        certificates.extend(fabric::chain(path)?.into_iter().take(1).map(hex::encode));
-    }
-    Ok(RecordList { list: hex::encode(fabric::list(file)?), ended: certificates })
 }
 
 #[derive(Serialize)]
@@ -86,11 +76,20 @@ struct Recorded(RecordedList);
 
 impl Facts for Recorded {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let RecordedList { list, serials } = &self.0;
+        let RecordedList { list, serials, left_out, restarted } = &self.0;
         let (subject, listed) = (crate::output::printable(&list.subject), list.listed);
         writeln!(out, "recorded the revocation list of {subject} in block {}: {listed} certificates", list.height)?;
         for serial in serials {
             writeln!(out, "revoked serial {serial}")?;
+        }
+        for serial in left_out {
+            writeln!(out, "serial {serial} is in the list no longer, and stays revoked")?;
+        }
+        if *restarted {
+            writeln!(out, "its number is not above that of the list before: it counts because it was made later")?;
+        }
+        if list.partial {
+            writeln!(out, "it leaves out people or reasons, so it does not replace the list about all people")?;
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::standing::Standing;
+use std::sync::Arc;
 
 #[test]
 fn a_new_grant_fences_off_the_holder_before() {
@@ -135,7 +136,9 @@ fn a_standing_without_the_driver_stops_the_robot() {
         ("exclusive", &held, true, Some("revoked")),
         ("open", &[], false, None),
         ("open", &[], true, Some("revoked")),
+        ("open by name", &[], true, Some("revoked")),
     ] {
+        let (mode, by_name) = mode.strip_suffix(" by name").map_or((mode, false), |mode| (mode, true));
         let (mut gate, epoch) = match mode {
             "open" => (network.gate(&service(mode), &[]), 0),
             _ => (network.gate(&service(mode), &held), 3),
@@ -143,7 +146,9 @@ fn a_standing_without_the_driver_stops_the_robot() {
         assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(epoch, 1, &TWIST)), Ok(1));
         let mut standing = network.standing(2, grants);
         if revoked {
-            standing.members = network.members(&[&network.salma]);
+            let barred = by_name.then(|| ("Org1/Salma".to_owned(), NOW));
+            standing.members = network.members(if by_name { &[] } else { &[&network.salma] });
+            standing.members.barred = Arc::new(barred.into_iter().collect());
         }
         let service = Service { epoch, ..service(mode) };
         assert_eq!(gate.learn(&service, &standing, now().steady, now()), why, "{mode} {revoked}");

@@ -1,7 +1,6 @@
 //! The authorities that an organisation loses by a change.
 
 use crate::network::FoundingOrganisation;
-use ledger_base::hash::Hash;
 use ledger_base::rejection::Rejection;
 use ledger_identity::certificate::Certificate;
 use std::collections::BTreeSet;
@@ -15,10 +14,11 @@ pub(super) fn lost(before: &FoundingOrganisation, after: &FoundingOrganisation) 
     let stay = standing(after)?;
     let mut lost: BTreeSet<Name> = standing(before)?.difference(&stay).map(|(name, _)| *name).collect();
     let names: BTreeSet<Name> = stay.into_iter().map(|(name, _)| name).collect();
-    let mut below = Vec::new();
+    let (mut below, msp) = (Vec::new(), after.msp()?);
     for der in &after.intermediates {
         let Certificate { issuer_name, subject_name, .. } = Certificate::parse(der)?;
-        below.push((Hash::of(&[&issuer_name]).0, Hash::of(&[&subject_name]).0));
+        let issuer = msp.issuer(&issuer_name).unwrap_or_else(|| issuer_name.hash());
+        below.push((issuer.0, subject_name.hash().0));
     }
     loop {
         // The issuer still stands by its name, but perhaps not with the key that has signed this one.
@@ -37,7 +37,7 @@ fn standing(organisation: &FoundingOrganisation) -> Result<BTreeSet<(Name, Vec<u
     let mut standing = BTreeSet::new();
     for der in organisation.roots.iter().chain(&organisation.intermediates) {
         let Certificate { subject_name, public_key_info, .. } = Certificate::parse(der)?;
-        let name = Hash::of(&[&subject_name]).0;
+        let name = subject_name.hash().0;
         if msp.standing().contains(&name) {
             standing.insert((name, public_key_info));
         }
@@ -64,7 +64,7 @@ mod tests {
         let lowest = below.below("lowest-ca");
         let all = [&below, &lowest, &beside];
         let before = organisation(&[&old, &other], &all);
-        let name = |ca: &&Ca| Hash::of(&[&Certificate::parse(&ca.root()).unwrap().subject_name]).0;
+        let name = |ca: &&Ca| Certificate::parse(&ca.root()).unwrap().subject_name.hash().0;
         let cases: [(FoundingOrganisation, &[&Ca]); 5] = [
             (organisation(&[&old, &other, &anew], &all), &[]),
             (organisation(&[&other, &anew], &all), &[&old, &below, &lowest]),

@@ -160,7 +160,7 @@ fn end_others(ctx: &mut Context<'_>, record: &IdentityRecord, holder: &Identity,
 
 /// The owner of this certificate, by the authorities of that organisation alone. Whether it is valid at the moment is
 /// not asked: clocks differ, and those who see it used look at that.
-pub(in super::super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
+pub(super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
     let authorities = organisations::find(ctx, organisation)?
         .ok_or_else(|| Rejection::new(Code::NotFound, "the network has no such organisation"))?;
     let mut msps = Msps::new();

@@ -1,10 +1,11 @@
 //! Everything of a name is revoked in one step: its certificates, and secrets that were not used yet.
 
 use super::super::caller::{admin, object};
+use super::super::organisations;
 use super::super::revocations::{check_reason, revoke_certificate};
 use super::super::store::json;
 use super::registration::{unknown, void};
-use super::{IssuedCertificate, find, is_revoked};
+use super::{IssuedCertificate, find, imported, is_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
@@ -28,6 +29,10 @@ pub struct RevokedIdentity {
     pub certificates: Vec<IssuedCertificate>,
     /// A secret that could still be used is void.
     pub cancelled: bool,
+    /// Only of a CA that is not ours. Certificates of the name that begin at this block time or before are refused, also unknown
+    /// ones. Microseconds since the UNIX epoch.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub barred: Option<u64>,
 }
 
 /// `revoke_identity {name, reason?}`: by an admin of the organisation, through any node; no CA is needed.
@@ -36,6 +41,10 @@ pub(in super::super) fn revoke(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     let reason = check_reason("revoke_identity", reason.as_bytes())?;
     let caller = admin(ctx, "revoke identities")?;
     let Some(record) = find(ctx, &caller.organisation, &name)? else {
+        if organisations::find(ctx, &caller.organisation)?.is_some_and(|organisation| organisation.units.is_some()) {
+            let (certificates, barred) = imported::revoke(ctx, caller, &name, reason)?;
+            return json(&RevokedIdentity { certificates, cancelled: false, barred: Some(barred) });
+        }
         return Err(unknown(&caller.organisation, &name));
     };
     let live: Vec<_> = record.certificates.iter().filter(|issued| !is_revoked(ctx, issued)).cloned().collect();
@@ -50,5 +59,5 @@ pub(in super::super) fn revoke(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
         revoke_certificate(ctx, caller, &record.organisation, (&issued.issuer, &serial), reason)?;
     }
     void(ctx, record, true)?;
-    json(&RevokedIdentity { certificates: live, cancelled })
+    json(&RevokedIdentity { certificates: live, cancelled, barred: None })
 }

@@ -2,7 +2,7 @@
 
 use super::super::store::{LISTS, list_state, read_state, stale_key};
 use super::super::{NAME, RECORD_LIST};
-use super::{LISTS_MAX, ListRecord, Stale};
+use super::{LISTS_MAX, Stale, current};
 use crate::transaction::Transaction;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
@@ -36,7 +36,7 @@ impl Due {
 /// Reads it from a state.
 pub(crate) fn due(state: &dyn StateRead) -> Result<Due, Rejection> {
     let mut due = HashMap::new();
-    for list in list_state::<ListRecord>(state, LISTS, LISTS_MAX)? {
+    for list in current(list_state(state, LISTS, LISTS_MAX)?).into_iter().filter(|list| !list.partial) {
         let stale: Stale = read_state(state, &stale_key(&list.organisation))?.unwrap_or_default();
         if let Some(end) = list.next_update.filter(|_| stale == Stale::Refuse) {
             due.insert(list.issuer.0, end);
