@@ -147,7 +147,9 @@ fn a_standing_without_the_driver_stops_the_robot() {
         let mut standing = network.standing(2, grants);
         if revoked {
             let barred = by_name.then(|| ("Org1/Salma".to_owned(), NOW));
-            standing.members = network.members(if by_name { &[] } else { &[&network.salma] });
+            let salma = [&network.salma];
+            let revoked: &[&User] = if by_name { &[] } else { &salma };
+            standing.members = network.members(revoked);
             standing.members.barred = Arc::new(barred.into_iter().collect());
         }
         let service = Service { epoch, ..service(mode) };
