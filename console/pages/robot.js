@@ -125,7 +125,7 @@ export function open({ parts: [name = ""], identity, session }) {
       "section",
       { key: "stopped", "aria-label": "Stopped" },
       h("p.warning", h("strong", "Stopped"), ` by ${by} at `, atTime(since), why && `: ${why}`),
-      h("div.actions", h("button.plain", { key: "resume", type: "button", onclick: question.asks({ title: `Resume ${name}?`, about: `Stopped by ${by}${why && `: ${why}`}. The next contender in a queue gets it, and it may move at once.`, confirm: "Resume", run: resume }) }, "Resume…")),
+      h("div.actions", h("button.plain", { key: "resume", type: "button", onclick: question.asks({ title: `Resume ${name}?`, about: `Stopped by ${by}${why && `: ${why}`}. The next contender in a queue gets it, and it may move at once. Grants that the stop ended do not come back: acquire again.`, confirm: "Resume", run: resume }) }, "Resume…")),
     );
 
   return {

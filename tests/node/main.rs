@@ -35,6 +35,7 @@ mod histories;
 mod http;
 mod instances;
 mod join;
+mod keep;
 mod lab;
 mod languages;
 mod leadership;

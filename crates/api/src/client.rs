@@ -206,7 +206,7 @@ impl Client {
     /// The verdict, if it is not 0. [`Code::Timeout`] if the outcome is unknown: the text has the id. [`Code::Contradicted`] if a node
     /// has executed it, and the network does not have it.
     pub async fn invoke(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
-        let done = self.executed(chaincode, function, args).await?;
+        let done = self.execute(chaincode, function, args).await?;
         let within = self.session.options.certified;
         match tokio::time::timeout(within + ANSWER_TIME, self.record(done.id, within)).await {
             Ok(Ok(v1::TransactionRecord { certified, certificate_due, .. })) => {
@@ -218,7 +218,11 @@ impl Client {
         }
     }
 
-    async fn executed(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
+    /// Signs a call, submits it and waits for its verdict, but not until that is certified.
+    ///
+    /// # Errors
+    /// The verdict, if it is not 0. [`Code::Timeout`] if the outcome is unknown: the text has the id.
+    pub async fn execute(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
         let call = Call { chaincode: chaincode.into(), function: function.into(), args, ttl: self.session.options.ttl };
         let first = self.submit(self.prepare(call.clone())?).await;
         match first {

@@ -26,7 +26,10 @@ impl Words {
             refused.message = format!("{typed} is not usable");
             refused.found = spans(&refused.found);
             refused.wanted = spans(&refused.wanted);
-            refused = refused.next(format!("{} --help", self.help));
+            // Advice of the case is better than how to call the function or the command.
+            if refused.own_advice().is_empty() || refused.own_advice().starts_with("call it as: ") {
+                refused = refused.next(format!("{} --help", self.help));
+            }
         }
         refused
     }
@@ -74,11 +77,11 @@ mod tests {
 
     #[test]
     fn an_argument_is_called_what_people_typed() {
-        let refused =
-            Rejection::new(Code::BadArgument, "argument 2 (LEASE_MS) is not usable").found("5 ms").next("acquire …");
-        let told = WORDS.told(refused);
+        let refused = Rejection::new(Code::BadArgument, "argument 2 (LEASE_MS) is not usable").found("5 ms");
+        let told = WORDS.told(refused.clone().next("call it as: acquire …"));
         assert_eq!((told.message.as_str(), told.found.as_str()), ("--for is not usable", "5 ms"));
         assert_eq!(told.advice(), "ledgerctl acquire --help");
+        assert_eq!(WORDS.told(refused.next("ask the owner")).advice(), "ask the owner", "advice of the case stays");
         let service = WORDS.told(Rejection::new(Code::BadArgument, "argument 1 (SERVICE) is not usable"));
         assert_eq!(service.message, "the service is not usable");
     }

@@ -21,5 +21,13 @@ pub(crate) fn check_lease(target: &Target, args: Arguments<'_>, index: usize, le
         return Ok(());
     }
     let wanted = format!("{LEASE_MS_MIN} to {max} ms for {}", target.id);
-    Err(args.bad(index, "LEASE_MS", format!("{lease_ms} ms"), &wanted))
+    let refused = args.bad(index, "LEASE_MS", format!("{lease_ms} ms"), &wanted);
+    if lease_ms <= max {
+        return Err(refused);
+    }
+    let (service, owner) = (target.service_id(), &target.robot.organisation);
+    Err(refused.next(format!(
+        "renew it again and again: ledgerctl acquire {} --keep; an admin of {owner} allows longer ones: ledgerctl robot set {service} lease-max=…",
+        target.id
+    )))
 }

@@ -69,8 +69,13 @@ fn spans_are_neither_negative_nor_endless() {
         let parts = [lease, "a decimal number", "acquire SERVICE"];
         bad(&mut fleet, &salma(), Code::BadArgument, ("acquire", &[TURTLEBOT, lease]), parts);
     }
-    for lease in ["0", "99", "18446744073709551615"] {
-        let parts = [lease, "100 to", "acquire SERVICE"];
+    for (lease, advice) in [
+        ("0", "acquire SERVICE"),
+        ("99", "acquire SERVICE"),
+        ("600001", "ledgerctl robot set Turtlebot4/cmd_vel lease-max="),
+        ("18446744073709551615", "ledgerctl acquire Turtlebot4/cmd_vel --keep"),
+    ] {
+        let parts = [lease, "100 to", advice];
         bad(&mut fleet, &salma(), Code::BadArgument, ("acquire", &[TURTLEBOT, lease]), parts);
     }
     fleet.ok(&owner(), "configure", &[TURTLEBOT, r#"{"sharing":{"delegable":true}}"#]);

@@ -4,6 +4,17 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Milliseconds(pub(crate) u64);
 
+impl std::fmt::Display for Milliseconds {
+    /// As it is typed, in the largest unit that fits.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let units = [(86_400_000, "d"), (3_600_000, "h"), (60_000, "m"), (1_000, "s")];
+        match units.into_iter().find(|(factor, _)| self.0 > 0 && self.0.is_multiple_of(*factor)) {
+            Some((factor, unit)) => write!(f, "{}{unit}", self.0 / factor),
+            None => write!(f, "{}ms", self.0),
+        }
+    }
+}
+
 impl std::str::FromStr for Milliseconds {
     type Err = String;
 
@@ -45,6 +56,7 @@ mod tests {
             ("30d", 2_592_000_000),
         ] {
             assert_eq!(text.parse(), Ok(Milliseconds(millis)), "{text}");
+            assert_eq!(Milliseconds(millis).to_string(), text.replace("min", "m"));
         }
     }
 

@@ -22,7 +22,7 @@ use std::time::Duration;
 /// Stop a robot: whoever commands it loses it, and nobody gets it until it is resumed.
 ///
 /// For admins of the robot's owner, for identities with the attribute safety=true of organisations that the owner trusts,
-/// for the robot itself, and those whom the owner's policies permit `stop`.
+/// for the robot itself, and those whom the owner's policies permit `stop`. Each holder acquires again after `resume`.
 ///
 /// Where nothing can be ordered, robots are notified at once, and the stop is signed and sent again until it is in force. Ended before,
 /// by Ctrl-C or --timeout, the command fails: repeat it.
@@ -41,7 +41,8 @@ pub(crate) struct Stop {
 
 /// Let a stopped robot be commanded again; for admins of its owner and those whom policies permit `resume`.
 ///
-/// The next contender in the queue gets it, if there is one. Stops of the robot that have no verdict yet are cancelled.
+/// The next contender in the queue gets it, if there is one. Grants that the stop ended do not come back: their holders acquire
+/// again. Stops of the robot that have no verdict yet are cancelled.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl resume Turtlebot4 --reason 'cell is empty'")]
 pub(crate) struct Resume {
@@ -87,6 +88,12 @@ impl Facts for Done {
         }
         for grant in ended {
             writeln!(out, "  ended the grant of {} to {} (epoch {})", grant.service, grant.holder, grant.epoch)?;
+        }
+        if !ended.is_empty() {
+            writeln!(out, "  after `ledgerctl resume` they acquire again: these grants do not come back")?;
+        }
+        if *state == "resumed" && !robots.is_empty() {
+            writeln!(out, "  grants that the stop ended do not come back: acquire again")?;
         }
         if robots.is_empty() && unchanged.is_empty() {
             writeln!(out, "there is no robot")?;

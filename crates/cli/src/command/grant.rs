@@ -1,6 +1,7 @@
 //! `acquire`, `renew`, `release`, `take`, `queue`, `delegate`, `handover`, `recall`, `confirm`: who may use a service, until when, and who is next.
 
 mod confirm;
+mod keep;
 mod line;
 mod pass;
 mod together;
@@ -9,6 +10,7 @@ mod waiting;
 use self::waiting::Waiting;
 pub(crate) use self::{
     confirm::Confirm,
+    keep::Kept,
     line::turn,
     pass::{Delegate, Handover, Recall},
 };
@@ -22,15 +24,19 @@ use crate::time;
 use crate::words::{Words, decimal};
 use bytes::Bytes;
 use ledger_api::Committed;
-use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Limits, Released};
+use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Limits, Released, ServiceState};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::time::Duration;
 
 /// Get the right to use a service of a robot.
 ///
-/// While the grant lasts, nobody else's messages get through on an exclusive service. It is a lease: use and `renew`
-/// extend it, `release` ends it.
+/// While the grant lasts, nobody else's messages get through on an exclusive service. It is a lease: each message and `renew`
+/// extend it, `release` ends it. Without them it ends after `--for`, or the lease of the service, which is 10 s unless its owner
+/// sets another one. The longest lease is 10 min, unless the owner sets another `lease-max`. With `--keep` the command renews the
+/// grant until Ctrl-C, which releases it.
+///
+/// A stop of the robot ends its grants for good: acquire again once it is resumed.
 ///
 /// A service with a line puts you there while others hold it: the command tells your place and ends with exit code 5. With
 /// `--wait` it goes on until the service is yours; Ctrl-C leaves the line.
@@ -39,6 +45,7 @@ use std::time::Duration;
 Example:
   ledgerctl acquire Turtlebot4
   ledgerctl acquire Turtlebot4/cmd_vel --for 30s
+  ledgerctl acquire Turtlebot4/cmd_vel --keep
   ledgerctl acquire Turtlebot4/cmd_vel --wait 5m
   ledgerctl acquire Turtlebot4 Husky/cmd_vel --all-or-none")]
 pub(crate) struct Acquire {
@@ -50,6 +57,9 @@ pub(crate) struct Acquire {
     /// Several services in one transaction: all of them, or none
     #[arg(long, conflicts_with = "no_wait")]
     all_or_none: bool,
+    /// Renew the grant until Ctrl-C, which releases it; exit code 5 after a stop, 2 if it is lost, 4 if no node answers
+    #[arg(long)]
+    keep: bool,
     /// Wait in line for the service at most this long, such as 5m
     #[arg(long, value_name = "SPAN")]
     wait: Option<Milliseconds>,
@@ -83,7 +93,9 @@ pub(crate) struct Queue {
     service: String,
 }
 
-/// Extend a grant that you hold.
+/// Extend a grant that you hold, from now on by its lease or by `--for`.
+///
+/// To extend it again and again: `ledgerctl acquire ROBOT/TOPIC --keep`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl renew Turtlebot4/cmd_vel --for 2m")]
 pub(crate) struct Renew {
@@ -111,10 +123,13 @@ struct Lease {
     /// The service; the robot alone is enough if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
-    /// How long without use, such as 30s, 500ms or 2m; otherwise what the service says
+    /// How long without use, such as 30s, 500ms or 2m; otherwise what the service says. At most its lease-max
     #[arg(long = "for", value_name = "SPAN")]
     span: Option<Milliseconds>,
 }
+
+/// How long the longest lease of a service is asked for.
+const LONGEST_WITHIN: Duration = Duration::from_secs(2);
 
 /// A grant and the transaction that gave it.
 #[derive(Serialize)]
@@ -126,6 +141,12 @@ struct Granted {
     height: u64,
     transaction: ledger_base::hash::Hash,
     certified: bool,
+    /// The longest lease of the service in milliseconds, if a node has told it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lease_ms_max: Option<u64>,
+    /// Does this command go on and renew it?
+    #[serde(skip)]
+    kept: bool,
     #[serde(skip)]
     renewed: bool,
     /// Is it somebody else's?
@@ -135,7 +156,7 @@ struct Granted {
 
 impl Facts for Granted {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Grant { service, holder, epoch, expires, mode, limits, givers, .. } = &self.grant;
+        let Grant { service, holder, epoch, expires, mode, limits, givers, lease_ms, .. } = &self.grant;
         let is_alone = Capabilities::of_mode(mode).map(|known| known.fencing == Fencing::Newest);
         let what = match (self.renewed, is_alone) {
             _ if self.passed_on => format!("is now held by {holder}"),
@@ -149,13 +170,29 @@ impl Facts for Granted {
         table.pair("holder", holder);
         table.pair("epoch", epoch);
         table.pair("expires", format!("{} ({})", time::moment(*expires), time::relative(*expires, self.time)));
+        if let Some(longest) = self.lease_ms_max {
+            let [lease, longest] = [*lease_ms, longest].map(|ms| time::span(ms.saturating_mul(1000)));
+            table.pair("lease", format!("{lease} after each message or renewal, at most {longest}"));
+        }
         if !givers.is_empty() {
             table.pair("by way of", givers.join(", then "));
         }
         if !limits.is_none() {
             table.pair("limits", limits_text(limits));
         }
-        table.write(out, 2)
+        table.write(out, 2)?;
+        if self.kept || self.passed_on {
+            return Ok(());
+        }
+        match self.lease_ms_max {
+            Some(longest) if longest > *lease_ms => writeln!(
+                out,
+                "to hold it for longer: ledgerctl renew {service} --for {}, or ledgerctl acquire {service} --keep",
+                Milliseconds(longest)
+            ),
+            Some(_) => writeln!(out, "to hold it for longer: ledgerctl acquire {service} --keep"),
+            None => Ok(()),
+        }
     }
 }
 
@@ -184,7 +221,21 @@ const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledg
 impl Granted {
     fn of(done: &Committed, grant: Grant, renewed: bool) -> Self {
         let Committed { id: transaction, height, time, certified, .. } = *done;
-        Self { grant, time, height, transaction, certified, renewed, passed_on: false }
+        Self { grant, time, height, transaction, certified, lease_ms_max: None, kept: false, renewed, passed_on: false }
+    }
+
+    /// With the longest lease of its service. The grant counts without it: nothing waits for nodes that do not answer.
+    async fn with_longest(self, session: &Session) -> Self {
+        let service = vec![Bytes::from(self.grant.service.clone())];
+        let state = tokio::time::timeout(LONGEST_WITHIN, session.ask(ABAC, "service", service)).await;
+        let state = state.ok().and_then(Result::ok);
+        let state = state.and_then(|state| answer::parse::<ServiceState>(&state, "a service").ok());
+        Self { lease_ms_max: state.map(|state| state.lease_ms_max), ..self }
+    }
+
+    /// This command renews it.
+    fn for_keeping(self, kept: bool) -> Self {
+        Self { kept, ..self }
     }
 
     /// The grant is somebody else's now.
@@ -196,12 +247,12 @@ impl Granted {
 impl Acquire {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
-        let Self { lease: Lease { service, span }, others, all_or_none, wait, no_wait, priority } = self;
+        let Self { lease: Lease { service, span }, others, all_or_none, keep, wait, no_wait, priority } = self;
         if all_or_none {
             let services: Vec<String> = std::iter::once(service).chain(others).collect();
             let options = AcquireOptions { lease_ms: span.map(|span| span.0), priority, ..AcquireOptions::default() };
             let wait = wait.map(|wait| Duration::from_millis(wait.0));
-            return together::acquire(&session, &services, &options, wait, output).await;
+            return together::acquire(&session, &services, &options, wait, keep, output).await;
         }
         let mut args = vec![Bytes::from(service)];
         let wait_ms = if no_wait { Some(0) } else { wait.as_ref().map(|wait| wait.0) };
@@ -218,7 +269,13 @@ impl Acquire {
             Acquired::Queued { queued } if wait.is_none() => line::joined(queued, &done, output),
             acquired => {
                 let granted = granted(&session, &done, acquired, output).await?;
-                output.show(&granted)
+                let granted = granted.with_longest(&session).await.for_keeping(keep);
+                output.show(&granted)?;
+                if !keep {
+                    return Ok(());
+                }
+                let height = granted.height;
+                Kept::of(&session, vec![granted.grant]).until_interrupted(height, output).await
             }
         }
     }
@@ -250,7 +307,7 @@ impl Renew {
         let args = std::iter::once(service).chain(span.map(|span| span.0.to_string())).map(Bytes::from).collect();
         let done = session.call(ABAC, "renew", args).await.map_err(|refused| RENEW.told(refused))?;
         let grant = answer::parse(&done.response, "a grant")?;
-        output.show(&Granted::of(&done, grant, true))
+        output.show(&Granted::of(&done, grant, true).with_longest(&session).await)
     }
 }
 
@@ -262,7 +319,7 @@ impl Take {
         let args = [service, reason].into_iter().chain(span).map(Bytes::from).collect();
         let done = session.call(ABAC, "take", args).await.map_err(|refused| TAKE.told(refused))?;
         let grant = answer::parse(&done.response, "a grant")?;
-        output.show(&Granted::of(&done, grant, false))
+        output.show(&Granted::of(&done, grant, false).with_longest(&session).await)
     }
 }
 
@@ -335,7 +392,8 @@ mod tests {
         };
         let transaction = ledger_base::hash::Hash::ZERO;
         let (time, height, certified) = (1_700_000_000_000_000, 9, true);
-        Granted { grant, time, height, transaction, certified, renewed, passed_on: false }
+        let lease_ms_max = Some(600_000);
+        Granted { grant, time, height, transaction, certified, lease_ms_max, kept: false, renewed, passed_on: false }
     }
 
     fn text(facts: &impl Facts) -> String {
@@ -350,6 +408,15 @@ mod tests {
         for part in ["Turtlebot4/cmd_vel is yours alone", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
             assert!(shown.contains(part), "{part:?} in {shown}");
         }
+        for part in
+            ["10 s after each message or renewal, at most 10 min", "ledgerctl renew Turtlebot4/cmd_vel --for 10m"]
+        {
+            assert!(shown.contains(part), "{part:?} in {shown}");
+        }
+        assert!(
+            !text(&granted(false, Mode::EXCLUSIVE).for_keeping(true)).contains("ledgerctl"),
+            "it is renewed already"
+        );
         assert!(text(&granted(true, Mode::EXCLUSIVE)).contains("renewed"));
         assert!(text(&granted(false, Mode::OPEN)).contains("everybody else who may"));
         let newer = text(&granted(false, Mode::LIMITED));

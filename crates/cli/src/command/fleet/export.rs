@@ -2,6 +2,7 @@
 
 use super::plan::{FleetState, spec_of};
 use crate::argument::setting::KEYS;
+use crate::argument::span::Milliseconds;
 use crate::time::rfc3339;
 use crate::words::decimal;
 use ledger_base::rejection::{Code, Rejection};
@@ -59,7 +60,7 @@ fn service_table(service: ServiceSpec) -> Table {
     let spans = [("max-age", service.max_age_ms), ("lease", service.lease_ms), ("lease-max", service.lease_ms_max)];
     for (name, ms) in spans {
         if let Some(ms) = ms {
-            table.insert(name.into(), span(ms).into());
+            table.insert(name.into(), Milliseconds(ms).to_string().into());
         }
     }
     if let Some(stop) = service.stop_hex {
@@ -71,7 +72,7 @@ fn service_table(service: ServiceSpec) -> Table {
             // It has its default.
             "" => continue,
             text if key.field.ends_with("_ms") => {
-                text.parse().map_or(Value::String(shown.clone()), |ms| span(ms).into())
+                text.parse().map_or(Value::String(shown.clone()), |ms| Milliseconds(ms).to_string().into())
             }
             text if key.field.ends_with("_mm_s") || key.field.ends_with("_mrad_s") => {
                 text.parse().map_or(Value::String(shown.clone()), |number| decimal(number).into())
@@ -123,9 +124,4 @@ fn attributes(attributes: &Attributes) -> Table {
 
 fn texts(texts: &[String]) -> Value {
     Value::Array(texts.iter().map(|text| Value::String(text.clone())).collect())
-}
-
-/// A span as it is typed.
-fn span(ms: u64) -> String {
-    if ms.is_multiple_of(1000) && ms > 0 { format!("{}s", ms / 1000) } else { format!("{ms}ms") }
 }

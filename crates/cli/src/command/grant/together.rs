@@ -1,6 +1,6 @@
 //! `acquire … --all-or-none`: several services in one transaction.
 
-use super::Granted;
+use super::{Granted, Kept};
 use crate::answer;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
@@ -34,12 +34,13 @@ impl Facts for Together {
     }
 }
 
-/// Acquires all of them, or none; tries again for `wait` whenever one of them was released.
+/// Acquires all of them, or none; tries again for `wait` whenever one of them was released. Then renews them if told to `keep`.
 pub(super) async fn acquire(
     session: &Session,
     services: &[String],
     options: &AcquireOptions,
     wait: Option<Duration>,
+    keep: bool,
     output: &mut Output,
 ) -> Result<(), Failure> {
     let mut args = vec![session::argument(options)?];
@@ -49,7 +50,19 @@ pub(super) async fn acquire(
         // Known before the try: what is released after it is not missed.
         let height = session.client.status().await?.height;
         match session.call(ABAC, "acquire_all", args.clone()).await {
-            Ok(done) => return output.show(&granted(&done)?),
+            Ok(done) => {
+                let mut grants = Vec::new();
+                for grant in granted(&done)? {
+                    grants.push(grant.with_longest(session).await.for_keeping(keep));
+                }
+                let grants = Together(grants);
+                output.show(&grants)?;
+                if !keep {
+                    return Ok(());
+                }
+                let kept = grants.0.into_iter().map(|granted| granted.grant).collect();
+                return Kept::of(session, kept).until_interrupted(done.height, output).await;
+            }
             Err(refused) if refused.code == Code::Held && Instant::now() < until => {
                 if tokio::time::timeout_at(until, released(session, services, height)).await.is_err() {
                     return Err(WORDS.told(refused).into());
@@ -60,9 +73,9 @@ pub(super) async fn acquire(
     }
 }
 
-fn granted(done: &Committed) -> Result<Together, Rejection> {
+fn granted(done: &Committed) -> Result<Vec<Granted>, Rejection> {
     let grants: Vec<Grant> = answer::parse(&done.response, "grants")?;
-    Ok(Together(grants.into_iter().map(|grant| Granted::of(done, grant, false)).collect()))
+    Ok(grants.into_iter().map(|grant| Granted::of(done, grant, false)).collect())
 }
 
 /// Waits until something about one of the services ends after that height.

@@ -95,7 +95,17 @@ impl<'s> Waiting<'s> {
                 let (time, height) = (delivery.time, delivery.height);
                 // The block itself gave it: no transaction of ours did.
                 let (transaction, certified) = (Hash::ZERO, !delivery.proof.is_empty());
-                let granted = Granted { grant, time, height, transaction, certified, renewed: false, passed_on: false };
+                let granted = Granted {
+                    grant,
+                    time,
+                    height,
+                    transaction,
+                    certified,
+                    lease_ms_max: None,
+                    kept: false,
+                    renewed: false,
+                    passed_on: false,
+                };
                 Ok(is_ours.then(|| End::Granted(Box::new(granted))))
             }
             "left" => {
