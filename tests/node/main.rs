@@ -12,6 +12,7 @@
 )]
 
 mod admin;
+mod attributes;
 mod audit;
 mod backup;
 mod ca;

@@ -17,8 +17,7 @@ const FILE_BYTES_MAX: usize = 64 * 1024;
 pub fn passphrase(file: Option<&Path>, new: bool) -> Result<String, Rejection> {
     if let Some(path) = file {
         let text = ledger_base::durable::read(path, FILE_BYTES_MAX)?;
-        let text = String::from_utf8_lossy(&text);
-        return Ok(text.lines().next().unwrap_or_default().to_owned());
+        return Ok(text_of(&text).lines().next().unwrap_or_default().to_owned());
     }
     if let Ok(passphrase) = std::env::var(VARIABLE) {
         return Ok(passphrase);
@@ -44,7 +43,7 @@ pub fn secret(argument: &str) -> Result<String, Rejection> {
     let line = match argument.strip_prefix('@') {
         Some(path) => {
             let text = ledger_base::durable::read(Path::new(path), FILE_BYTES_MAX)?;
-            String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned()
+            text_of(&text).lines().next().unwrap_or_default().to_owned()
         }
         None if argument != "-" => return Ok(argument.to_owned()),
         None if io::stdin().is_terminal() => ask("secret: ")?,
@@ -65,7 +64,12 @@ fn first_line(input: impl BufRead) -> Result<String, Rejection> {
         .take(FILE_BYTES_MAX as u64)
         .read_until(b'\n', &mut line)
         .map_err(|error| Rejection::new(Code::BadFile, "standard input cannot be read").found(error.to_string()))?;
-    Ok(String::from_utf8_lossy(&line).into_owned())
+    Ok(text_of(&line))
+}
+
+/// The text of a file, without the mark of an editor; other bytes than text make a secret that fits nothing.
+fn text_of(bytes: &[u8]) -> String {
+    ledger_base::text::of_bytes(bytes).unwrap_or_else(|_| String::from_utf8_lossy(bytes).into_owned())
 }
 
 /// Asks on the terminal, without showing what is typed.
@@ -97,7 +101,7 @@ mod tests {
     fn a_secret_is_the_argument_or_the_first_line_of_a_file() {
         let place = tempfile::tempdir().unwrap();
         let file = place.path().join("secret");
-        std::fs::write(&file, " u7Qm-2fKx \nmore\n").unwrap();
+        std::fs::write(&file, "\u{feff} u7Qm-2fKx \nmore\n").unwrap();
         assert_eq!(secret("u7Qm-2fKx").unwrap(), "u7Qm-2fKx");
         assert_eq!(secret(&format!("@{}", file.display())).unwrap(), "u7Qm-2fKx");
         assert_eq!(first_line(&b"u7Qm\r\nmore"[..]).unwrap().trim(), "u7Qm");

@@ -12,6 +12,7 @@
 //! | [`nearest`] | "did you mean" |
 //! | [`progress`] | progress of long commands on a terminal |
 //! | [`shared_results`] | results of pure functions that simulated nodes share |
+//! | [`text`] | text files as editors write them |
 //! | [`units`] | spans of time and sizes as text |
 
 #![forbid(unsafe_code)]
@@ -26,4 +27,5 @@ pub mod progress;
 pub mod rejection;
 pub mod settings;
 pub mod shared_results;
+pub mod text;
 pub mod units;

@@ -219,7 +219,7 @@ fn units(directory: &Path, known: &[(&str, &Found)]) -> Result<Units, Rejection>
     if fs::symlink_metadata(&path).is_err() {
         return Ok(Units::default());
     }
-    let text = String::from_utf8(read_file(&path)?).map_err(|_| bad(&path, "bytes that are no text"))?;
+    let text = ledger_base::text::of_bytes(&read_file(&path)?).map_err(|fault| bad(&path, fault.to_string()))?;
     let authority = |name: &str| {
         let named = |(part, read): &(&str, &Found)| {
             let file = name.strip_prefix(part)?.strip_prefix('/')?;

@@ -12,7 +12,7 @@
 //! | [`msp`] | the organisations of a network, and the path from a certificate to one of their roots |
 //! | [`revocation_list`] | reading a revocation list within limits |
 //! | [`units`] | the units that name roles, where an organisation has words of its own |
-//! | the root | [`Identity`], [`Role`], names, and [`IdentityError`] |
+//! | the root | [`Identity`], [`Role`], names, the form of attributes, and [`IdentityError`] |
 //!
 //! ```
 //! use ledger_identity::key::{KeyKind, PublicKey, SigningKey};
@@ -25,6 +25,7 @@
 //! # Ok::<(), ledger_identity::key::KeyError>(())
 //! ```
 
+mod attribute;
 pub mod certificate;
 mod der;
 pub mod distinguished_name;
@@ -37,5 +38,6 @@ pub mod revocation_list;
 mod signature;
 pub mod units;
 
+pub use attribute::{ATTRIBUTE_FORM, NotAnAttribute, read_attribute, shown_attribute};
 pub use identity::{Identity, IdentityError, NAME_BYTES_MAX, NEW_NAME_BYTES_MAX, Role, check_name, check_new_name};
 pub use name::{check_readable, looks};

@@ -82,9 +82,11 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// Four lines: what happened between two counts.
+/// Four lines: what happened between two counts. A rate is one of [`EVERY`] at least: a message in the first millisecond is
+/// not a thousand a second.
 fn frame(before: Counts, now: Counts, between: Duration) -> String {
-    let rate = |before: usize, now: usize| now.saturating_sub(before) as f64 / between.as_secs_f64().max(0.001);
+    let seconds = between.max(EVERY).as_secs_f64();
+    let rate = |before: usize, now: usize| now.saturating_sub(before) as f64 / seconds;
     let line = |name: &str, before: usize, now: usize| {
         let hz = rate(before, now);
         let bar = (hz / f64::from(HZ) * BAR as f64).round().clamp(0.0, BAR as f64 * 1.25) as usize;
@@ -125,6 +127,14 @@ mod tests {
         for line in frame(Counts::default(), now, Duration::from_secs(1)).lines() {
             assert!(readme.lines().any(|shown| shown == line), "README.md lacks {line:?}");
         }
+    }
+
+    #[test]
+    fn the_first_message_of_a_phase_is_no_rate_of_hundreds() {
+        let now = Counts { published: [1, 1], received: [1, 0] };
+        let drawn = frame(Counts::default(), now, Duration::from_micros(1_200));
+        let rates: Vec<_> = drawn.lines().filter_map(|line| line.split_whitespace().nth_back(1)).collect();
+        assert_eq!(rates, ["5", "5", "5", "0"]);
     }
 
     #[test]

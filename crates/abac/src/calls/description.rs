@@ -14,6 +14,7 @@ use ledger_base::hash::Hash;
 use ledger_base::nearest::did_you_mean;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, RobotSpec, ServiceSpec, Sharing, is_called};
+use ledger_identity::{ATTRIBUTE_FORM, read_attribute};
 use std::collections::BTreeSet;
 
 /// Longest required attribute with its value, in bytes.
@@ -203,7 +204,17 @@ fn check_confidential(sharing: &Sharing, type_name: &str, topic: &str) -> Result
 
 pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
     let (key, value) = required.split_once('=').unwrap_or((required, "true"));
-    if key.is_empty() || required.len() > ATTRIBUTE_BYTES_MAX || required.chars().any(char::is_control) {
+    if let Err(fault) = read_attribute(required) {
+        let advice = match fault.question("") {
+            none if none.is_empty() => "name the attribute that users must have".to_owned(),
+            question => format!("{question} A robot requires one attribute; a policy may demand more"),
+        };
+        return Err(Rejection::new(Code::BadArgument, "attribute_required is no attribute")
+            .found(shown(required))
+            .wanted(ATTRIBUTE_FORM)
+            .next(advice));
+    }
+    if required.len() > ATTRIBUTE_BYTES_MAX {
         return Err(Rejection::new(Code::BadArgument, "attribute_required is not usable")
             .found(shown(required))
             .wanted(format!("KEY or KEY=VALUE, at most {ATTRIBUTE_BYTES_MAX} bytes"))

@@ -12,6 +12,7 @@ use ledger::Context;
 use ledger_base::moment::rfc3339_seconds;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyDraft, PolicyText, ShareEntry, SharePreview, ShareTerms};
+use ledger_identity::{ATTRIBUTE_FORM, read_attribute};
 
 /// Longest terms, in bytes.
 const TERMS_BYTES_MAX: usize = 8 * 1024;
@@ -80,10 +81,13 @@ fn checked(ctx: &Context<'_>, args: Arguments<'_>, terms: ShareTerms, robot: &Ro
         return Err(bad(format!("until {}", rfc3339_seconds(until)), &wanted));
     }
     let organisation = terms.organisation();
-    let attribute = terms.attribute.as_deref().map(|attribute| match attribute.split_once('=') {
-        Some(_) => attribute.to_owned(),
-        None => format!("{attribute}=true"),
-    });
+    let attribute = match terms.attribute.as_deref().map(|text| (text, read_attribute(text))) {
+        Some((_, Ok((key, value)))) => Some(format!("{key}={value}")),
+        Some((text, Err(fault))) => {
+            return Err(bad(shown(text), ATTRIBUTE_FORM).next(fault.question("--attr ")));
+        }
+        None => None,
+    };
     if attribute.is_some() && !robot.trusted.iter().any(|name| name == organisation) {
         let (name, trusted) = (&robot.name, robot.trusted.join(","));
         let message = format!("{name} does not trust {organisation}, so its attributes do not count");

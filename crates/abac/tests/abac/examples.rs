@@ -30,6 +30,9 @@ fn cast() -> Fleet {
         person("Guest", &[yes("guest")], 23),
         admin1(),
         owner(),
+        // As `ledgerd dev` calls them.
+        identity("Org1", "Admin", Role::Admin, &[], 24),
+        identity("Org2", "Admin", Role::Admin, &[], 25),
     ];
     for (robot, attributes) in [
         ("Turtlebot4", r#"{"kind":"rover","payload_kg":9,"zones":["hall","lab"]}"#),

@@ -145,7 +145,7 @@ fn ended(own: &Certificate, organisation: Option<&str>, now: u64) -> Rejection {
 pub(crate) fn way_back(own: &Certificate, organisation: Option<&str>) -> String {
     let name = own.name().unwrap_or("NAME");
     let organisation = organisation.unwrap_or("the organisation");
-    let again = format!("ledgerctl identity register {name} --reissue; then type what it prints, with --force");
+    let again = format!("ledgerctl identity register {name} --reissue; then type what it prints");
     match own.role() {
         Ok(Role::Admin) => format!(
             "ask another admin of {organisation} for: {again}; if there is none: ledgerd admin-secret, at a node of \

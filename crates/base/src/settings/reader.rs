@@ -31,10 +31,8 @@ pub fn load(path: &Path) -> Result<String, Vec<Fault>> {
         }
         whole(rejection)
     })?;
-    String::from_utf8(content).map_err(|error| {
-        let at = error.utf8_error().valid_up_to();
-        let found = format!("{:#04x?} at byte {at}", error.as_bytes().get(at));
-        let rejection = Rejection::new(Code::BadConfiguration, "the file is not text").found(found);
+    crate::text::of_bytes(&content).map_err(|fault| {
+        let rejection = Rejection::new(Code::BadConfiguration, "the file is not text").found(fault.to_string());
         whole(rejection.wanted("TOML in UTF-8"))
     })
 }

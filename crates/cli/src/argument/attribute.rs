@@ -1,5 +1,7 @@
 //! Attributes: `KEY=VALUE`, or `KEY` alone for `KEY=true`.
 
+use ledger_identity::read_attribute;
+
 /// One attribute of a certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Attribute {
@@ -13,10 +15,7 @@ impl std::str::FromStr for Attribute {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (key, value) = text.split_once('=').unwrap_or((text, "true"));
-        if key.is_empty() || key.trim() != key || text.chars().any(char::is_control) {
-            return Err("wanted KEY=VALUE, or KEY alone for KEY=true".to_owned());
-        }
+        let (key, value) = read_attribute(text).map_err(|fault| fault.to_string())?;
         Ok(Self { key: key.to_owned(), value: value.to_owned() })
     }
 }
@@ -35,7 +34,7 @@ mod tests {
 
     #[test]
     fn a_value_without_a_key_is_refused() {
-        for text in ["", "=true", " a=b", "a\n=b"] {
+        for text in ["", "=true", " a=b", "a\n=b", "Turtlebot4,Husky", "level 3"] {
             assert!(text.parse::<Attribute>().is_err(), "{text:?}");
         }
     }

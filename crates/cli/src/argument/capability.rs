@@ -39,6 +39,9 @@ fn read(value: &str) -> Result<Option<Attribute>, String> {
     }
     if value.contains(',') {
         let texts = value.split(',').map(str::trim).filter(|text| !text.is_empty());
+        if let Some(other) = texts.clone().find(|text| text.contains('=')) {
+            return Err(format!("{value}: {other} looks like another attribute: give it an option of its own"));
+        }
         return Ok(Some(Attribute::Set(texts.map(str::to_owned).collect())));
     }
     Ok(Some(Attribute::Text(value.to_owned())))
@@ -89,6 +92,7 @@ mod tests {
             assert_eq!(read(typed), Ok(wanted), "{typed}");
         }
         assert!(read("\"a").unwrap_err().contains("does not end"));
+        assert!(read("crane,payload_kg=20").unwrap_err().contains("payload_kg=20 looks like another attribute"));
         assert!(read("9223372036854775808").unwrap_err().contains("quotes"));
     }
 

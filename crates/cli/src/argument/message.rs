@@ -29,12 +29,12 @@ impl Definitions {
                 }
             };
             let text = bytes::from_file(Path::new(path))?;
-            let text = std::str::from_utf8(&text).map_err(|_| {
+            let text = ledger_base::text::of_bytes(&text).map_err(|fault| {
                 Rejection::new(Code::BadFile, format!("{path} is no definition of a message"))
-                    .found("bytes that are no text")
+                    .found(fault.to_string())
                     .wanted("the text of a .msg file")
             })?;
-            library.add(&name, text).map_err(|fault| unusable(path, fault))?;
+            library.add(&name, &text).map_err(|fault| unusable(path, fault))?;
         }
         Ok(library)
     }

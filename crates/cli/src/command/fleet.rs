@@ -15,9 +15,11 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Format, Output, printable};
 use crate::session::{self, ABAC, Session};
+use crate::words::shell_word;
 use bytes::from_file;
 use file::FleetFile;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::text;
 use ledger_contract::{
     FleetChange, FleetPlan, PolicyDiff, PolicyEntry, PolicyText, Released, RobotAsset, RobotChange, SettingChange,
 };
@@ -124,9 +126,12 @@ impl FleetSource {
             Rejection::new(Code::BadFile, format!("{path} is no file of a fleet"))
                 .found(found)
                 .wanted("TOML with robots, policies and shares")
-                .next("ledgerctl export shows the form of a file")
+                .next(match self.file.extension().is_some_and(|extension| extension == "cedar") {
+                    true => format!("ledgerctl policy apply {}", shell_word(&path)),
+                    false => "ledgerctl export shows the form of a file".to_owned(),
+                })
         };
-        let text = String::from_utf8(from_file(&self.file)?.to_vec()).map_err(|fault| unreadable(fault.to_string()))?;
+        let text = text::of_bytes(&from_file(&self.file)?).map_err(|fault| unreadable(fault.to_string()))?;
         let file = FleetFile::read(&text).map_err(unreadable)?;
         let state = state(session).await?;
         let plan = plan(&state, &file, self.prune)?;

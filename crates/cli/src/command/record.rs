@@ -62,7 +62,7 @@ const EVENTS: [&str; 11] = [
 #[command(after_help = "\
 Example:
   ledgerctl record Turtlebot4 -o run.mcap
-  ledgerctl record Turtlebot4/cmd_vel OptiTrack/pose --since 10m -o run.mcap
+  ledgerctl record Turtlebot4/cmd_vel OptiTrack/poses --since 10m -o run.mcap
   ledgerctl record Turtlebot4 --since 14:30 --until 14:45:30 -o run.mcap --force
   ledgerctl record Arm/grip --since 0 --follow --msg arm_msgs/msg/Grip=Grip.msg -o grip.mcap")]
 pub(crate) struct Record {

@@ -6,6 +6,7 @@ use crate::argument::setting::{self, Key};
 use crate::argument::when::When;
 use ledger_base::nearest::nearest;
 use ledger_contract::{Attribute, Attributes, RobotSettings, ShareTerms};
+use ledger_identity::read_attribute;
 use std::collections::BTreeMap;
 use toml::{Table, Value};
 
@@ -168,7 +169,10 @@ fn share_of(table: Table, place: &str) -> Result<ShareTerms, String> {
             _ => Err(format!("{place}: {key}: wanted a time in the form of RFC 3339, such as 2027-05-01T14:30:00Z")),
         };
         match known(&key.replace('_', "-"), &KEYS, place)? {
-            "attr" => terms.attribute = Some(if word.contains('=') { word } else { format!("{word}=true") }),
+            "attr" => {
+                let (key, value) = read_attribute(&word).map_err(|fault| format!("{place}: attr: {fault}"))?;
+                terms.attribute = Some(format!("{key}={value}"));
+            }
             "from" => terms.from = moment(&word)?,
             "until" => terms.until = moment(&word)?,
             "hours" => terms.hours = Some(word),

@@ -24,6 +24,10 @@ pub(in crate::command) fn meaning(out: &mut dyn Write, policy: &PolicyMeaning) -
     for condition in when {
         writeln!(out, "    when {}", printable(&condition.replace('\n', " ")))?;
     }
+    let (windows, limits): (Vec<_>, Vec<_>) = limits.iter().cloned().partition(|limit| limit.starts_with("within "));
+    for window in windows {
+        writeln!(out, "    {}", printable(&window))?;
+    }
     if !limits.is_empty() {
         writeln!(out, "    with {}", printable(&limits.join(", ")))?;
     }

@@ -77,7 +77,7 @@ impl Remove {
 
 /// The text of a policy, which must be UTF-8.
 fn read(bytes: &[u8]) -> Result<String, Rejection> {
-    String::from_utf8(bytes.to_vec()).map_err(|fault| {
+    ledger_base::text::of_bytes(bytes).map_err(|fault| {
         Rejection::new(Code::BadArgument, "the policy is no text")
             .found(fault.to_string())
             .wanted("Cedar in UTF-8")

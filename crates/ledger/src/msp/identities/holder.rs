@@ -3,7 +3,7 @@
 use super::certificates::verified;
 use super::{find, is_revoked, issued_key};
 use crate::chaincode::Context;
-use crate::msp::store::json;
+use crate::msp::store::{json, known_certificate_key};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
@@ -50,7 +50,10 @@ pub(in super::super) fn holder(ctx: &Context<'_>, id: &Bytes) -> Result<Bytes, R
     let now = ctx.block_time();
     for issued in record.certificates.iter().rev().filter(|issued| issued.not_before <= now && now <= issued.not_after)
     {
-        let Some(der) = ctx.get(&issued_key(&issued.fingerprint)).filter(|_| !is_revoked(ctx, issued)) else {
+        // One that a CA issued before there was a ledger is here since its holder's first call.
+        let der = ctx.get(&issued_key(&issued.fingerprint));
+        let der = der.or_else(|| ctx.get(&known_certificate_key(&issued.fingerprint)));
+        let Some(der) = der.filter(|_| !is_revoked(ctx, issued)) else {
             continue;
         };
         // An authority that left takes its certificates along.

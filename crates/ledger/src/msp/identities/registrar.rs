@@ -12,7 +12,7 @@ use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
-use ledger_identity::{Identity, Role};
+use ledger_identity::{Identity, Role, read_attribute};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -70,6 +70,16 @@ pub(in super::super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<B
     let words = set.affiliation.iter().chain(&set.attributes).chain([&set.name]);
     if !words.clone().all(fits) || set.name.contains('/') || set.attributes.len() > ATTRIBUTES_MAX {
         return Err(bad("set_registrar", "REGISTRAR_JSON", "names of 1 to 128 bytes, at most 32 attributes"));
+    }
+    // A value would belong to the registered name.
+    for name in &set.attributes {
+        if !name.contains('=') && read_attribute(name).is_ok() {
+            continue;
+        }
+        let question = read_attribute(name).err().map(|fault| fault.question("--attr ")).unwrap_or_default();
+        return Err(bad("set_registrar", "REGISTRAR_JSON", "names of attributes, without values")
+            .found(format!("{name:?}"))
+            .next(question));
     }
     if set.attributes.contains(AFFILIATION) {
         return Err(bad(

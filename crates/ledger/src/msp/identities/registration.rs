@@ -10,9 +10,12 @@ use bytes::Bytes;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::encode_attributes;
-use ledger_identity::{Role, check_new_name, check_readable};
+use ledger_identity::{ATTRIBUTE_FORM, Role, check_new_name, check_readable, read_attribute, shown_attribute};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Most characters of a text that a rejection repeats.
+const FOUND_CHARS_MAX: usize = 128;
 
 /// Argument of `register`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,6 +53,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     let registering = Registering::of(ctx, "register identities")?;
     let caller = registering.caller;
     check(&attributes)?;
+    check_form(&attributes)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(REGISTRATION_LIFE_MAX) {
         return Err(Rejection::new(Code::BadArgument, "the secret would end at an impossible time")
@@ -239,6 +243,21 @@ pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(),
 /// Attributes that a certificate can hold.
 pub(super) fn check(attributes: &BTreeMap<String, String>) -> Result<(), Rejection> {
     encode_attributes(attributes).map(|_| ()).map_err(|error| Rejection::from(error).code(Code::BadArgument))
+}
+
+/// Attributes that an admin means: no two in one, no value in the name.
+fn check_form(attributes: &BTreeMap<String, String>) -> Result<(), Rejection> {
+    for (key, value) in attributes {
+        let text = shown_attribute(key, value);
+        read_attribute(&text).map_err(|fault| {
+            let found: String = text.chars().take(FOUND_CHARS_MAX).collect();
+            Rejection::new(Code::BadArgument, "this is no attribute")
+                .found(format!("{found:?}"))
+                .wanted(ATTRIBUTE_FORM)
+                .next(fault.question("--attr "))
+        })?;
+    }
+    Ok(())
 }
 
 pub(super) fn unknown(organisation: &str, name: &str) -> Rejection {
