@@ -45,9 +45,7 @@ fn the_stolen_key_of_a_person_is_worth_nothing_from_its_revocation_on_and_the_pe
     assert!(!shown.contains("Org1/Salma"), "{shown}");
 
     let again = boss.json(&["identity", "register", "Salma", "--attr", "Turtlebot4", "--reissue"]);
-    let mut words = enrol(&again["command"]);
-    words.push("--force".into());
-    fleet.ctl().run(&words).ok();
+    fleet.ctl().run(&enrol(&again["command"])).ok();
     fleet.ctl().as_("Salma").run(&["acquire", "Turtlebot4"]).ok();
     thief.run(&["acquire", "Turtlebot4"]).refused(2, &["LGR-2004"]);
 }
