@@ -187,7 +187,6 @@ impl Facts for Person {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use ledger_base::hash::Hash;
