@@ -53,8 +53,8 @@ pub struct ProvedVerdict {
 }
 
 impl ProvedVerdict {
-    /// The number of the code and the hash of the answer, if the way leads over so many blocks to `digest`, and from the transaction
-    /// with this id at this position of its block.
+    /// The number of the code, and the hash of the answer. The transaction has this id and stands at this position of its block,
+    /// and `digest` is that of the last of so many blocks.
     ///
     /// # Errors
     /// [`Code::Untrusted`] if it does not, or is that of another transaction; [`Code::Malformed`].
