@@ -129,6 +129,9 @@ export async function examine(link) {
   const height = reader.u64();
   const previous = reader.take(32);
   const headers = times(reader.u32(), () => ({ term: reader.take(8), time: reader.take(8), root: reader.take(32) }));
+  const [digestBefore, writes, verdict] = [reader.take(32), reader.take(32), reader.part()];
+  const verdictPath = path(new Reader(reader.part()));
+  const later = times(reader.u32(), () => reader.take(32));
   const proof = new Reader(reader.part());
   reader.end();
 
@@ -182,12 +185,38 @@ export async function examine(link) {
     if (valid) signers.push(`${organisation}/${commonName}`);
   }
 
-  for (let left = proof.u32(); left > 0; left -= 1) {
+  const verdicts = await root(verdictPath, await sha256(Uint8Array.of(0), verdict));
+  let digest = digestBefore;
+  for (const effects of [await sha256(utf8("ledgerd effects v1\0"), writes, verdicts), ...later]) {
+    digest = await sha256(utf8("ledgerd state v1\0"), digest, effects);
+  }
+  const told = new Reader(verdict);
+  told.expect("ledgerd fact v1\0");
+  const [kind, position, id, code] = [told.u8(), told.u32(), told.take(32), told.u32()];
+  const isOwn = kind === 2 && position === transactionPath.index && verdictPath.index === position && same(id, await sha256(bytes));
+
+  for (let left = proof.u32(), first = true; left > 0; left -= 1, first = false) {
     const fact = proof.part();
+    if (first) {
+      const leadsThere = later.length + 1 === headers.length && same(digest, groundDigest(fact));
+      check("Its verdict leads to the signed state digest", isOwn && leadsThere, code === 0 ? "executed" : `LGR-${String(code).padStart(4, "0")}`);
+    }
     const leads = await root(path(new Reader(proof.part())), await sha256(Uint8Array.of(0), fact));
     check("A fact is one of the signed results", same(leads, results), factOf(fact));
   }
   return { signers, checks };
+}
+
+/**
+ * The state digest of a ground: behind its kind, the governing chain and the control chain.
+ * @param {Bytes} fact
+ */
+function groundDigest(fact) {
+  const ground = new Reader(fact);
+  ground.expect("ledgerd fact v1\0");
+  const kind = ground.u8();
+  ground.take(64);
+  return kind === 1 ? ground.take(32) : new Uint8Array();
 }
 
 const FACTS = ["", "the ground: chains, state digest", "a verdict", "an event", "a control write"];

@@ -175,13 +175,17 @@ impl Certificates {
         Ok(known.min_by_key(|proof| proof.certificate.statement.height))
     }
 
+    /// The newest certificate, unless its proof was written.
+    fn unwritten(&self) -> Option<Certificate> {
+        self.recent.newest().filter(|newest| newest.statement.height > self.written.load(Relaxed))
+    }
+
     /// Writes the newest proof, unless it was written. A network that is quiet from now on has no later certificate.
     ///
     /// # Errors
     /// A fault of the store or of the disk.
     pub(crate) fn keep_newest(&self, ledger: &Ledger) -> Result<(), Rejection> {
-        let newest = self.recent.newest().filter(|newest| newest.statement.height > self.written.load(Relaxed));
-        let newest = newest.map(|certificate| proof(ledger, certificate, |_| false)).transpose()?.flatten();
+        let newest = self.unwritten().map(|certificate| proof(ledger, certificate, |_| false)).transpose()?.flatten();
         let Some(newest) = newest else { return Ok(()) };
         self.kept.write_newest(&newest)?;
         self.written.fetch_max(newest.certificate.statement.height, Relaxed);
@@ -274,10 +278,10 @@ impl Certifying {
         let started = Instant::now();
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
         let (mut effects, mut found) = (Vec::new(), Vec::new());
-        let [mut again, mut keeping] = [EVIDENCE_EVERY, KEEP_EVERY].map(interval);
-        for every in [&mut again, &mut keeping] {
-            every.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        }
+        let mut again = interval(EVIDENCE_EVERY);
+        again.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        // When the newest proof was written last; the first one is written at once.
+        let mut kept: Option<Instant> = None;
         loop {
             let event = tokio::select! {
                 told = self.told.recv() => match told {
@@ -311,8 +315,9 @@ impl Certifying {
                     self.disputes.again(&mut found);
                     None
                 }
-                _ = keeping.tick() => {
+                () = until(self.keep_wait(kept)) => {
                     self.keep_newest().await;
+                    kept = Some(Instant::now());
                     None
                 }
                 () = tokio::time::sleep(DISK_PAUSE), if self.certifier.waits_for_disk() => Some(Event::Time),
@@ -385,6 +390,13 @@ impl Certifying {
         .await;
     }
 
+    /// Microseconds until the newest proof is to be written; none if it is.
+    fn keep_wait(&self, kept: Option<Instant>) -> Option<u64> {
+        let since = kept.map_or(KEEP_EVERY, |kept| kept.elapsed());
+        let wait = KEEP_EVERY.saturating_sub(since).as_micros();
+        self.certificates.unwritten().map(|_| u64::try_from(wait).unwrap_or(u64::MAX))
+    }
+
     async fn keep_newest(&self) {
         let ledger = Arc::clone(&self.ordering.storage.ledger);
         self.keep(move |certificates| certificates.keep_newest(&ledger)).await;
@@ -413,7 +425,7 @@ impl Certifying {
             disputes::Effect::Show { proof, except } => self.send_proof(&proof, except),
             disputes::Effect::Exclude(liars) => self.ordering.slot.exclude(liars),
             disputes::Effect::Keep(proof) => {
-                self.say(&proof);
+                evidence::log(&proof, &self.ordering.directory);
                 self.keep(move |certificates| certificates.kept.misbehaviour(&proof)).await;
             }
             disputes::Effect::Diverged { height } => self.stop(height).await,
@@ -422,40 +434,6 @@ impl Certifying {
             disputes::Effect::Refused { from, reason } => {
                 let node = self.ordering.directory.name(from);
                 tracing::warn!(node, code = reason.code.name(), %reason, "a proof of misbehaviour is not accepted");
-            }
-        }
-    }
-
-    /// Says that there is a new proof.
-    fn say(&self, proof: &Misbehaviour) {
-        let node = self.ordering.directory.name(proof.node());
-        match proof {
-            Misbehaviour::Lie(lie) => {
-                let (height, first, second) =
-                    (lie.first.statement.height, lie.first.statement.block, lie.second.statement.block);
-                tracing::error!(node, height, %first, %second, "a node has signed two different blocks of one height; the proof is kept");
-            }
-            Misbehaviour::DoubleVote(votes) => {
-                let [first, second] = votes.votes.each_ref().map(|(to, _)| self.ordering.directory.name(*to));
-                tracing::error!(
-                    node,
-                    term = votes.term,
-                    first,
-                    second,
-                    "a voter has voted for two nodes in one term; the proof is kept"
-                );
-            }
-            Misbehaviour::DoubleHead(heads) => {
-                let [first, second] = heads.branches.each_ref().map(|branch| branch.base);
-                tracing::error!(
-                    node, term = heads.term, height = heads.height, %first, %second,
-                    "a leader has signed two different logs in one term; the proof is kept"
-                );
-            }
-            Misbehaviour::Fault(fault) => {
-                let (height, first, second) =
-                    (fault.first.statement.height, fault.first.statement.results, fault.second.statement.results);
-                tracing::error!(node, height, %first, %second, "a node has signed two different results of one block; the proof is kept");
             }
         }
     }

@@ -380,7 +380,11 @@ fn a_rejoin_drops_nothing_that_a_strict_certificate_of_its_node_covers() {
         first.does(&salma, &acquire).await;
         second.does(&farhad, &acquire).await;
         let node4 = &fleet.nodes[3];
-        proof_after(node4, &first, &salma, height).await;
+        // The grant is certified now, and the node keeps the certificate in a moment.
+        let (_, shown, _) = first.run(&salma, &["status", "-o", "json"]).await;
+        let certified = serde_json::from_str::<Value>(&shown).unwrap()["certified"].as_u64().unwrap();
+        assert!(certified > height, "{shown}");
+        proof_after(node4, &first, &salma, certified - 1).await;
         let other = proof_after(&twins[0], &second, &farhad, height).await;
         first.nodes.iter_mut().for_each(Process::kill);
         let own = kept_proof(node4).unwrap();

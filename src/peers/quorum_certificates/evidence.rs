@@ -33,3 +33,37 @@ fn described(evidence: &Evidence, directory: &Directory, of: impl Fn(&Misbehavio
         proofs.iter().filter(|proof| members.contains(&proof.node()) && of(proof)).map(words).collect();
     described.join(", ")
 }
+
+/// Says that there is a new proof.
+pub(super) fn log(proof: &Misbehaviour, directory: &Directory) {
+    let node = directory.name(proof.node());
+    match proof {
+        Misbehaviour::Lie(lie) => {
+            let (height, first, second) =
+                (lie.first.statement.height, lie.first.statement.block, lie.second.statement.block);
+            tracing::error!(node, height, %first, %second, "a node has signed two different blocks of one height; the proof is kept");
+        }
+        Misbehaviour::DoubleVote(votes) => {
+            let [first, second] = votes.votes.each_ref().map(|(to, _)| directory.name(*to));
+            tracing::error!(
+                node,
+                term = votes.term,
+                first,
+                second,
+                "a voter has voted for two nodes in one term; the proof is kept"
+            );
+        }
+        Misbehaviour::DoubleHead(heads) => {
+            let [first, second] = heads.branches.each_ref().map(|branch| branch.base);
+            tracing::error!(
+                node, term = heads.term, height = heads.height, %first, %second,
+                "a leader has signed two different logs in one term; the proof is kept"
+            );
+        }
+        Misbehaviour::Fault(fault) => {
+            let (height, first, second) =
+                (fault.first.statement.height, fault.first.statement.results, fault.second.statement.results);
+            tracing::error!(node, height, %first, %second, "a node has signed two different results of one block; the proof is kept");
+        }
+    }
+}

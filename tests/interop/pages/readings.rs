@@ -185,7 +185,10 @@ pub(super) const READINGS: &[Reading] = &[
             ("ledgerctl share Husky", "ledgerctl share --yes Husky"),
             ("ledgerctl unshare", "ledgerctl unshare --yes"),
         ],
-        elsewhere: &[("ledgerctl policy test cases.toml", "typed for each of the twelve examples with its files")],
+        elsewhere: &[
+            ("ledgerctl policy test cases.toml", "typed for each of the twelve examples with its files"),
+            ("ledgerd policy prove", "tests/node/proofs.rs asks such questions, if it finds a solver"),
+        ],
         ..Reading::of("docs/policies.md")
     },
 ];
