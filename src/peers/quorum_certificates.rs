@@ -283,6 +283,7 @@ impl Certifying {
         // When the newest proof was written last; the first one is written at once.
         let mut kept: Option<Instant> = None;
         loop {
+            let keeping = self.keep_wait(kept);
             let event = tokio::select! {
                 told = self.told.recv() => match told {
                     Some(Told::Event(event)) => Some(event),
@@ -315,7 +316,7 @@ impl Certifying {
                     self.disputes.again(&mut found);
                     None
                 }
-                () = until(self.keep_wait(kept)) => {
+                () = until(keeping) => {
                     self.keep_newest().await;
                     kept = Some(Instant::now());
                     None
