@@ -85,7 +85,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         tasks: Vec::new(),
         stopped: false,
         settled: std::collections::BTreeSet::new(),
-        members: Members { msps: Arc::clone(&context.msps), revoked: Arc::default() },
+        members: Members { msps: Arc::clone(&context.msps), revoked: Arc::default(), barred: Arc::default() },
         height: 1,
         time,
     };

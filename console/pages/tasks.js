@@ -91,8 +91,8 @@ function row(task, position) {
     h("td", service.slice(robotOf(service).length)),
     h("td", progress(task)),
     h("td", priority),
-    h("td", turn(task, position)),
-    h("td", deadline && [atTime(deadline), ", ", remaining(deadline)]),
+    h("td.wraps", turn(task, position)),
+    h("td.wraps", deadline && [atTime(deadline), ", ", remaining(deadline)]),
     h("td", atTime(submitted)),
   );
 }

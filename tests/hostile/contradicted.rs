@@ -208,7 +208,7 @@ fn a_node_that_a_strict_certificate_contradicts_stops_and_comes_back_by_the_comm
 fn passed(mut bridge: Process) -> u64 {
     assert!(bridge.signal(Signal::TERM).success(), "{}", bridge.stderr());
     let report = bridge.stdout();
-    let report: Value = serde_json::from_str(report.lines().last().expect("a report")).unwrap();
+    let report: Value = serde_json::from_str(report.lines().last().unwrap()).unwrap();
     report["routes"][0]["published"].as_u64().unwrap()
 }
 
