@@ -175,17 +175,13 @@ impl Certificates {
         Ok(known.min_by_key(|proof| proof.certificate.statement.height))
     }
 
-    /// The newest certificate, unless its proof was written.
-    fn unwritten(&self) -> Option<Certificate> {
-        self.recent.newest().filter(|newest| newest.statement.height > self.written.load(Relaxed))
-    }
-
     /// Writes the newest proof, unless it was written. A network that is quiet from now on has no later certificate.
     ///
     /// # Errors
     /// A fault of the store or of the disk.
     pub(crate) fn keep_newest(&self, ledger: &Ledger) -> Result<(), Rejection> {
-        let newest = self.unwritten().map(|certificate| proof(ledger, certificate, |_| false)).transpose()?.flatten();
+        let newest = self.recent.newest().filter(|newest| newest.statement.height > self.written.load(Relaxed));
+        let newest = newest.map(|certificate| proof(ledger, certificate, |_| false)).transpose()?.flatten();
         let Some(newest) = newest else { return Ok(()) };
         self.kept.write_newest(&newest)?;
         self.written.fetch_max(newest.certificate.statement.height, Relaxed);
@@ -395,7 +391,8 @@ impl Certifying {
     fn keep_wait(&self, kept: Option<Instant>) -> Option<u64> {
         let since = kept.map_or(KEEP_EVERY, |kept| kept.elapsed());
         let wait = KEEP_EVERY.saturating_sub(since).as_micros();
-        self.certificates.unwritten().map(|_| u64::try_from(wait).unwrap_or(u64::MAX))
+        let is_due = self.certificates.certified() > self.certificates.written.load(Relaxed);
+        is_due.then(|| u64::try_from(wait).unwrap_or(u64::MAX))
     }
 
     async fn keep_newest(&self) {

@@ -55,7 +55,7 @@ impl MspDirectory {
     ///
     /// # Errors
     /// [`Code::BadFile`] with the file and its fault; [`Code::CertificateMalformed`] if the authorities do not fit together, or
-    /// nobody could sign in by one of them.
+    /// one of them could let no one sign in.
     pub fn read(directory: &Path, organisation: &str, at: u64) -> Result<Self, Rejection> {
         let mut warnings = Vec::new();
         let roots = certificates(directory, "cacerts")?;

@@ -1,4 +1,4 @@
-//! The form of an attribute that somebody names: `Husky`, `level=3`.
+//! The form in which an attribute is written: `Husky`, `level=3`.
 //!
 //! A certificate may hold any name, and those of other CAs do. But two attributes in one, or a name with its value behind a space, are
 //! slips that no policy would ever match. They are rejected where an attribute is given or demanded.

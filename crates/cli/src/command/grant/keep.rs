@@ -58,7 +58,7 @@ impl<'s> Kept<'s> {
             output.note(&format!("{services}: released"));
             return Ok(());
         };
-        // Of several grants, the others are of no use to somebody who wanted all of them.
+        // A holder who wanted all of several grants has no use for the rest.
         if self.grants.len() > 1 {
             self.release().await?;
         }
