@@ -203,6 +203,13 @@ async fn a_voter_that_has_lost_its_blocks_does_not_vote_any_more() {
         (leading == 1 && caught_up).then_some(())
     })
     .await;
+    // Where the leader steps down meanwhile, its next term knows by what it has asked the voter.
+    let kept = fleet.nodes[0].data.join("confirmed.json");
+    until("the leader keeps what the voter has confirmed", || async {
+        let kept: serde_json::Value = serde_json::from_slice(&std::fs::read(&kept).ok()?).ok()?;
+        (kept["2"]["height"].as_u64()? > 20).then_some(())
+    })
+    .await;
     voters[1].kill();
     for directory in ["blocks", "state"] {
         std::fs::remove_dir_all(fleet.nodes[1].data.join(directory)).unwrap();

@@ -45,6 +45,7 @@ use cedar_policy::{
 use ledger_base::hash::Hash;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shared_results::shared;
 use ledger_contract::{Attributes, POLICIES_TOLD_MAX, PolicyCheck};
 use quick_cache::Weighter;
 use quick_cache::unsync::Cache;
@@ -71,6 +72,7 @@ const FAULTS_SHOWN_MAX: usize = 3;
 pub(crate) type Texts = Vec<(String, String)>;
 
 /// A question to a set of policies.
+#[derive(Debug)]
 pub(crate) struct Question {
     /// Names the set: a hash over its texts, never a counter. Calls are also simulated and thrown away, and a counter
     /// would then name another set than the one that is executed later.
@@ -95,9 +97,15 @@ impl Question {
     fn said_by(&self, policy: &Policy) -> Result<Said, String> {
         annotation::said(policy, self.time_ms)
     }
+
+    /// Over all of it, and what is asked of it with so much work.
+    fn hash(&self, what: &str, work: usize) -> Hash {
+        Hash::of(&[format!("{what} {work} {self:?}").as_bytes()])
+    }
 }
 
 /// The caller.
+#[derive(Debug)]
 pub(crate) struct User {
     pub(crate) organisation: String,
     pub(crate) name: String,
@@ -109,6 +117,7 @@ pub(crate) struct User {
 pub(crate) type TextAttributes = Vec<(&'static str, String)>;
 
 /// The object of the request: a service, or its robot.
+#[derive(Debug)]
 pub(crate) struct Resource {
     /// The service with its attributes; none if the request is about the robot.
     pub(crate) service: Option<(String, TextAttributes)>,
@@ -203,10 +212,13 @@ impl Engine {
     /// [`Code::PolicyInvalid`] with the first faults.
     pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
         limits::check(text)?;
-        let (reply, answer) = sync_channel(1);
-        let job = Job::Check(text.to_owned(), reply);
-        let faults = self.jobs.send(job).ok().and_then(|()| answer.recv().ok());
-        let Err(mut faults) = faults.unwrap_or_else(|| Err(vec!["the policy thread is gone".to_owned()])) else {
+        let key = |text: &&str| Hash::of(&[b"check of a policy", text.as_bytes()]);
+        let faults = shared(text, key, |text| {
+            let (reply, answer) = sync_channel(1);
+            let job = Job::Check(text.to_owned(), reply);
+            self.jobs.send(job).ok().and_then(|()| answer.recv().ok()).ok_or(())
+        });
+        let Err(mut faults) = faults.unwrap_or_else(|()| Err(vec!["the policy thread is gone".to_owned()])) else {
             return Ok(());
         };
         // Cedar finds faults in no particular order; the text becomes part of a verdict.
@@ -251,11 +263,14 @@ impl Engine {
         question: Question,
         texts: impl FnOnce() -> Result<Texts, Rejection>,
     ) -> Result<Answer, Rejection> {
-        let decided = match self.ask(Box::new(question), None) {
-            Some(Err(question)) => self.ask(question, Some(texts()?)),
-            decided => decided,
-        };
-        Ok(decided.and_then(Result::ok).unwrap_or_else(|| fault("the policy thread is gone".to_owned())))
+        let key = |question: &Question| question.hash("decision", 0);
+        shared(question, key, |question| {
+            let decided = match self.ask(Box::new(question), None) {
+                Some(Err(question)) => self.ask(question, Some(texts()?)),
+                decided => decided,
+            };
+            Ok(decided.and_then(Result::ok).unwrap_or_else(|| fault("the policy thread is gone".to_owned())))
+        })
     }
 
     /// What do these policies decide, and why? As [`Engine::decide`], with so much work for the reasons.
@@ -273,12 +288,15 @@ impl Engine {
             self.jobs.send(Job::Explain(question, texts, work, reply)).ok()?;
             answer.recv().ok()
         };
-        let explained = match ask(Box::new(question), None) {
-            Some(Err(question)) => ask(question, Some(texts()?)),
-            explained => explained,
-        };
-        let gone = || (Verdict::Fault("the policy thread is gone".to_owned()), Explanation::default());
-        Ok(explained.and_then(Result::ok).unwrap_or_else(gone))
+        let key = |question: &Question| question.hash("explanation", work);
+        shared(question, key, |question| {
+            let explained = match ask(Box::new(question), None) {
+                Some(Err(question)) => ask(question, Some(texts()?)),
+                explained => explained,
+            };
+            let gone = || (Verdict::Fault("the policy thread is gone".to_owned()), Explanation::default());
+            Ok(explained.and_then(Result::ok).unwrap_or_else(gone))
+        })
     }
 
     fn ask(&self, question: Box<Question>, texts: Option<Texts>) -> Option<Decided> {

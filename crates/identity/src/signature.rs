@@ -6,6 +6,7 @@
 use crate::der::{Element, SEQUENCE};
 use crate::key::PublicKey;
 use crate::key::info::{key_parts, key_text, named, rsa_bits};
+use ledger_base::shared_results::verified;
 use rustls_pki_types::{AlgorithmIdentifier, SignatureVerificationAlgorithm};
 use webpki::ring::{
     ECDSA_P256_SHA256, ECDSA_P256_SHA384, ECDSA_P384_SHA256, ECDSA_P384_SHA384, ED25519, RSA_PKCS1_2048_8192_SHA256,
@@ -111,7 +112,10 @@ impl Signed {
             let of_others = ALGORITHMS.iter().any(|known| is(known.signature_alg_id(), &self.algorithm));
             return Err(if of_others { Fault::Mismatch } else { unsupported() });
         };
-        algorithm.verify_signature(bytes, &self.bytes, &self.signature).map_err(|_| Fault::Mismatch)
+        let made = verified(&[b"of an authority", key, &self.algorithm, &self.bytes, &self.signature], || {
+            algorithm.verify_signature(bytes, &self.bytes, &self.signature).is_ok()
+        });
+        if made { Ok(()) } else { Err(Fault::Mismatch) }
     }
 
     /// The algorithm in words.

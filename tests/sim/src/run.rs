@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Runs one seed.
 pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report<Coverage> {
     let mut world = World::new(seed, people, keep_trace);
-    let violation = violation(|| play(&mut world));
+    let violation = violation(seed, || play(&mut world));
     if let Some(violation) = &violation {
         let text = violation.to_string();
         world.note(format_args!("violation: {text}"));

@@ -100,11 +100,14 @@ impl Simulation for Liars {
     }
 }
 
-/// The broken promise of a seed, if there is one: a panic of the product is one like any other. Costly invariants are checked, and the
-/// nodes share the results of pure functions.
-pub fn violation(play: impl FnOnce() -> Check) -> Option<Violation> {
+/// One in so many seeds shares no results: there a function shows that its answer differs from node to node.
+const UNSHARED_EVERY: u64 = 16;
+
+/// The broken promise of a seed, if there is one: a panic of the product is one like any other. Costly invariants are checked, and in
+/// most seeds the nodes share the results of pure functions.
+pub fn violation(seed: u64, play: impl FnOnce() -> Check) -> Option<Violation> {
     ledger_base::invariant::look_closely();
-    ledger_base::shared_results::share();
+    ledger_base::shared_results::share(!seed.is_multiple_of(UNSHARED_EVERY));
     match catch_unwind(AssertUnwindSafe(play)) {
         Ok(check) => check.err(),
         Err(panic) => {

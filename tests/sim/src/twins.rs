@@ -51,7 +51,7 @@ const HEAL_MAX: u64 = 90 * SECOND;
 /// Runs one seed.
 pub fn run(seed: u64, cast: &Arc<Cast>, keep_trace: bool) -> Report<Counts> {
     let mut world = World::new(seed, cast, keep_trace);
-    let violation = violation(|| play(&mut world));
+    let violation = violation(seed, || play(&mut world));
     if let Some(violation) = &violation {
         world.note(format_args!("violation: {violation}"));
     }
