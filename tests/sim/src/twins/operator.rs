@@ -258,9 +258,12 @@ impl World {
         // An executed entry stays, and a log that ends in a later term is not replaced by one that has it.
         let newest = |up: &Up| up.entry(up.store.last_index()).map_or(0, |entry| entry.0);
         let stays = |up: &Up, than: &Up, height: u64| height <= up.ledger.tip().height && newest(than) >= newest(up);
-        (tips + 1..=last).any(|height| match (one.entry(height), other.entry(height)) {
-            (Some(a), Some(b)) if a != b => a.0 == b.0 || stays(one, other, height) || stays(other, one, height),
-            _ => false,
+        let mut differ = false;
+        (tips + 1..=last).any(|height| {
+            let (Some(a), Some(b)) = (one.entry(height), other.entry(height)) else { return false };
+            differ |= a != b;
+            // One term has one log up to each of its entries.
+            differ && (a.0 == b.0 || stays(one, other, height) || stays(other, one, height))
         })
     }
 
@@ -275,10 +278,9 @@ impl World {
 
     /// Do these nodes, which are most voters, order? And certify, if they are enough? All honest nodes that run must be among them.
     fn serves(&mut self, together: &[usize]) -> Result<bool, Violation> {
-        // A call at any of them, again and again.
+        // A call at any of them, again and again. No node may think that it would be rejected: then nobody complains about a leader.
         let at = together[self.random.below(together.len() as u64) as usize];
-        let call = Call::Release { service: SERVICES[0].to_owned() };
-        let transaction = self.signed(0, "Org1/driver", &call);
+        let transaction = self.signed(0, "Org1/admin", &Call::Stop { robot: "Turtlebot4" });
         self.input(at, Input::Submit { lane: Lane::Control, transaction: transaction.encoded().clone() })?;
         let tip = |at: &usize| self.copies[*at].up.as_ref().map(|up| up.ledger.tip());
         let Some(first) = tip(&at) else { return Ok(false) };
@@ -318,7 +320,8 @@ impl World {
     fn rejoin(&mut self, at: usize) -> Check {
         let name = self.copies[at].name.clone();
         let before = self.copies[at].node.id;
-        let helper = self.alive().into_iter().find(|other| self.truth_holds(*other));
+        let tip = |other: &usize| self.copies[*other].up.as_ref().map(|up| up.ledger.tip().height);
+        let helper = self.alive().into_iter().filter(|other| self.truth_holds(*other)).max_by_key(tip);
         let Some(helper) = helper else { return Ok(()) };
         let Some(up) = &self.copies[helper].up else { return Ok(()) };
         let records = ledger::msp::nodes(&**up.ledger.state()).unwrap();

@@ -9,6 +9,7 @@ use ledger_raft::{Input, Role};
 use ledger_replica::certifier::{self, Certifiable};
 use ledger_replica::{Circumstances, Effect, Event, Work};
 use ledger_storage::entry::Entry;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 impl World {
@@ -129,10 +130,15 @@ impl World {
         let executor = Arc::clone(&up.executor);
         let (Work::Here(entries) | Work::Elsewhere(entries)) = &work;
         for entry in entries {
+            // A change of members counts from the next block on.
+            let Membership { voters, .. } = executor.ledger().members().unwrap();
             let outcome = executor.execute(entry).map_err(|fault| {
                 Violation::new("a node ends only for a reason", format!("block {}: {fault}", entry.index))
             })?;
             self.observe(at, entry, &outcome)?;
+            if self.up(at).is_some_and(|up| up.replica.leads()) {
+                self.is_held(at, entry, &voters)?;
+            }
         }
         executor.look_at_deadline();
         let height = entries.last().map_or(0, |entry| entry.index);
@@ -156,16 +162,12 @@ impl World {
         let Some(up) = &mut copy.up else { return Ok(()) };
         up.headers.insert(height, outcome.header.clone());
         let ledger = Arc::clone(&up.ledger);
-        let leads = up.replica.leads();
         self.judge.executed(id, (height, entry.term), &entry.data, outcome.hash)?;
         self.control.executed(outcome);
         if !lies {
             self.done.extend(outcome.ids.iter().copied());
             let strict = ledger.voters().unwrap().rule.strict_since.is_some();
             self.judge.is_strict(id, height, strict)?;
-            if leads {
-                self.is_held(at, entry)?;
-            }
         }
         if outcome.governs {
             let wanted = wanted(&ledger);
@@ -178,11 +180,12 @@ impl World {
         }
         if outcome.governs { self.certify(at, certifier::Event::Voters(era(&ledger))) } else { Ok(()) }
     }
-    /// A leader executes what a majority has, liars whatever they say. A node that is down may have it.
-    pub(super) fn is_held(&self, at: usize, entry: &Entry) -> Check {
+    /// An honest leader executes what a majority of these voters has, liars whatever they say. A node that is down may have it.
+    fn is_held(&self, at: usize, entry: &Entry, voters: &BTreeSet<u64>) -> Check {
         let leader = &self.copies[at];
-        let Some(up) = &leader.up else { return Ok(()) };
-        let Membership { voters, .. } = up.ledger.members().unwrap();
+        if leader.lies {
+            return Ok(());
+        }
         let holds = |id: &&u64| {
             let mut all = self.copies.iter().filter(|copy| copy.node.id == **id);
             all.any(|copy| match &copy.up {
