@@ -77,11 +77,13 @@ impl CertifiedBranch {
     }
 
     /// Compares it with the log of a reader that has executed the block before its first one. Answers with the part from the first
-    /// block that contradicts an entry, and with the block that this entry would be. `log` is the entry at a height.
+    /// block on that the log has otherwise, and with the block that this entry would be. `log` is the entry at a height.
     ///
-    /// Only entries of one term contradict: its leader has put one block there. A leader of a later term replaces others.
+    /// Two chains contradict each other where an entry of both has the same height and the same term: the leader of a term has one
+    /// log up to each of its entries (Raft §5.3, log matching). Otherwise a leader of a later term replaces the entries.
     pub fn against_log(&self, tip: &Tip, log: impl Fn(u64) -> Option<Entry>) -> Option<(Self, Hash)> {
         let (mut height, mut previous, mut time) = (tip.height, tip.hash, tip.time);
+        let mut first = None;
         for (at, header) in self.headers.iter().enumerate() {
             height = height.saturating_add(1);
             if header.height != height || at == 0 && header.previous != previous {
@@ -89,7 +91,10 @@ impl CertifiedBranch {
             }
             let own = Header::following(previous, time, &log(height)?);
             if own != *header {
-                return (own.term == header.term).then(|| (self.beginning_at(at), own.hash()));
+                let (at, block) = *first.get_or_insert_with(|| (at, own.hash()));
+                if own.term == header.term {
+                    return Some((self.beginning_at(at), block));
+                }
             }
             (previous, time) = (own.hash(), own.time);
         }
@@ -185,7 +190,8 @@ mod tests {
         assert_eq!((rest.height(), rest.block()), (8, second.hash()));
         assert_eq!(own, Header::following(first.hash(), first.time, &entry(8, 3, 9)).hash());
         assert_eq!(against([(3, 9), (3, 2)]).unwrap().0, branch, "from the first one on");
-        assert_eq!(against([(2, 9), (3, 2)]), None, "the entry of another term is replaced");
+        assert_eq!(against([(2, 9), (2, 2)]), None, "entries of another term are replaced");
+        assert_eq!(against([(2, 9), (3, 2)]).unwrap().0, branch, "one term has one log up to each of its entries");
         assert_eq!(branch.against_log(&tip, |_| None), None, "a shorter log");
         let elsewhere = Tip { hash: Hash([2; 32]), ..tip };
         assert_eq!(branch.against_log(&elsewhere, |height| Some(entry(height, 3, 9))), None, "another block before");

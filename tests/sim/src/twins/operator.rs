@@ -306,10 +306,16 @@ impl World {
         Ok(healed)
     }
 
-    /// Nodes that a strict certificate contradicts say `ledgerd rejoin`: their people type it when most voters order.
+    /// Nodes that a strict certificate contradicts say `ledgerd rejoin`: their people type it when most voters order. So do those of a node
+    /// whose log the others contradict for long, as docs/operations.md says (*No history is certified*).
     fn rejoin_all(&mut self) -> Check {
+        let is_long = self.now >= self.plan.ends + 2 * REST && self.now.is_multiple_of(SECOND);
+        let together = if is_long { self.largest_together(&self.running()) } else { Vec::new() };
         for at in 0..self.copies.len() {
-            if self.copies[at].is_contradicted() && !self.copies[at].gone {
+            let copy = &self.copies[at];
+            let is_apart = is_long && !copy.lies && !together.contains(&at);
+            let is_stuck = is_apart && copy.up.as_ref().is_some_and(|up| !up.contradicting.is_empty());
+            if !copy.gone && (copy.is_contradicted() || is_stuck) {
                 self.rejoin(at)?;
             }
         }
@@ -321,7 +327,8 @@ impl World {
         let name = self.copies[at].name.clone();
         let before = self.copies[at].node.id;
         let tip = |other: &usize| self.copies[*other].up.as_ref().map(|up| up.ledger.tip().height);
-        let helper = self.alive().into_iter().filter(|other| self.truth_holds(*other)).max_by_key(tip);
+        let fits = |other: &usize| *other != at && self.truth_holds(*other);
+        let helper = self.alive().into_iter().filter(fits).max_by_key(tip);
         let Some(helper) = helper else { return Ok(()) };
         let Some(up) = &self.copies[helper].up else { return Ok(()) };
         let records = ledger::msp::nodes(&**up.ledger.state()).unwrap();
@@ -334,6 +341,9 @@ impl World {
                 self.judge.counts.count("a contradicted node is back");
                 let seed = self.random.number();
                 let evidence = Arc::clone(&self.copies[at].evidence);
+                if self.copies[at].up.is_some() {
+                    self.stop(at, false);
+                }
                 self.copies[at].gone = true;
                 let back = Copy {
                     node: Node::new(number, seed, Clock::new(0, 0)),
