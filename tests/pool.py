@@ -37,9 +37,14 @@ CLASSES = {
 # Test binaries that start programs of this workspace.
 WITH_PROGRAMS = {"cli", "clients", "cluster", "hostile", "interop", "node"}
 # The longest ones begin first. What is not named here begins in the order of the last run's durations.
-FIRST = ["sim::seeds::", "node::languages::", "node::packaging::", "node::crash::", "cluster::", "interop::"]
+FIRST = ["sim::seeds::", "node::languages::", "node::crash::", "cluster::", "interop::"]
 # Left out without --long.
-LONG = ["interop::arena::the_arena_judges_its_claims"]
+LONG = [
+    "interop::arena::the_arena_judges_its_claims",
+    # They compile for minutes. CI runs both.
+    "clients::languages::the_program_in_cpp",
+    "node::packaging::one_command_makes_a_package",
+]
 # With --long these try more than without it.
 LONGER = ["cluster::", "replica::chaos::", "sim::mutations::", "sim::seeds::no_storm"]
 # One after the other, when all others have ended: they show what a machine without other work can do.

@@ -72,10 +72,12 @@ fn warning(check: &str, message: String, next: impl Into<String>) -> Option<Atte
 fn log(status: &StatusResponse, is_recovered: bool) -> Option<Attention> {
     let next = if is_recovered {
         "if those nodes were away while this network was recovered by force: on each of them ledgerd rejoin --config ledgerd.toml, and \
-         nothing here; otherwise where the node that differs from most runs: ledgerd verify DATA, and rejoin only if that finds a fault"
+         nothing here; otherwise where the node that differs from most runs: ledgerd verify DATA, and rejoin only if that finds a fault; \
+         if it finds none, people choose a history: docs/operations.md, No history is certified"
     } else {
         "if the network was recovered by force while this node was away, here: ledgerd rejoin --config ledgerd.toml; otherwise \
-         where the node that differs from most runs: ledgerd verify DATA, and rejoin only if that finds a fault"
+         where the node that differs from most runs: ledgerd verify DATA, and rejoin only if that finds a fault; if it finds none, \
+         people choose a history: docs/operations.md, No history is certified"
     };
     if status.divergence.is_empty() { None } else { critical("log", status.divergence.clone(), next) }
 }
