@@ -2,7 +2,7 @@
 //! deliberate bugs in the rules that this rests on.
 
 use crate::mutations::caught_with_liars as caught;
-use crate::seeds::hold;
+use crate::seeds::{hold, hold_again};
 use ledger_base::mutation::Mutation;
 use ledgerd_sim::seeds::Liars;
 use ledgerd_sim::twins::{Cast, run};
@@ -14,10 +14,17 @@ const CERTIFIED_STATE: &str = "no gate passes what no certified state of the las
 const SEEDS: u64 = 200;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 5000;
+/// Those that once failed.
+const REGRESSIONS: &str = include_str!("../regressions-liars.txt");
 
 #[test]
 fn organisations_that_lie_break_no_promise_and_every_kind_of_lie_has_happened() {
     hold(&Liars(Arc::new(Cast::new())), "LEDGER_LIAR_SEEDS", SEEDS, SEEDS_LONG);
+}
+
+#[test]
+fn what_once_failed_does_not_fail_again() {
+    hold_again(&Liars(Arc::new(Cast::new())), REGRESSIONS);
 }
 
 #[test]

@@ -12,7 +12,7 @@ const SEEDS: u64 = 60;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.
-const REGRESSIONS: &str = include_str!("../regressions.txt");
+const REGRESSIONS: &str = include_str!("../regressions-storms.txt");
 
 /// Runs seeds, of which none may break a promise: as many as the variable says, more with `--long`.
 pub(crate) fn hold<S: Simulation>(simulation: &S, variable: &str, seeds: u64, seeds_long: u64) -> S::Counts {
@@ -25,6 +25,15 @@ pub(crate) fn hold<S: Simulation>(simulation: &S, variable: &str, seeds: u64, se
     eprintln!("never happened: {missing:?}");
     assert!(missing.is_empty() || !S::is_enough(&counts), "in {seeds} seeds never happened: {missing:?}");
     counts
+}
+
+/// Runs the seeds of a list, of which none may break a promise any more.
+pub(crate) fn hold_again<S: Simulation>(simulation: &S, list: &str) {
+    for line in list.lines().filter(|line| !line.starts_with('#')) {
+        let seed = line.split_whitespace().next().and_then(|seed| seed.parse().ok());
+        let seed = seed.unwrap_or_else(|| panic!("no seed in {line:?}"));
+        holds::<S>(&simulation.run(seed, false));
+    }
 }
 
 fn holds<S: Simulation>(report: &Report<S::Counts>) -> bool {
@@ -41,12 +50,7 @@ fn no_storm_breaks_a_promise_and_every_kind_of_fault_has_happened() {
 
 #[test]
 fn what_once_failed_does_not_fail_again() {
-    let people = Arc::new(People::new());
-    for line in REGRESSIONS.lines().filter(|line| !line.starts_with('#')) {
-        let seed = line.split_whitespace().next().and_then(|seed| seed.parse().ok());
-        let seed = seed.unwrap_or_else(|| panic!("regressions.txt: no seed in {line:?}"));
-        holds::<Storms>(&run(seed, &people, false));
-    }
+    hold_again(&Storms(Arc::new(People::new())), REGRESSIONS);
 }
 
 #[test]
