@@ -79,8 +79,8 @@ impl CertifiedBranch {
     /// Compares it with the log of a reader that has executed the block before its first one. Answers with the part from the first
     /// block on that the log has otherwise, and with the block that this entry would be. `log` is the entry at a height.
     ///
-    /// Two chains contradict each other where an entry of both has the same height and the same term: the leader of a term has one
-    /// log up to each of its entries (Raft §5.3, log matching). Otherwise a leader of a later term replaces the entries.
+    /// Two chains contradict each other where both have an entry of one height and one term. The leader of a term has one log up to
+    /// each of its entries (Raft §5.3, log matching). Otherwise a leader of a later term replaces the entries.
     pub fn against_log(&self, tip: &Tip, log: impl Fn(u64) -> Option<Entry>) -> Option<(Self, Hash)> {
         let (mut height, mut previous, mut time) = (tip.height, tip.hash, tip.time);
         let mut first = None;
