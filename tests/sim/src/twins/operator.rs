@@ -379,6 +379,36 @@ impl World {
         }
     }
 
+    /// A node that lacks blocks fetches those that are certified, and starts again (`src/peers/sync.rs`): here at the next moment, and
+    /// only when the lies are over.
+    pub(super) fn fetch(&mut self, at: usize) -> Check {
+        let Some(up) = self.copies[at].up.as_ref().filter(|_| !self.lying && !self.copies[at].lies) else {
+            return Ok(());
+        };
+        let tip = up.ledger.tip();
+        let has_more = |other: &&Copy| {
+            let point = other.up.as_ref().and_then(|up| up.point(tip.height));
+            !other.lies && other.certified() > tip.height && point.is_some_and(|point| point.hash == tip.hash)
+        };
+        let Some(other) = self.copies.iter().filter(has_more).max_by_key(|other| other.certified()) else {
+            return Ok(());
+        };
+        let (Some(there), Some((height, certificate))) = (&other.up, other.certificates.last_key_value()) else {
+            return Ok(());
+        };
+        let (height, certificate) = (*height, certificate.clone());
+        for height in tip.height + 1..=height {
+            let Some(entry) = there.store.entry(height).unwrap() else { return Ok(()) };
+            up.store.append(&[entry], None).unwrap();
+        }
+        up.store.flush().unwrap();
+        self.note(format_args!("{} fetches blocks up to {height}", self.label(at)));
+        self.copies[at].certificates.insert(height, certificate);
+        self.stop(at, false);
+        self.schedule(MILLISECOND, Happening::Start { at });
+        Ok(())
+    }
+
     /// Does this node have every certified block that it is as far as?
     fn truth_holds(&self, at: usize) -> bool {
         let Some(up) = &self.copies[at].up else { return false };

@@ -100,8 +100,8 @@ impl World {
             | Effect::Reconciles(_)
             | Effect::Read { .. }
             | Effect::Denied(_)
-            | Effect::Refused { .. }
-            | Effect::Behind { .. } => {}
+            | Effect::Refused { .. } => {}
+            Effect::Behind { .. } => return self.fetch(at),
         }
         Ok(())
     }
