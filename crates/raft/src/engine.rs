@@ -139,6 +139,8 @@ pub struct Engine {
     ended_terms: BTreeMap<u64, u64>,
     /// A node of which this one does not know that it votes has spoken as a leader.
     stranger_leads: bool,
+    /// A second leader of this term has shown that voters elected it: some have voted twice.
+    second_leads: bool,
     /// The newest acknowledgement of this follower.
     acknowledged: Acknowledged,
     /// Receipts of the followers, and the means to make own ones.
@@ -244,6 +246,7 @@ impl Engine {
             heard: BTreeMap::new(),
             ended_terms: BTreeMap::new(),
             stranger_leads: false,
+            second_leads: false,
             acknowledged: Acknowledged::NONE,
             receipts: Receipts::new(config.id, &config.secret),
             chain,

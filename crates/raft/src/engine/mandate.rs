@@ -449,6 +449,7 @@ impl Engine {
         match &self.mandates.elected {
             Some(first) if first.term == found.term => {
                 self.mandates.doubted.begin(found.leader, self.ticks);
+                self.second_leads = true;
                 Err("another node was elected in this term")
             }
             _ => Ok(found),

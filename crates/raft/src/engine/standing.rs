@@ -172,7 +172,7 @@ impl Engine {
         (first..=last).filter_map(|index| self.store.entry(index).ok().flatten())
     }
 
-    /// This leader stands for election again, in a term after this one: a member is stuck there.
+    /// This node stands for election in a term after this one: as the leader of a member that is stuck there, or to be found there.
     pub(super) fn lead_again_after(&mut self, term: u64) {
         self.raw.raft.become_follower(term, INVALID_ID);
         let mut stand = Message::default();
@@ -202,6 +202,9 @@ impl Engine {
 
     /// With every tick: only nodes speak as leaders of which this node does not know that they vote, or whose heads it cannot
     /// check. Blocks that it lacks may say so, and its peers may have them.
+    ///
+    /// Where voters have elected two leaders of this term and the first one is gone, this node goes to the next term. The second one
+    /// finds it there and stands for election again.
     pub(super) fn look_for_leader(&mut self, out: &mut Vec<Output>) {
         let timeouts = if self.may_vote(self.config.id).is_ok() { LOOK_TIMEOUTS } else { LEARNER_LOOK_TIMEOUTS };
         let unchecked = self.heads.take_unchecked(self.ticks, timeouts * self.config.election_tick);
@@ -210,6 +213,9 @@ impl Engine {
         }
         // Asked again after the same time.
         self.leaderless_ticks = 0;
+        if std::mem::take(&mut self.second_leads) {
+            self.lead_again_after(self.raw.raft.term);
+        }
         if std::mem::take(&mut self.stranger_leads) || unchecked {
             let committed = self.raw.raft.raft_log.committed;
             out.push(Output::Behind { from: self.config.id, first_index: committed + 2 });

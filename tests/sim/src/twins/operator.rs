@@ -9,6 +9,7 @@ use crate::node::Node;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_base::hash::Hash;
+use ledger_base::rejection::Code;
 use ledger_raft::{Input, Lane};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -22,6 +23,8 @@ const CALL_TIME: u64 = 28 * SECOND;
 const CALM_MAX: u64 = 8 * SECOND;
 /// Time after the liars are gone until it is looked whether the rest serves.
 const REST: u64 = 15 * SECOND;
+/// The same where nodes have stopped because most others have another history.
+const FORKED_REST: u64 = 60 * SECOND;
 
 /// A person that calls.
 pub(super) struct Client {
@@ -200,7 +203,11 @@ impl World {
             let id = self.copies[**at].node.id;
             effective.contains(&id) && !proved.contains(&id)
         };
-        if 2 * together.iter().filter(counts).count() > voters {
+        // Nodes that most others contradict have stopped, and no certificate says who is right: people choose (LGR-5008). The rest may
+        // have a leader that it has deposed too often to elect it soon.
+        let is_forked = self.copies.iter().any(|copy| !copy.gone && copy.ended == Some(Code::Forked));
+        let is_stuck = is_forked && self.now > self.plan.ends + FORKED_REST;
+        if 2 * together.iter().filter(counts).count() > voters && !is_stuck {
             return self.serves(&together);
         }
         let what = if together.len() == alive.len() && self.copies.iter().all(|copy| copy.ended.is_none()) {
@@ -269,7 +276,10 @@ impl World {
 
     /// Where people must decide, a node says so.
     fn is_shown(&self, alive: &[usize]) -> Check {
-        let shows = |at: &usize| self.copies[*at].up.as_ref().is_some_and(|up| !up.contradicting.is_empty());
+        let shows = |at: &usize| {
+            let up = self.copies[*at].up.as_ref();
+            up.is_some_and(|up| !up.contradicting.is_empty() || !up.company.describe().is_empty())
+        };
         if alive.iter().any(shows) || self.copies.iter().any(|copy| copy.ended.is_some()) {
             return Ok(());
         }

@@ -1,6 +1,7 @@
 //! Nobody is followed in a new term before it has shown that a majority elected it.
 
 use super::*;
+use crate::engine::standing::LOOK_TIMEOUTS;
 use crate::message::{Mandate, MandateWanted, SignedVote};
 use ledger::members::{Change, MembershipChange};
 
@@ -64,6 +65,33 @@ fn a_majority_of_signed_votes_for_this_leader_and_term_is_a_mandate() {
     assert!(believes(&VOTERS, mandate(5, 1, &[1, 3])));
     assert!(believes(&VOTERS, mandate(5, 1, &[1, 2, 3])));
     assert!(believes(&[1, 2, 3, 4, 5], mandate(5, 1, &[1, 4, 5])));
+}
+
+#[test]
+fn where_one_of_two_leaders_of_a_term_is_left_its_follower_of_the_other_is_found_in_the_next_term() {
+    let mut node = engine(2, &VOTERS, &[]);
+    bare_step(&mut node, mandate(5, 1, &[1, 3]));
+    bare_step(&mut node, heartbeat(1, 5));
+    assert_eq!(node.leader(), Some(1));
+    let term_after = |node: &mut Engine, second: bool| {
+        for _ in 0..2 * LOOK_TIMEOUTS * node.config.election_tick {
+            if second {
+                bare_step(node, mandate(5, 3, &[1, 3]));
+            }
+            bare_step(node, heartbeat(3, 5));
+            bare_step(node, Input::Tick);
+        }
+        assert_eq!(node.leader(), None, "the first leader of a term stays the only one");
+        node.raw.raft.term
+    };
+    assert_eq!(term_after(&mut node, false), 5, "one that has shown no votes ends no term");
+    assert!(term_after(&mut node, true) > 5);
+    let answer = bare_step(&mut node, heartbeat(3, 5));
+    let later = |output: &Output| match output {
+        Output::Send { to: 3, message: PeerMessage::Raft(message) } => message.term > 5,
+        _ => false,
+    };
+    assert!(answer.iter().any(later), "so that the second one stands for election again: {answer:?}");
 }
 
 #[test]
