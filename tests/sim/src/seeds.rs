@@ -100,7 +100,7 @@ impl Simulation for Liars {
     }
 }
 
-/// One in so many seeds shares no results: there a function shows that its answer differs from node to node.
+/// Every sixteenth seed shares no results, so that a function whose answer differs from node to node is noticed.
 const UNSHARED_EVERY: u64 = 16;
 
 /// The broken promise of a seed, if there is one: a panic of the product is one like any other. Costly invariants are checked, and in

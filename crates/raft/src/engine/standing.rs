@@ -172,7 +172,7 @@ impl Engine {
         (first..=last).filter_map(|index| self.store.entry(index).ok().flatten())
     }
 
-    /// This node stands for election in a term after this one: as the leader of a member that is stuck there, or to be found there.
+    /// Campaigns for a term after this one: as the leader of a member that is stuck there, or so that the leader finds this node there.
     pub(super) fn lead_again_after(&mut self, term: u64) {
         self.raw.raft.become_follower(term, INVALID_ID);
         let mut stand = Message::default();
@@ -203,8 +203,8 @@ impl Engine {
     /// With every tick: only nodes speak as leaders of which this node does not know that they vote, or whose heads it cannot
     /// check. Blocks that it lacks may say so, and its peers may have them.
     ///
-    /// Where voters have elected two leaders of this term and the first one is gone, this node goes to the next term. The second one
-    /// finds it there and stands for election again.
+    /// Where voters have elected two leaders of this term and the first one is gone, this node campaigns for the next term. The second
+    /// leader finds it there and campaigns again.
     pub(super) fn look_for_leader(&mut self, out: &mut Vec<Output>) {
         let timeouts = if self.may_vote(self.config.id).is_ok() { LOOK_TIMEOUTS } else { LEARNER_LOOK_TIMEOUTS };
         let unchecked = self.heads.take_unchecked(self.ticks, timeouts * self.config.election_tick);

@@ -288,7 +288,7 @@ impl World {
 
     /// Do these nodes, which are most voters, order? And certify, if they are enough? All honest nodes that run must be among them.
     fn serves(&mut self, together: &[usize]) -> Result<bool, Violation> {
-        // A call at any of them, again and again. No node may think that it would be rejected: then nobody complains about a leader.
+        // A call at any of them, again and again. It is admissible in every state: voters complain about a leader for such calls only.
         let at = together[self.random.below(together.len() as u64) as usize];
         let transaction = self.signed(0, "Org1/admin", &Call::Stop { robot: "Turtlebot4" });
         self.input(at, Input::Submit { lane: Lane::Control, transaction: transaction.encoded().clone() })?;
