@@ -54,6 +54,19 @@ impl Host {
             Rejection::new(Code::BadConfiguration, format!("cannot listen on {address}: {error}"))
                 .next("choose another address with the setting listen, or end the process that uses this one")
         })?;
+        Self::of(listener)
+    }
+
+    /// Listens on a socket that is bound already. To be called inside a runtime.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if the socket is none that can be waited for.
+    pub(crate) fn on(listener: std::net::TcpListener) -> Result<Self, Rejection> {
+        let waitable = listener.set_nonblocking(true).and_then(|()| TcpListener::from_std(listener));
+        Self::of(waitable.map_err(|error| Rejection::new(Code::Internal, error.to_string()))?)
+    }
+
+    fn of(listener: TcpListener) -> Result<Self, Rejection> {
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
         let (ledgers, mut accepting) = (Ledgers::default(), JoinSet::new());
         let connections = descriptors::divide();

@@ -2,7 +2,7 @@
 
 mod ownership;
 
-use crate::node::NodeBuilder;
+use crate::node::{Host, NodeBuilder};
 use crate::node::supervise::until_stopped;
 use crate::process::clock::wall;
 use crate::process::config;
@@ -74,7 +74,7 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     telemetry::start(&Log::for_people(LevelFilter::WARN));
     let home = home()?;
     let mut owned = Ownership::take(&home)?;
-    let listen = free_port(&options.listen)?;
+    let (host, listen) = bound(&options.listen)?;
     let temporary =
         match options.data {
             Some(_) => None,
@@ -115,7 +115,7 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
         robots: Vec::new(),
         version: env!("CARGO_PKG_VERSION"),
     };
-    let played = play(builder, &config, facts, &home, (fresh, options.json, temporary.is_some())).await;
+    let played = play(builder, (host, &config), facts, &home, (fresh, options.json, temporary.is_some())).await;
     if temporary.is_some() {
         forget_contexts(&home, &contexts);
     }
@@ -126,13 +126,14 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
 /// Runs the node until it is told to stop.
 async fn play(
     builder: &NodeBuilder,
-    config: &Config,
+    (host, config): (Host, &Config),
     mut facts: Facts,
     home: &Path,
     (fresh, as_json, temporary): (bool, bool, bool),
 ) -> Result<(), Rejection> {
     let stop = stop_signal_of_terminal();
-    let node = builder.start(config).await?;
+    let node = builder.start_on(&host, config).await?;
+    drop(host);
     facts.admin = node.admin().map(|address| format!("http://{address}")).unwrap_or_default();
     facts.console = node.console().unwrap_or_default().to_owned();
     if fresh {
@@ -160,24 +161,22 @@ fn plan(data: &Path, address: &str) -> NetworkPlan {
     }
 }
 
-/// The address to listen on. The genesis names it, so a free port is chosen before that is written; and one that
-/// somebody else uses is refused before anything is.
-fn free_port(listen: &str) -> Result<String, Rejection> {
-    let bound = TcpListener::bind(listen).and_then(|listener| listener.local_addr());
-    match bound {
-        Ok(address) if listen.ends_with(":0") => Ok(address.to_string()),
-        Ok(_) => Ok(listen.to_owned()),
-        Err(error) => {
-            let next = match error.kind() {
-                ErrorKind::AddrInUse => "end the process that uses it, or take a free port: --listen 127.0.0.1:0",
-                _ => "choose another address with --listen",
-            };
-            Err(Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}"))
-                .found(error.to_string())
-                .wanted("an address of this machine that no program listens on")
-                .next(next))
-        }
-    }
+/// A host, and its address. The genesis names the address, so the socket is bound before that is written, and kept: nobody can take
+/// the port meanwhile.
+fn bound(listen: &str) -> Result<(Host, String), Rejection> {
+    let listener = TcpListener::bind(listen).map_err(|error| {
+        let next = match error.kind() {
+            ErrorKind::AddrInUse => "end the process that uses it, or take a free port: --listen 127.0.0.1:0",
+            _ => "choose another address with --listen",
+        };
+        Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}"))
+            .found(error.to_string())
+            .wanted("an address of this machine that no program listens on")
+            .next(next)
+    })?;
+    let host = Host::on(listener)?;
+    let address = if listen.ends_with(":0") { host.address().to_string() } else { listen.to_owned() };
+    Ok((host, address))
 }
 
 /// Where the console listens.

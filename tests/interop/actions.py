@@ -3,7 +3,8 @@
 actions.py serve DOMAIN NAME [silent|stubborn]  accepts goals; says feedback until the goal has as many numbers as its order
 actions.py send DOMAIN NAME WAIT_S ORDER [cancel|beside]  sets a goal, and cancels it after the first feedback if told so
 
-A server prints "goal ORDER", "cancel", and "ended STATUS". A silent one accepts nothing, a stubborn one cancels nothing.
+A server prints "goal ORDER", "cancel" for a goal that it has, and "ended STATUS". A silent one accepts nothing and prints "cancel" for
+any goal, a stubborn one cancels nothing.
 A client prints "matched", "accepted BOOL", "feedback", "cancelling CODE", "result STATUS LENGTH", and the states that it saw. One
 beside others says nothing about their feedback.
 """
@@ -161,7 +162,8 @@ def serve():
                 tell()
         for request in valid(cancels_in, CancelRequest):
             goal = bytes(request.goal)
-            print("cancel", flush=True)
+            if goal in goals or "silent" in words:
+                print("cancel", flush=True)
             if goal not in goals:
                 cancels_out.write(CancelReply(request.client, request.number, 2, []))
             elif goals[goal]["status"] >= SUCCEEDED:

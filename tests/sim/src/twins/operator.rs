@@ -226,6 +226,12 @@ impl World {
         members.map(|members| members.voters.into_iter().collect()).unwrap_or_default()
     }
 
+    /// All members, as a node knows them.
+    fn members(&self, at: usize) -> BTreeSet<u64> {
+        let members = self.copies[at].up.as_ref().and_then(|up| up.ledger.members().ok());
+        members.map(|members| members.nodes()).unwrap_or_default()
+    }
+
     /// The voters that run, liars that have become honest among them.
     fn running(&self) -> Vec<usize> {
         (0..self.copies.len()).filter(|at| self.copies[*at].up.is_some()).collect()
@@ -317,7 +323,8 @@ impl World {
     }
 
     /// Nodes that a strict certificate contradicts say `ledgerd rejoin`: their people type it when most voters order. So do those of a node
-    /// whose log the others contradict for long, as docs/operations.md says (*No history is certified*).
+    /// whose log the others contradict for long, as docs/operations.md says (*No history is certified*). So do those of a liar that has
+    /// become honest and finds no leader: it lacks what its other copy has acknowledged.
     fn rejoin_all(&mut self) -> Check {
         let is_long = self.now >= self.plan.ends + 2 * REST && self.now.is_multiple_of(SECOND);
         let together = if is_long { self.largest_together(&self.running()) } else { Vec::new() };
@@ -325,7 +332,9 @@ impl World {
             let copy = &self.copies[at];
             let is_apart = is_long && !copy.lies && !together.contains(&at);
             let is_stuck = is_apart && copy.up.as_ref().is_some_and(|up| !up.contradicting.is_empty());
-            if !copy.gone && (copy.is_contradicted() || is_stuck) {
+            let follows_nobody = |up: &Up| up.replica.status().role.leader.is_none();
+            let is_lost = is_long && copy.lies && copy.up.as_ref().is_some_and(follows_nobody);
+            if !copy.gone && (copy.is_contradicted() || is_stuck || is_lost) {
                 self.rejoin(at)?;
             }
         }
@@ -454,11 +463,14 @@ impl World {
             }
         }
         let liars = |at: &usize| self.copies[*at].evidence.liars();
-        let all: BTreeSet<u64> = alive.iter().flat_map(liars).collect();
         for at in &alive {
+            // A number that no leader has made a member yet is sent nothing.
+            let id = self.copies[*at].node.id;
+            let sends = |other: &&usize| self.members(**other).contains(&id);
+            let all: BTreeSet<u64> = alive.iter().filter(sends).flat_map(liars).collect();
             let missing: Vec<_> = all.difference(&liars(at)).copied().collect();
             if !missing.is_empty() {
-                let what = format!("n{} has no proof against {missing:?}", self.copies[*at].node.id);
+                let what = format!("n{id} has no proof against {missing:?}");
                 return Err(Violation::new("evidence travels", what));
             }
         }
