@@ -27,7 +27,9 @@ fn a_lab_of_four_organisations_survives_a_lost_node_and_leaves_nothing_behind() 
     assert_eq!(grant["holder"], "Org1/Salma", "{grant}");
     ctl.as_("org4-user").run(&["acquire", "Turtlebot4"]).refused(5, &["LGR-3005"]);
     // Its CA issued her certificate before there was a ledger; she is known since her first call.
-    ctl.as_("org2-admin").run(&["can", "Org1/Salma", "acquire", "Turtlebot4"]).ok();
+    eventually("the node of Org2 has executed her call", || {
+        (ctl.as_("org2-admin").run(&["can", "Org1/Salma", "acquire", "Turtlebot4"]).code == 0).then_some(())
+    });
     ctl.as_("org3-user").run(&["acquire", "Husky"]).ok();
     ctl.as_("org2-admin").run(&["stop", "Turtlebot4"]).ok();
     for context in facts["contexts"].as_array().unwrap() {

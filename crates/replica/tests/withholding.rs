@@ -72,7 +72,7 @@ fn a_follower_whose_messages_are_lost_on_their_way_to_the_leader_has_its_call_or
 
 #[test]
 fn overload_and_slow_disks_and_links_make_nobody_complain() {
-    for seed in 0..6 {
+    for seed in 0..3 {
         let mut cluster = led_by_the_first(seed, &[1, 2, 3, 4, 5]);
         let (delay_max, disk_max) = [(1, 100), (30, 1), (20, 60)][seed as usize % 3];
         cluster.faults = Faults { delay_max, disk_max, ..cluster.faults };

@@ -2,7 +2,7 @@
 //!
 //! - **In front of the message** (CycloneDDS, `rmw_cyclonedds`): request and reply begin with 16 bytes, a number of the client
 //!   and a number of the request. Every client gets every reply, and takes its own.
-//! - **NearbyEndpoint the message** (Fast DDS, `rmw_fastrtps`, and others): a reply names writer and sequence number of its request in a
+//! - **Next to the message** (Fast DDS, `rmw_fastrtps`, and others): a reply names writer and sequence number of its request in a
 //!   parameter of the RTPS message. A request may name the reader of its replies there: then that one is named in the
 //!   reply instead of the writer.
 //!

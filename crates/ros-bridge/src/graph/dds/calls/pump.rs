@@ -130,7 +130,7 @@ impl Pump {
         let message = Bytes::copy_from_slice(sample.wire().get(HEADER_BYTES..).unwrap_or_default());
         let arrival = Arrival { message, writer, sequence, related };
         if self.of == Side::Client || is_heard(&arrival, &self.matched, &self.hearers) {
-            // EarlierGoals ones of the same client go first.
+            // Earlier ones of the same client go first.
             self.release();
             self.give(arrival);
         } else if let Some(oldest) = self.held.push(arrival, Instant::now()) {
