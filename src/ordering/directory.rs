@@ -6,7 +6,6 @@ use ledger::{Ledger, Outcome};
 use ledger_raft::Desired;
 use ledger_replica::Observer;
 use ledger_storage::result::BlockKind;
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 
@@ -65,8 +64,8 @@ impl Member {
 /// The members of the network now. Follows the ledger.
 pub(crate) struct Directory {
     members: watch::Sender<Arc<[Member]>>,
-    /// While certificates are strict: under which hand each node is.
-    strict_hands: Mutex<Option<BTreeMap<u64, String>>>,
+    /// The members that the ledger wants.
+    desired: Mutex<Desired>,
     /// One reading at a time, so that an older one never replaces a newer one.
     reading: Mutex<()>,
 }
@@ -74,8 +73,8 @@ pub(crate) struct Directory {
 impl Directory {
     /// The members as of the ledger's tip.
     pub(crate) fn read(ledger: &Ledger) -> Self {
-        let (strict_hands, reading) = Default::default();
-        let directory = Self { members: watch::Sender::new(Arc::from([])), strict_hands, reading };
+        let (desired, reading) = Default::default();
+        let directory = Self { members: watch::Sender::new(Arc::from([])), desired, reading };
         directory.refresh(ledger);
         directory
     }
@@ -90,10 +89,10 @@ impl Directory {
             tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the wanted nodes of the network");
             Vec::new()
         });
-        match msp::strict_hands(&**ledger.state()) {
-            Ok(hands) => *self.strict_hands.lock().unwrap_or_else(PoisonError::into_inner) = hands,
+        match Desired::read(&**ledger.state()) {
+            Ok(desired) => *self.desired.lock().unwrap_or_else(PoisonError::into_inner) = desired,
             Err(fault) => {
-                tracing::error!(code = fault.code.name(), reason = %fault, "cannot read whether certificates are strict")
+                tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the wanted members of the network")
             }
         }
         let mut members: Vec<Member> = records
@@ -137,10 +136,7 @@ impl Directory {
 
     /// The members that the ledger wants.
     pub(crate) fn desired(&self) -> Desired {
-        let members = self.members();
-        let wanted = |part| members.iter().filter(move |member| member.wanted == Some(part)).map(|member| member.id);
-        let strict_hands = self.strict_hands.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        Desired { voters: wanted(Part::Voter).collect(), learners: wanted(Part::Learner).collect(), strict_hands }
+        self.desired.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The members as they change.

@@ -110,7 +110,7 @@ pub(crate) use identities::{check_barred, seen};
 pub use invitations::{CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, JoinOrganisation};
 pub use join_node::JoinNode;
 pub use joins::{JOINS_MAX, JOINS_TIME};
-pub use nodes::{NodeRecord, NodeRole, Nodes, Speaks, desired};
+pub use nodes::{NodeRecord, NodeRole, Nodes, Speaks, desired, replacements};
 pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{
     Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,

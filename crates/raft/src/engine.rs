@@ -349,6 +349,7 @@ impl Engine {
         }
         match message {
             PeerMessage::Raft(mut message) => {
+                self.count_campaign(from, &message);
                 match self.check_standing(from, &mut message, out) {
                     Ok(()) => {}
                     Err(Doubt::Unproven { term }) => return self.want_mandate(from, term, out),

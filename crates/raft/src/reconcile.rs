@@ -7,7 +7,10 @@
 use crate::engine::{PeerStatus, Status};
 use crate::interface::Input;
 use ledger::members::{Change, MembershipChange, spare_one};
+use ledger::msp;
 use ledger_base::mutation::Mutation;
+use ledger_base::rejection::Rejection;
+use ledger_storage::state::StateRead;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,8 +26,23 @@ pub struct Desired {
     pub voters: BTreeSet<u64>,
     /// The wanted learners.
     pub learners: BTreeSet<u64>,
+    /// The old numbers of nodes that have joined again, with the new numbers, which shall vote.
+    pub replacements: BTreeMap<u64, u64>,
     /// While certificates are strict: under which hand each node is.
     pub strict_hands: Option<BTreeMap<u64, String>>,
+}
+
+impl Desired {
+    /// The members that a ledger wants, by its state.
+    ///
+    /// # Errors
+    /// If the state cannot be read.
+    pub fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
+        let nodes = msp::nodes(state)?;
+        let (voters, learners) = msp::desired(&nodes);
+        let (replacements, strict_hands) = (msp::replacements(&nodes), msp::strict_hands(state)?);
+        Ok(Self { voters, learners, replacements, strict_hands })
+    }
 }
 
 /// The next step of a leader towards the wanted members; nothing if all is done, or while something is
@@ -34,7 +52,8 @@ pub struct Desired {
 /// 1. nodes that are missing come in as learners, which costs nobody's vote anything;
 /// 2. learners that shall vote and have caught up are promoted, and voters that shall not vote lose their vote in the
 ///    same joint change. So replacing one needs no larger majority in between; losing a vote waits for a replacement
-///    that is on its way;
+///    that is on its way. The old number of a node keeps its vote until its new number takes it, however long that is silent. One
+///    that has lied, by proof, loses it at once;
 /// 3. a leader that shall lose its own vote hands over to the desired voter that has caught up most, which goes on;
 /// 4. nodes that shall be no members go.
 ///
@@ -79,10 +98,14 @@ fn change_voters(desired: &Desired, status: &Status, voters: &BTreeSet<u64>) -> 
     // One that is silent holds nobody's removal up: that may be urgent. (A new one counts as heard for a while.)
     let waiting =
         missing().any(|node| !is_ready(status, *node) && peer(status, *node).is_some_and(|peer| peer.recently_active));
+    let keeps_place = |node: &u64| {
+        let new = desired.replacements.get(node).filter(|new| !voters.contains(new) && !joining.contains(new));
+        new.is_some() && !status.excluded.contains(node)
+    };
     let leaving: Vec<u64> = voters
         .iter()
         .copied()
-        .filter(|node| !waiting && *node != status.id && !desired.voters.contains(node))
+        .filter(|node| !waiting && *node != status.id && !desired.voters.contains(node) && !keeps_place(node))
         .filter(|node| desired.learners.contains(node) || !ledger_base::mutation::active(Mutation::KeepARemovedVoter))
         .collect();
     let after: BTreeSet<u64> = voters.iter().chain(&joining).copied().filter(|node| !leaving.contains(node)).collect();

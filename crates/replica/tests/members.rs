@@ -6,7 +6,7 @@ use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Ro
 
 fn wish(voters: &[u64], learners: &[u64]) -> Desired {
     let [voters, learners] = [voters, learners].map(|nodes| nodes.iter().copied().collect());
-    Desired { voters, learners, strict_hands: None }
+    Desired { voters, learners, ..Desired::default() }
 }
 
 /// Sets the wish and lets traffic run until the members are those; answers with the number of blocks that took.

@@ -283,7 +283,7 @@ impl World {
             desired: Desired {
                 voters: (1..=voters).collect(),
                 learners: (voters + 1..=all).collect(),
-                strict_hands: None,
+                ..Desired::default()
             },
             activation: None,
             access: None,

@@ -12,7 +12,7 @@ use bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_light::{CertificateRule, Voter, Voters};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// Most records of nodes that were removed; beyond it the oldest is forgotten.
@@ -121,6 +121,18 @@ pub fn desired<'a>(nodes: impl IntoIterator<Item = &'a NodeRecord>) -> (BTreeSet
         };
     }
     (voters, learners)
+}
+
+/// The numbers of nodes that have joined again, with the newer number under which the same node votes.
+pub fn replacements(nodes: &[NodeRecord]) -> BTreeMap<u64, u64> {
+    let voters = nodes.iter().filter(|node| node.role == NodeRole::Voter);
+    let olds = voters.flat_map(|voter| {
+        let is_old = |node: &&NodeRecord| {
+            node.id < voter.id && (&node.organisation, &node.name) == (&voter.organisation, &voter.name)
+        };
+        nodes.iter().filter(is_old).map(|old| (old.id, voter.id))
+    });
+    olds.collect()
 }
 
 /// Does a change of the members lead to what these records want? It gives no vote to a node that shall have none, and takes none

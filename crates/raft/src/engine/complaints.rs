@@ -9,6 +9,9 @@
 //! campaigns are honoured although the leader lives, and the voter stands for election itself at its own timeout. The deposed leader
 //! gets no vote for [`BAN_TIMEOUTS`], which doubles with each further deposition. An honest leader that counts them steps down.
 //!
+//! A voter in a later term cannot follow the leader, so it cannot complain. A liar that leads can bring it there, and ignore that its own
+//! term is over. A voter that complains itself counts the campaign of such a voter as its complaint.
+//!
 //! One hand cannot complete the count. So one honest voter at least has found that the leader withholds something. If
 //! no other node is elected in the meantime, the voters follow the deposed leader again: a bad leader is better than none.
 
@@ -16,7 +19,7 @@ use super::Engine;
 use super::mandate::Grievance;
 use super::status::Deposition;
 use crate::interface::Output;
-use crate::message::{PeerMessage, RaftKind, SignedComplaint};
+use crate::message::{PeerMessage, RaftKind, RaftMessage, SignedComplaint};
 use bytes::Bytes;
 use ledger_base::mutation::{Mutation, active};
 use raft::INVALID_ID;
@@ -139,6 +142,17 @@ impl Engine {
         match checked {
             Ok(()) => self.count_complaint(from, *term, *leader),
             Err(reason) => out.push(Output::Ignored { from, reason }),
+        }
+    }
+
+    /// A voter stands for election, in a term that is later than the next one: it does not follow the leader of this term any more. To a
+    /// voter that complains itself, that is another complaint.
+    pub(super) fn count_campaign(&mut self, from: u64, message: &RaftMessage) {
+        let campaigns = [RaftKind::PreVote, RaftKind::Vote].into_iter().any(|kind| message.kind == i32::from(kind));
+        let (term, leader) = (self.raw.raft.term, self.raw.raft.leader_id);
+        let complains = self.complaints.own.is_some() && self.complaints.about == (term, leader);
+        if campaigns && complains && message.term > term + 1 && from != leader && self.membership.is_voter(from) {
+            self.count_complaint(from, term, leader);
         }
     }
 

@@ -189,6 +189,11 @@ impl Mandates {
         self.excluded = nodes;
     }
 
+    /// The nodes of which nothing is followed any more.
+    pub(super) fn excluded(&self) -> &BTreeSet<u64> {
+        &self.excluded
+    }
+
     /// Is this a message of a leader or a candidate that has lied? Its acknowledgements and its votes for others still count:
     /// they are about what others have signed.
     pub(super) fn excludes(&self, from: u64, message: &PeerMessage) -> bool {

@@ -5,6 +5,7 @@ use crate::interface::RoleChange;
 use crate::queue::QueueStatus;
 use ledger::members::Membership;
 use raft::{ProgressState, StateRole};
+use std::collections::BTreeSet;
 
 impl Engine {
     /// How things stand.
@@ -50,6 +51,7 @@ impl Engine {
             control: self.queues.control.status(),
             data: self.queues.data.status(),
             depositions,
+            excluded: self.mandates.excluded().clone(),
             deposed,
         }
     }
@@ -88,6 +90,8 @@ pub struct Status {
     pub control: QueueStatus,
     /// The data lane.
     pub data: QueueStatus,
+    /// The nodes that have lied, by proof.
+    pub excluded: BTreeSet<u64>,
     /// How often complaints of voters have deposed a leader since the start of this engine.
     pub depositions: u64,
     /// The leaders that were deposed within the last 18000 election timeouts (an hour by default).

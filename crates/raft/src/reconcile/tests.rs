@@ -37,13 +37,14 @@ fn leader(voters: &[u64], learners: &[u64]) -> Status {
         control: QueueStatus::default(),
         data: QueueStatus::default(),
         depositions: 0,
+        excluded: BTreeSet::new(),
         deposed: Vec::new(),
     }
 }
 
 fn desired(voters: &[u64], learners: &[u64]) -> Desired {
     let [voters, learners] = [voters, learners].map(|nodes| nodes.iter().copied().collect());
-    Desired { voters, learners, strict_hands: None }
+    Desired { voters, learners, ..Desired::default() }
 }
 
 fn peer_mut(status: &mut Status, node: u64) -> &mut PeerStatus {
@@ -112,6 +113,23 @@ fn a_voter_is_replaced_in_one_joint_change() {
     assert_eq!(next_step(&wish, &status), None, "the replacement is on its way");
     peer_mut(&mut status, 4).recently_active = false;
     assert_eq!(next_step(&wish, &status), changes(&[Change::Remove(3)]), "a silent one holds nothing up");
+}
+
+#[test]
+fn a_node_that_joins_again_keeps_its_vote_until_its_new_number_has_it_unless_it_has_lied() {
+    let wish = Desired { replacements: [(3, 4)].into(), ..desired(&[1, 2, 4], &[]) };
+    let mut status = leader(&[1, 2, 3], &[4]);
+    (peer_mut(&mut status, 4).matched, peer_mut(&mut status, 4).recently_active) = (0, false);
+    assert_eq!(next_step(&wish, &status), None, "two voters would need both");
+    status.excluded.insert(3);
+    assert_eq!(
+        next_step(&wish, &status),
+        changes(&[Change::Remove(3)]),
+        "a liar does not keep its vote by joining again"
+    );
+    status.excluded.clear();
+    (peer_mut(&mut status, 4).matched, peer_mut(&mut status, 4).recently_active) = (5000, true);
+    assert_eq!(next_step(&wish, &status), changes(&[Change::AddVoter(4), Change::Remove(3)]));
 }
 
 #[test]

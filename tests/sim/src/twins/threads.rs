@@ -1,11 +1,11 @@
 //! The order thread of a node: events into its replica, whose effects are carried out; blocks are written and executed.
 
-use super::world::{Timer, World, era, wanted};
+use super::world::{Timer, World, era};
 use crate::clock::MILLISECOND;
 use crate::invariant::{Check, Violation};
 use ledger::Outcome;
 use ledger::members::Membership;
-use ledger_raft::{Input, Role};
+use ledger_raft::{Desired, Input, Role};
 use ledger_replica::certifier::{self, Certifiable};
 use ledger_replica::{Circumstances, Effect, Event, Work};
 use ledger_storage::entry::Entry;
@@ -170,7 +170,7 @@ impl World {
             self.judge.is_strict(id, height, strict)?;
         }
         if outcome.governs {
-            let wanted = wanted(&ledger);
+            let wanted = Desired::read(&**ledger.state()).unwrap();
             self.step(at, Event::Wanted(wanted))?;
         }
         if let Some(roots) = outcome.certifiable {

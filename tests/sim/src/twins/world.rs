@@ -13,7 +13,7 @@ use crate::node::{Keeping, Node, open_blocks};
 use crate::trace::Trace;
 use bytes::Bytes;
 use ledger::network::{FoundingNode, Genesis};
-use ledger::{Chaincode, Ledger, Registry, Rules, msp};
+use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::AccessControl;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::Code;
@@ -293,8 +293,14 @@ impl World {
         };
         let ballots = Arc::new(Voting::new(Arc::clone(&ledger), keys.clone()));
         let waiters = Arc::new(Waiters::<Nobody>::default());
-        let replica =
-            Replica::start(&settings, Arc::clone(&store), Arc::clone(&executor), waiters, wanted(&ledger), ballots);
+        let replica = Replica::start(
+            &settings,
+            Arc::clone(&store),
+            Arc::clone(&executor),
+            waiters,
+            Desired::read(&**ledger.state()).unwrap(),
+            ballots,
+        );
         copy.up = Some(Up {
             replica: replica.unwrap(),
             executor,
@@ -358,12 +364,6 @@ impl World {
             doubt: clock.doubt(self.now),
         }
     }
-}
-
-/// The members that a ledger wants.
-pub(super) fn wanted(ledger: &Ledger) -> Desired {
-    let (voters, learners) = msp::desired(&msp::nodes(&**ledger.state()).unwrap());
-    Desired { voters, learners, strict_hands: msp::strict_hands(&**ledger.state()).unwrap() }
 }
 
 /// The voters whose statements count for the blocks after the newest.

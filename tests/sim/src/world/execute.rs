@@ -1,6 +1,5 @@
 //! Committed blocks are executed, observed and answered: the execute thread of a node.
 
-use super::start::wanted;
 use super::{Block, World};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Executed};
@@ -9,7 +8,7 @@ use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Outcome, msp};
 use ledger_base::hash::Hash;
-use ledger_raft::Input;
+use ledger_raft::{Desired, Input};
 use ledger_replica::Executor;
 use ledger_replica::witness::seen;
 use ledger_storage::entry::Entry;
@@ -59,7 +58,7 @@ impl World {
         }
         let governed = outcome.events.iter().any(|emitted| emitted.event.chaincode == msp::NAME);
         if governed {
-            running.wanted = wanted(&running.ledger);
+            running.wanted = Desired::read(&**running.ledger.state()).unwrap();
             running.wants_others = true;
         }
     }

@@ -119,7 +119,7 @@ impl World {
             replica: None,
             executor,
             waiters,
-            wanted: wanted(&ledger),
+            wanted: Desired::read(&**ledger.state()).unwrap(),
             wants_others: false,
             reads: Reads::new(tip),
             retries: Retries::default(),
@@ -304,12 +304,6 @@ fn stopped(ledger: &Ledger) -> BTreeSet<String> {
     let stops = ledger.state().range(STOPPED, None, usize::MAX).unwrap();
     let names = stops.iter().filter_map(|(key, _)| std::str::from_utf8(key.strip_prefix(STOPPED)?).ok());
     names.map(str::to_owned).collect()
-}
-
-/// The members that a ledger wants.
-pub(super) fn wanted(ledger: &Ledger) -> Desired {
-    let (voters, learners) = msp::desired(&msp::nodes(&**ledger.state()).unwrap());
-    Desired { voters, learners, strict_hands: msp::strict_hands(&**ledger.state()).unwrap() }
 }
 
 fn does_not_start(id: u64, fault: &Rejection) -> Violation {

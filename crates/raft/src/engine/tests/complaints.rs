@@ -126,6 +126,25 @@ fn complaints_of_more_voters_than_one_hand_has_depose_the_leader_of_this_term_an
 }
 
 #[test]
+fn a_voter_in_a_later_term_counts_as_one_that_complains_for_a_voter_that_complains_itself() {
+    let campaign = |from, term| {
+        message(from, RaftKind::PreVote, move |message| (message.term, message.log_term, message.index) = (term, 1, 0))
+    };
+    let mut node = follower();
+    step(&mut node, campaign(3, 3));
+    assert_eq!(node.leader(), Some(1), "it does not complain itself");
+    step(&mut node, own());
+    for (other, why) in
+        [(campaign(3, 2), "of this term"), (campaign(9, 3), "a learner"), (campaign(1, 3), "the leader")]
+    {
+        step(&mut node, other);
+        assert_eq!(node.leader(), Some(1), "{why}");
+    }
+    step(&mut node, campaign(3, 3));
+    assert_eq!(node.leader(), None);
+}
+
+#[test]
 fn nothing_more_is_taken_from_a_deposed_leader_for_a_while_and_campaigns_are_honoured_although_it_lives() {
     let mut node = follower();
     assert!(!grants(&step(&mut node, asks(4)), 4), "the leader lives");
