@@ -9,11 +9,18 @@
 //!
 //! A string is its length with its final NUL as `uint32`, its bytes, and the NUL. A sequence is the number of its elements
 //! as `uint32`, and the elements; an array the elements alone. A message without fields is one byte.
+//!
+//! A `wstring` is the number of its units of UTF-16 as `uint32`, and each unit as another, without a NUL. Fast DDS and CycloneDDS of ROS 2
+//! write it like this on Linux.
+//!
+//! Bytes may follow a message. Fast DDS leaves what was in its buffer there, and no listener of ROS 2 reads on.
 
 use crate::fault::Fault;
 
 /// Bytes of the header in front of every message.
 pub(crate) const HEADER_BYTES: usize = 4;
+/// Bytes of a unit of a `wstring`.
+pub(crate) const WIDE_BYTES: usize = 4;
 /// DDS fills what it carries up to a multiple of so many bytes.
 const FILL_BYTES: usize = 4;
 
@@ -133,6 +140,12 @@ impl<'a> Reader<'a> {
         Ok(bytes.strip_suffix(&[0]).unwrap_or(bytes))
     }
 
+    /// The bytes of a `wstring`.
+    pub(crate) fn wide(&mut self, most: Option<usize>) -> Result<&'a [u8], Fault> {
+        let length = self.length(WIDE_BYTES, most)?;
+        self.take(WIDE_BYTES, length)
+    }
+
     /// Nothing but what DDS fills up with may be left.
     pub(crate) fn end(&self) -> Result<(), Fault> {
         let (left, all) = (self.left(), self.body.len());
@@ -192,6 +205,12 @@ impl Writer {
         self.bytes.extend_from_slice(text.as_bytes());
         self.bytes.push(0);
         Ok(())
+    }
+
+    /// A `wstring`.
+    pub(crate) fn wide(&mut self, text: &str) -> Result<(), Fault> {
+        self.length(text.encode_utf16().count())?;
+        text.encode_utf16().try_for_each(|unit| self.number(WIDE_BYTES, unit.into()))
     }
 
     pub(crate) fn finish(self) -> Vec<u8> {

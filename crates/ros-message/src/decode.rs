@@ -1,6 +1,6 @@
 //! CDR to a value.
 
-use crate::cdr::Reader;
+use crate::cdr::{Reader, WIDE_BYTES};
 use crate::definition::{Count, Primitive};
 use crate::fault::Fault;
 use crate::message::{Element, Field, Message, Structure};
@@ -12,15 +12,13 @@ use std::sync::Arc;
 const VALUES_MAX: usize = 1024 * 1024;
 
 impl Message {
-    /// Reads a message with its header.
+    /// Reads a message with its header. Bytes may follow, as in [`Self::check`].
     ///
     /// # Errors
     /// If the bytes cannot be a message of this type, with the field at which that shows.
     pub fn decode(&self, bytes: &[u8]) -> Result<Value, Fault> {
         let mut decoder = Decoder { reader: Reader::new(bytes)?, left: VALUES_MAX };
-        let value = decoder.structure(&self.structure).map_err(|fault| self.not_of_this_type(fault))?;
-        decoder.reader.end().map_err(|fault| self.not_of_this_type(fault))?;
-        Ok(value)
+        decoder.structure(&self.structure).map_err(|fault| self.not_of_this_type(fault))
     }
 
     /// A fault of the bytes, with the name of the type.
@@ -80,8 +78,26 @@ impl Decoder<'_> {
             Element::Text(most) => {
                 self.reader.text(*most).map(|bytes| Value::Text(String::from_utf8_lossy(bytes).into_owned()))
             }
+            Element::Wide(most) => self.reader.wide(*most).map(|bytes| Value::Text(self.wide(bytes))),
             Element::Message(structure) => self.structure(structure),
         }
+    }
+}
+
+impl Decoder<'_> {
+    /// Text of units of UTF-16. Some writers have a whole character in one; others than these two are replaced by U+FFFD.
+    fn wide(&self, bytes: &[u8]) -> String {
+        let mut units = Vec::with_capacity(bytes.len() / WIDE_BYTES);
+        for unit in bytes.chunks_exact(WIDE_BYTES).map(|unit| self.reader.unsigned(unit) as u32) {
+            match u16::try_from(unit) {
+                Ok(unit) => units.push(unit),
+                Err(_) => {
+                    let c = char::from_u32(unit).unwrap_or(char::REPLACEMENT_CHARACTER);
+                    units.extend_from_slice(c.encode_utf16(&mut [0; 2]));
+                }
+            }
+        }
+        String::from_utf16_lossy(&units)
     }
 }
 

@@ -1,24 +1,37 @@
-//! The text format of `.msg` files.
+//! The text format of `.msg` files, as rosidl reads it.
 //!
 //! ```text
 //! # a comment
 //! uint8 LEVEL_MAX=3                 a constant
-//! string<=16 NAME="left arm"        a constant of a bounded string
+//! string NAME="left arm"            a constant of a string
 //! std_msgs/Header header            a field of a type of another package
 //! Vector3 linear                    a field of a type of this package
 //! float64 w 1                       a field with a default
 //! float64[36] covariance            an array
 //! float32[<=4] axes                 a sequence of at most 4
-//! string<=10[] names [a, b]         a sequence of bounded strings, with a default
+//! string<=10[] names [a, "b c"]     a sequence of bounded strings, with a default
 //! ```
+//!
+//! The only description of this format is `rosidl_adapter/parser.py`. A line begins with its type, without a space in front. A `#`
+//! begins a comment also in quotes, and a `=` behind the type makes a constant of the line.
+
+mod kinds;
+mod lines;
+mod numbers;
+mod values;
+
+pub(crate) use lines::lines;
 
 use crate::fault::{Fault, quoted};
 use crate::name;
 use crate::written::Written;
+use lines::{statement, trim_end, trim_start};
 
 /// Longest text of a definition that is read, in bytes.
 const TEXT_BYTES_MAX: usize = 1024 * 1024;
-/// Most fields of a message.
+/// Longest line of one, in bytes.
+const LINE_BYTES_MAX: usize = 64 * 1024;
+/// Most fields of a message, and most constants.
 const FIELDS_MAX: usize = 1024;
 
 /// A type that no definition explains.
@@ -69,6 +82,15 @@ impl Primitive {
         }
     }
 
+    /// The least and the greatest value of a whole number.
+    pub(crate) fn range(self) -> (i128, i128) {
+        let bits = self.bytes() * 8;
+        match self {
+            Self::I8 | Self::I16 | Self::I32 | Self::I64 => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
+            _ => (0, (1 << bits) - 1),
+        }
+    }
+
     fn parse(text: &str) -> Option<Self> {
         Some(match text {
             "bool" => Self::Bool,
@@ -94,6 +116,8 @@ pub(crate) enum Kind {
     Primitive(Primitive),
     /// A string, and the most bytes that it may have.
     Text(Option<usize>),
+    /// A string of UTF-16, and the most units that it may have.
+    Wide(Option<usize>),
     /// Another message, by its full name.
     Message(String),
 }
@@ -117,7 +141,7 @@ pub(crate) struct FieldText {
     pub(crate) default: Option<Written>,
 }
 
-/// The fields of a `.msg` file in their order. Constants are no part of the bytes, and so are read over.
+/// The fields of a `.msg` file in their order. Constants are no part of the bytes: they are checked and left out.
 ///
 /// # Errors
 /// Names the first line that is not understood.
@@ -127,82 +151,73 @@ pub(crate) fn parse(full_name: &str, text: &str) -> Result<Vec<FieldText>, Fault
             .found(format!("{} bytes", text.len()))
             .wanted(format!("at most {TEXT_BYTES_MAX}")));
     }
+    let text = text.replace('\t', " ");
     let mut fields: Vec<FieldText> = Vec::new();
-    for (number, line) in text.lines().enumerate() {
-        let fault = |what: &str| {
+    let mut constants: Vec<&str> = Vec::new();
+    for (number, line) in lines(&text).into_iter().enumerate() {
+        let fault = |what: String| {
             Fault::new(format!("line {} of the definition of {full_name} is not understood: {what}", number + 1))
-                .found(quoted(line.trim()))
+                .found(quoted(trim_end(line)))
                 .wanted("TYPE NAME, TYPE NAME DEFAULT, TYPE NAME=CONSTANT, or a comment behind #")
         };
-        let Some((kind, rest)) = words(line) else { continue };
-        let (kind, count) = element(kind, name::package(full_name)).map_err(|what| fault(&what))?;
-        let name_ends = rest.find(|c: char| c.is_whitespace() || c == '=' || c == '#').unwrap_or(rest.len());
-        let (name, rest) = rest.split_at(name_ends);
-        if !name::is_name(name) && !name.starts_with('_') {
-            return Err(fault("the name of the field is missing or wrong"));
+        let Some(statement) = statement(line) else { continue };
+        if statement.len() > LINE_BYTES_MAX {
+            return Err(fault(format!("a line has at most {LINE_BYTES_MAX} bytes")));
         }
-        let rest = rest.trim_start();
-        if rest.starts_with('=') {
-            continue;
+        let (kind, rest) = statement.split_once(' ').unwrap_or((statement, ""));
+        if kind.is_empty() {
+            return Err(fault("a line begins with its type, without a space in front".to_owned()));
         }
-        if fields.len() >= FIELDS_MAX {
-            return Err(fault(&format!("a message has at most {FIELDS_MAX} fields")));
-        }
-        if fields.iter().any(|field| field.name == name) {
-            return Err(fault(&format!("there is a field {name} already")));
-        }
-        let default = if rest.is_empty() || rest.starts_with('#') {
-            None
-        } else {
-            Some(Written::parse(rest).map_err(|wrong| fault(&format!("the default: {}", wrong.message)))?)
+        let rest = trim_start(rest);
+        let name = match rest.split_once('=') {
+            Some((name, value)) => {
+                let name = constant(kind, trim_end(name), trim_start(value)).map_err(fault)?;
+                let is_new = !constants.contains(&name);
+                constants.push(name);
+                if is_new { None } else { Some(name) }
+            }
+            None => {
+                let field = field(kind, rest, name::package(full_name)).map_err(fault)?;
+                let is_new = !fields.iter().any(|known| known.name == field.name);
+                fields.push(field);
+                if is_new { None } else { rest.split(' ').next() }
+            }
         };
-        fields.push(FieldText { name: name.to_owned(), kind, count, default });
+        if let Some(name) = name {
+            return Err(fault(format!("there is a field or a constant {name} already")));
+        }
+        if fields.len().max(constants.len()) > FIELDS_MAX {
+            return Err(fault(format!("a message has at most {FIELDS_MAX} fields, and as many constants")));
+        }
     }
     Ok(fields)
 }
 
-/// The type and everything behind it; none for an empty line or a comment.
-fn words(line: &str) -> Option<(&str, &str)> {
-    let line = line.trim();
-    // A line of `=` stands between the definitions of a text of several.
-    if line.is_empty() || line.starts_with('#') || line.starts_with("====") {
-        return None;
+fn field(kind: &str, rest: &str, package: &str) -> Result<FieldText, String> {
+    let (name, default) = rest.split_once(' ').unwrap_or((rest, ""));
+    let (kind, count) = kinds::field(kind, package)?;
+    if !name::is_field(name) {
+        return Err(
+            "the name of the field is missing or wrong: lower-case letters, digits, and single _ within".to_owned()
+        );
     }
-    let end = line.find(char::is_whitespace).unwrap_or(line.len());
-    let (kind, rest) = line.split_at(end);
-    Some((kind, rest.trim_start()))
+    let default = match trim_start(default) {
+        "" => None,
+        text => Some(values::field(&kind, count, text).map_err(|wrong| format!("the default: {wrong}"))?),
+    };
+    Ok(FieldText { name: name.to_owned(), kind, count, default })
 }
 
-/// The type of a field: `float64`, `string<=10`, `Vector3[]`, `geometry_msgs/Point[<=4]`.
-fn element(text: &str, package: &str) -> Result<(Kind, Count), String> {
-    let (kind, count) = match text.split_once('[') {
-        None => (text, Count::One),
-        Some((kind, bound)) => {
-            let bound = bound.strip_suffix(']').ok_or("an array ends with ]")?;
-            let number = |digits: &str| digits.parse::<u32>().map_err(|_| format!("[{bound}] is no length"));
-            let count = match bound.strip_prefix("<=") {
-                Some(most) => Count::Sequence(Some(number(most)? as usize)),
-                None if bound.is_empty() => Count::Sequence(None),
-                None => Count::Array(number(bound)? as usize),
-            };
-            (kind, count)
-        }
-    };
-    let kind = match kind.split_once("<=") {
-        Some(("string", most)) => {
-            Kind::Text(Some(most.parse::<u32>().map_err(|_| format!("<={most} is no length"))? as usize))
-        }
-        Some(_) => return Err("only strings and sequences are bounded by <=".to_owned()),
-        None if kind == "string" => Kind::Text(None),
-        None if kind == "wstring" => {
-            return Err("wstring is not supported: every middleware writes it in another way".to_owned());
-        }
-        None => match Primitive::parse(kind) {
-            Some(primitive) => Kind::Primitive(primitive),
-            None => Kind::Message(name::full(kind, Some(package)).map_err(|wrong| wrong.message)?),
-        },
-    };
-    Ok((kind, count))
+/// The name of a constant whose value can be one.
+fn constant<'a>(kind: &str, name: &'a str, value: &str) -> Result<&'a str, String> {
+    let kind = kinds::constant(kind)?;
+    if !name::is_constant(name) {
+        return Err(
+            "the name of the constant is missing or wrong: upper-case letters, digits, and single _ within".to_owned()
+        );
+    }
+    values::element(&kind, value).map_err(|wrong| format!("the constant: {wrong}"))?;
+    Ok(name)
 }
 
 #[cfg(test)]
@@ -238,15 +253,24 @@ mod tests {
     fn a_line_that_is_not_understood_is_named() {
         for (text, part) in [
             ("float64 x\nfloat64", "line 2"),
-            ("float64 x\nfloat64 x", "there is a field x already"),
-            ("wstring w", "wstring"),
-            ("float64[ x", "ends with ]"),
+            ("float64 x\nfloat64 x", "constant x already"),
+            ("uint8 A=1\nuint8 A=1", "constant A already"),
+            (" float64 x", "without a space in front"),
+            ("wchar w", "wchar is a type of IDL only; .msg files have uint16"),
+            ("long double d", "long is a type of IDL only; .msg files have int32, int64, or float64 for long double"),
+            ("time t", "ROS 2 has builtin_interfaces/Time"),
+            ("float64] x", "has a [ in front"),
             ("float64[-1] x", "no length"),
-            ("float64[4294967296] x", "no length"),
-            ("int32<=3 x", "only strings"),
-            ("a/b/c/D x", "not the name of a message type"),
+            ("float64[0] x", "no length"),
+            ("string<=0 x", "no length"),
+            ("int32<=3 x", "neither a type nor"),
+            ("a/b/c/D x", "neither a type nor"),
             ("int32 9x", "name of the field"),
-            ("int32[] x [1", "the default"),
+            ("int32 a=1", "name of the constant"),
+            ("string<=3 A=abc", "not the type of a constant"),
+            ("int32[] x [1", "stands in [ ]"),
+            ("uint8 x 256", "from 0 to 255"),
+            ("Vector3 v {}", "no default of its own"),
         ] {
             let fault = parse("test_msgs/msg/Test", text).unwrap_err();
             assert!(fault.message.contains(part), "{text:?}: {fault:?}");

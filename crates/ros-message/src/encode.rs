@@ -124,6 +124,7 @@ impl Encoder {
             (Element::Message(structure), written) => self.structure(structure, written),
             (Element::Primitive(primitive), Written::Nothing) => self.writer.number(primitive.bytes(), 0),
             (Element::Text(_), Written::Nothing) => self.writer.text(""),
+            (Element::Wide(_), Written::Nothing) => self.writer.wide(""),
             (Element::Primitive(primitive), Written::Text(text)) => {
                 self.writer.number(primitive.bytes(), bits(*primitive, text)?)
             }
@@ -137,6 +138,15 @@ impl Encoder {
                         .wanted(format!("at most {most}")));
                 }
                 self.writer.text(text)
+            }
+            (Element::Wide(most), Written::Text(text)) => {
+                let units = text.encode_utf16().count();
+                if let Some(most) = most.filter(|most| units > *most) {
+                    return Err(Fault::new("the string is too long")
+                        .found(format!("{units} units of UTF-16"))
+                        .wanted(format!("at most {most}")));
+                }
+                self.writer.wide(text)
             }
             (element, other) => Err(Fault::new(format!("a {} is wanted", element.name())).found(other.shown())),
         }
@@ -180,21 +190,13 @@ fn bits(primitive: Primitive, text: &str) -> Result<u64, Fault> {
             }
         }
         _ => {
-            let (least, most) = range(primitive);
+            let (least, most) = primitive.range();
             let whole = whole(text).filter(|value| (least..=most).contains(value));
             // Two's complement: the low bits of the number are those of its type.
             whole
                 .map(|value| (value & i128::from(u64::MAX)) as u64)
                 .ok_or_else(|| wrong(format!("a whole number from {least} to {most}")))
         }
-    }
-}
-
-fn range(primitive: Primitive) -> (i128, i128) {
-    let bits = primitive.bytes() * 8;
-    match primitive {
-        Primitive::I8 | Primitive::I16 | Primitive::I32 | Primitive::I64 => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
-        _ => (0, (1 << bits) - 1),
     }
 }
 

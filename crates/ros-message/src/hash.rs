@@ -48,6 +48,8 @@ fn field(field: &Field) -> String {
         Element::Primitive(primitive) => (number(*primitive), 0, ""),
         Element::Text(None) => (17, 0, ""),
         Element::Text(Some(most)) => (21, *most, ""),
+        Element::Wide(None) => (18, 0, ""),
+        Element::Wide(Some(most)) => (22, *most, ""),
         Element::Message(message) => (1, 0, message.name.as_str()),
     };
     let (kind, capacity) = match field.count {

@@ -1,6 +1,6 @@
 //! ROS 2 messages by their definitions: bytes as DDS carries them to values that people read, and back.
 //!
-//! A [`Library`] holds definitions in the text format of `.msg` files; those of the common types are built in. A
+//! A [`Library`] holds definitions in the text formats of `.msg`, `.srv` and `.action` files; those of the common types are built in. A
 //! [`Message`] is one of them with everything that it contains, and reads and writes CDR. That is version 1, both byte
 //! orders, with the encapsulation header of four bytes in front, as every ROS 2 middleware sends it. People write
 //! messages as YAML, as after `ros2 topic pub`; JSON is YAML, too.
@@ -23,7 +23,8 @@
 //!
 //! | module | what is there |
 //! |---|---|
-//! | `definition`, `name` | the text format of `.msg` files; names of types |
+//! | `definition`, `name` | the text format of `.msg` files as rosidl reads it; names |
+//! | `interface` | the messages that make up a service or an action |
 //! | `library`, `message` | definitions by name; a definition with everything that it contains |
 //! | `cdr` | reading and writing aligned numbers and strings |
 //! | `decode`, `encode`, `check` | CDR to a value; what a person wrote to CDR; whether bytes can be a message |
@@ -39,6 +40,7 @@ mod definition;
 mod encode;
 mod fault;
 mod hash;
+mod interface;
 mod library;
 mod message;
 mod name;

@@ -40,6 +40,8 @@ pub(crate) enum Element {
     Primitive(Primitive),
     /// A string, and the most bytes that it may have.
     Text(Option<usize>),
+    /// A string of UTF-16, and the most units that it may have.
+    Wide(Option<usize>),
     Message(Arc<Structure>),
 }
 
@@ -82,6 +84,7 @@ impl Element {
         match self {
             Self::Primitive(primitive) => primitive.name(),
             Self::Text(_) => "string",
+            Self::Wide(_) => "wstring",
             Self::Message(structure) => &structure.name,
         }
     }
@@ -90,7 +93,7 @@ impl Element {
     pub(crate) fn bytes_min(&self) -> usize {
         match self {
             Self::Primitive(primitive) => primitive.bytes(),
-            Self::Text(_) => 4,
+            Self::Text(_) | Self::Wide(_) => 4,
             Self::Message(_) => 1,
         }
     }
@@ -109,7 +112,7 @@ fn flow(structure: &Structure, text: &mut String, limit: usize) -> Option<()> {
             (_, Count::Sequence(_)) => text.push_str("[]"),
             (_, Count::Array(_)) => text.push_str("[…]"),
             (Element::Message(inner), Count::One) => flow(inner, text, limit)?,
-            (Element::Text(_), Count::One) => text.push_str("''"),
+            (Element::Text(_) | Element::Wide(_), Count::One) => text.push_str("''"),
             (Element::Primitive(primitive), Count::One) => text.push_str(match primitive {
                 Primitive::Bool => "false",
                 Primitive::F32 | Primitive::F64 => "0.0",

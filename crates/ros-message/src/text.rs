@@ -33,6 +33,8 @@ fn kind(field: &Field) -> String {
         Element::Primitive(primitive) => primitive.name().to_owned(),
         Element::Text(None) => "string".to_owned(),
         Element::Text(Some(most)) => format!("string<={most}"),
+        Element::Wide(None) => "wstring".to_owned(),
+        Element::Wide(Some(most)) => format!("wstring<={most}"),
         Element::Message(structure) => structure.name.replace("/msg/", "/"),
     };
     match field.count {
@@ -63,7 +65,7 @@ mod tests {
     #[test]
     fn bounds_and_types_of_other_packages_are_written() {
         let mut library = Library::builtin();
-        let text = "geometry_msgs/Point[<=4] points\nstring<=10[2] names\nfloat32[] raw\nbyte one\n";
+        let text = "geometry_msgs/Point[<=4] points\nstring<=10[2] names\nwstring<=4 wide\nwstring[] more\nfloat32[] raw\nbyte one\n";
         library.add("my_msgs/msg/Arm", text).unwrap();
         let written = library.message("my_msgs/msg/Arm").unwrap().definition();
         let line = "=".repeat(80);

@@ -167,7 +167,7 @@ impl Yaml {
         };
         if is_plain(&cut) {
             self.text.push_str(&cut);
-        } else if cut.chars().any(char::is_control) {
+        } else if cut.chars().any(is_escaped) {
             self.text.push('"');
             for c in cut.chars() {
                 match c {
@@ -175,7 +175,7 @@ impl Yaml {
                     '\n' => self.text.push_str("\\n"),
                     '\t' => self.text.push_str("\\t"),
                     '\0' => self.text.push_str("\\0"),
-                    c if c.is_control() => {
+                    c if is_escaped(c) => {
                         let _infallible = write!(self.text, "\\u{:04x}", u32::from(c));
                     }
                     c => self.text.push(c),
@@ -188,6 +188,12 @@ impl Yaml {
             self.text.push('\'');
         }
     }
+}
+
+/// Has this character an escape? Readers of YAML 1.1 or 1.2 reject it, take it for the end of a line, or drop it. All of them have at
+/// most 16 bits.
+fn is_escaped(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}')
 }
 
 fn yaml_not_finite(value: f64) -> &'static str {
@@ -230,6 +236,7 @@ mod tests {
         }
         assert_eq!(text("it's"), "'it''s'");
         assert_eq!(text("a\0b\u{1b}[2J\n\u{9b}"), r#""a\0b\u001b[2J\n\u009b""#);
+        assert_eq!(text("\u{feff}a\u{2028}\u{2029}\u{85}\u{ffff}"), r#""\ufeffa\u2028\u2029\u0085\uffff""#);
     }
 
     #[test]

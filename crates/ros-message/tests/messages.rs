@@ -66,6 +66,42 @@ fn a_list_of_the_wrong_length_is_refused() {
 }
 
 #[test]
+fn bytes_behind_a_message_change_nothing_and_are_a_slip_where_a_person_gives_them() {
+    let message = Library::builtin().message("std_msgs/msg/String").unwrap();
+    let bytes = b"\0\x01\0\0\x02\0\0\0a\0";
+    let value = message.decode(bytes).unwrap();
+    for behind in [1, 2, 3, 9, 1000] {
+        let more: Vec<u8> = bytes.iter().copied().chain((1..=255).cycle().take(behind)).collect();
+        message.check(&more).unwrap();
+        assert_eq!(message.decode(&more).unwrap(), value, "{behind}");
+        // Two bytes fill up the message to a multiple of four.
+        assert_eq!(message.check_whole(&more).is_ok(), behind == 2, "{behind}");
+    }
+    assert!(message.check(bytes.split_last().unwrap().1).is_err());
+}
+
+#[test]
+fn a_wstring_is_units_of_utf_16_of_four_bytes_each() {
+    let mut library = Library::default();
+    library.add("a_msgs/msg/Wide", "uint8 x\nwstring<=4 text \"a\u{1f600}\"\nwstring[] more\n").unwrap();
+    let message = library.message("a_msgs/msg/Wide").unwrap();
+    let bytes = message.encode(&Written::Nothing, ByteOrder::Little, Time::default()).unwrap();
+    assert_eq!(bytes, *b"\0\x01\0\0\0\0\0\0\x03\0\0\0a\0\0\0\x3d\xd8\0\0\0\xde\0\0\0\0\0\0");
+    assert_eq!(message.decode(&bytes).unwrap().to_yaml(None), "x: 0\ntext: 'a\u{1f600}'\nmore: []\n");
+    message.check(&bytes).unwrap();
+    let long = message.encode(&Written::parse("text: abcde").unwrap(), ByteOrder::Big, Time::default()).unwrap_err();
+    assert!(long.message.contains("too long"), "{long:?}");
+    // A whole character in one unit, half a character, and no character at all.
+    let odd = b"\0\x01\0\0\0\0\0\0\x03\0\0\0\0\xf6\x01\0\x3d\xd8\0\0\xff\xff\xff\xff\0\0\0\0";
+    assert_eq!(message.decode(odd).unwrap().to_yaml(None), "x: 0\ntext: '\u{1f600}\u{fffd}\u{fffd}'\nmore: []\n");
+    assert!(
+        message.check(b"\0\x01\0\0\0\0\0\0\x05\0\0\0aaaabbbbccccddddeeee\0\0\0\0").is_err(),
+        "longer than its bound"
+    );
+    assert!(message.decode(b"\0\x01\0\0\0\0\0\0\x04\0\0\0a\0\0\0").is_err());
+}
+
+#[test]
 fn an_encoding_that_is_passed_on_and_not_decoded_is_named() {
     let message = Library::builtin().message("std_msgs/msg/UInt16").unwrap();
     for (id, name) in

@@ -97,7 +97,7 @@ impl Record {
         if path.exists() && !self.force {
             return Err(recording::taken(&path).into());
         }
-        self.definitions.library()?;
+        self.definitions.check(output)?;
         let session = Session::open(global).await?;
         let selection = Selection::find(&session, &self.services, self.plain_topics).await?;
         let window = Window::find(&session, &selection, self.since, self.until, self.follow).await?;

@@ -146,7 +146,7 @@ impl Shown {
 
 impl Echo {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.definitions.library()?;
+        self.definitions.check(output)?;
         let session = Session::open(global).await?;
         let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
         let response = response.map_err(|refused| WORDS.told(refused))?;

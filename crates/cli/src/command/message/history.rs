@@ -84,7 +84,7 @@ struct Stretch {
 
 impl History {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.definitions.library()?;
+        self.definitions.check(output)?;
         let session = Session::open(global).await?;
         let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
         let service: ServiceState = answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "a service")?;

@@ -116,7 +116,7 @@ impl Content {
                 let encoded = message.encode(written, ByteOrder::Little, Time::from_micros(now));
                 encoded.map(Bytes::from).map_err(refused)
             }
-            (Self::Bytes(bytes), Ok(message)) => message.check(bytes).map(|()| bytes.clone()).map_err(|fault| {
+            (Self::Bytes(bytes), Ok(message)) => message.check_whole(bytes).map(|()| bytes.clone()).map_err(|fault| {
                 let refused = refused(fault);
                 if refused.advice().is_empty() { refused.next(AS_TEXT) } else { refused }
             }),
@@ -146,7 +146,7 @@ impl Facts for Sent {
 impl Publish {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let content = self.source.read()?;
-        self.definitions.library()?;
+        self.definitions.check(output)?;
         let session = Session::open(global).await?;
         let named = || vec![Bytes::from(self.service.clone())];
         let (service, grants) =
