@@ -1,0 +1,13 @@
+//! Participants in virtual time over a simulated network.
+
+#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
+
+mod by_hand;
+mod endpoints;
+mod liar;
+mod network;
+mod node;
+mod packing;
+mod participants;
+mod random;
+mod simulation;

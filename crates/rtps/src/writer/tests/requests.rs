@@ -1,0 +1,53 @@
+//! Long requests are answered in runs.
+
+use super::*;
+
+#[test]
+fn requested_fragments_go_out_in_runs_as_far_as_they_exist_and_a_heartbeat_follows() {
+    let mut writer = volatile(10);
+    writer.add_reader(at(0), peer(1, true, false));
+    writer.write(at(0), sample(200 * 1344));
+    run(&mut writer, 0, 5000);
+    let all: Vec<i64> = (50..300).collect();
+    receive(&mut writer, 5000, nack_frag(1, 1, 50, &all, 1));
+    let first = poll(&mut writer, 6000);
+    let first_run = REPAIR_BYTES / (1344 + 64) + 1;
+    assert_eq!((fragments(&first).len(), heartbeats(&first)), (first_run, vec![]));
+    let out = [first, run(&mut writer, 6000, 8000)].concat();
+    let sent: Vec<u32> = fragments(&out).iter().map(|fragment| fragment.first).collect();
+    assert_eq!((sent, heartbeats(&out)), ((50..=200).collect(), vec![(1, 1)]));
+}
+
+#[test]
+fn requested_samples_go_out_in_runs_and_a_heartbeat_follows() {
+    let mut writer = volatile(10);
+    writer.add_reader(at(0), peer(1, true, false));
+    for _ in 0..3 {
+        writer.write(at(0), sample(70 * 1344));
+    }
+    run(&mut writer, 0, 5000);
+    receive(&mut writer, 5000, acknack(1, 1, &[1, 3], 1, true));
+    let out = run(&mut writer, 5000, 9000);
+    let sent: Vec<_> = fragments(&out).iter().map(|fragment| (fragment.sequence.0, fragment.first)).collect();
+    let wanted: Vec<_> =
+        [1, 3].into_iter().flat_map(|sample| (1..=70).map(move |fragment| (sample, fragment))).collect();
+    assert_eq!((sent, heartbeats(&out)), (wanted, vec![(1, 3)]));
+}
+
+#[test]
+fn repairs_of_many_readers_are_paced_together() {
+    let mut writer = durable(1);
+    writer.write(at(0), sample(1 << 20));
+    run(&mut writer, 0, 10_000);
+    for reader in 1..=10 {
+        writer.add_reader(at(20_000), peer(reader, true, true));
+        receive(&mut writer, 20_000, acknack(reader, 1, &[1], 1, true));
+    }
+    for step in 0..10 {
+        let out = poll(&mut writer, 30_000 + step * BURST_PAUSE_MICROS);
+        assert!(
+            out.iter().flat_map(|out| &out.submessages).map(message::bytes_of).sum::<usize>() < REPAIR_BYTES + 10_000
+        );
+        assert!(!fragments(&out).is_empty());
+    }
+}
