@@ -68,10 +68,10 @@ fn coloured(terminal: bool, no_color: Option<&OsStr>) -> bool {
     terminal && no_color.is_none_or(OsStr::is_empty)
 }
 
-/// The level for our own crates; libraries speak from `warn` on, and RustDDS, which is talkative, from `error`.
+/// The level for our own crates; libraries log from `warn` on.
 fn filter(level: LevelFilter) -> String {
     format!(
-        "warn,rustdds=error,ledgerd={level},ledger={level},ledger_raft={level},ledger_abac={level},ledger_api={level},ros_bridge={level}"
+        "warn,rtps={level},ledgerd={level},ledger={level},ledger_raft={level},ledger_abac={level},ledger_api={level},ros_bridge={level}"
     )
 }
 

@@ -2,8 +2,8 @@
 
 mod ownership;
 
-use crate::node::{Host, NodeBuilder};
 use crate::node::supervise::until_stopped;
+use crate::node::{Host, NodeBuilder};
 use crate::process::clock::wall;
 use crate::process::config;
 use crate::process::config::{Config, Log};

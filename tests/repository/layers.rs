@@ -7,12 +7,11 @@ use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing. A package of tests alone, which stands
 /// in a folder `tests`, may use all of them, and none may use it.
-const LAYERS: [(&str, &[&str]); 24] = [
+const LAYERS: [(&str, &[&str]); 25] = [
     // The foundation: no cryptography beyond a hash, no network, no chain.
     ("ledger-base", &[]),
     // The paper's experiment with a robot that moves.
     ("arena", &["ledger-api", "ledger-base", "ledger-gate", "ledgerd", "ros-bridge", "ros-message"]),
-    // Files of ROS 2: recordings.
     // What each process tells a collector of its part in a message: nothing of a ledger but ids.
     ("ledger-traces", &["ledger-base"]),
     // Keys and certificates: no file, no chain.
@@ -56,6 +55,8 @@ const LAYERS: [(&str, &[&str]); 24] = [
     ),
     // Messages by their definitions: nothing of a ledger.
     ("ros-message", &["ledger-base"]),
+    // DDS: nothing of a ledger, nor of ROS 2.
+    ("rtps", &[]),
     (
         "ros-bridge",
         &[
@@ -69,6 +70,7 @@ const LAYERS: [(&str, &[&str]); 24] = [
             "ledger-light",
             "ledger-traces",
             "ros-message",
+            "rtps",
             "testkit",
         ],
     ),

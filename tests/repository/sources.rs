@@ -27,7 +27,7 @@ pub(crate) fn files(directory: &Path, ending: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(directory).unwrap_or_else(|error| panic!("{}: {error}", directory.display()));
     for path in entries.flatten().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let is_ours = !name.starts_with("target") && ![".git", "vendor", "node_modules"].contains(&name.as_str());
+        let is_ours = !name.starts_with("target") && ![".git", "node_modules"].contains(&name.as_str());
         if path.is_dir() && is_ours {
             found.extend(files(&path, ending));
         } else if name.ends_with(ending) {

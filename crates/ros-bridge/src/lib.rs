@@ -4,7 +4,7 @@
 //! from shared memory, and puts such bytes back on the other side. It never decodes a message, so
 //! any message type works by its name alone.
 //!
-//! It is no DDS implementation (that is `rustdds`) and no typed ROS 2 client. It decides no rights: the ledger does,
+//! It is no DDS implementation (that is `rtps`) and no typed ROS 2 client. It decides no rights: the ledger does,
 //! and on the robot's side the gate (`ledger_gate`), which the bridge drives.
 //!
 //! # Map

@@ -110,7 +110,7 @@ async fn a_request_waits_until_its_client_hears_replies() {
     assert!(client.finish());
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_knows_of_each_client_whether_it_is_still_there() {
     if !network::isolated(&|| ()) {
         return;
@@ -136,7 +136,7 @@ async fn a_server_knows_of_each_client_whether_it_is_still_there() {
     assert!(server.is_there(&there), "another one of the same process");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_on_cyclone_replies_and_does_so_again_after_its_restart() {
     if !network::isolated(&|| ()) {
         return;
@@ -180,7 +180,7 @@ fn node() -> ros2_client::Node {
     node
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_client_with_the_numbers_beside_the_message_gets_its_replies() {
     if !network::isolated(&|| ()) {
         return;
@@ -200,7 +200,7 @@ async fn a_client_with_the_numbers_beside_the_message_gets_its_replies() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_with_the_numbers_beside_the_message_replies() {
     if !network::isolated(&|| ()) {
         return;
@@ -223,7 +223,7 @@ async fn a_server_with_the_numbers_beside_the_message_replies() {
     assert!(success && message.starts_with(&reply(true, "theirs")), "{message:?}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn bridges_of_one_network_do_not_call_each_other() {
     if !network::isolated(&|| ()) {
         return;

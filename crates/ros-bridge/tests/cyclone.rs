@@ -101,14 +101,14 @@ fn hex_of(sample: &Sample) -> String {
     sample.wire().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn twists_come_from_cyclone_at_50_hz_and_none_is_lost() {
     if network::isolated(&|| ()) {
         from_python("/cmd_vel", "geometry_msgs/msg/Twist", 150, 50, 0).await;
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn twists_go_to_cyclone_at_50_hz_and_none_is_lost() {
     if network::isolated(&|| ()) {
         let samples: Vec<Sample> = (0..150).map(twist).collect();
@@ -116,14 +116,14 @@ async fn twists_go_to_cyclone_at_50_hz_and_none_is_lost() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn large_images_come_from_cyclone() {
     if network::isolated(&|| ()) {
         from_python("/image", "sensor_msgs/msg/Image", 5, 10, 300_000).await;
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn large_images_go_to_cyclone() {
     if network::isolated(&|| ()) {
         let samples: Vec<Sample> = (0..5).map(|index| image(index, 300_000)).collect();
@@ -131,7 +131,7 @@ async fn large_images_go_to_cyclone() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn messages_in_xcdr2_pass_from_cyclone_to_cyclone() {
     if !network::isolated(&|| ()) {
         return;
@@ -155,7 +155,7 @@ async fn messages_in_xcdr2_pass_from_cyclone_to_cyclone() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn ros_tools_see_one_node_with_its_endpoints() {
     if !network::isolated(&|| ()) {
         return;
@@ -173,7 +173,7 @@ async fn ros_tools_see_one_node_with_its_endpoints() {
     assert!(until(&mut python, "/ ledgerd_bridge 0 0"));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn endpoints_announce_the_hash_of_their_type() {
     if !network::isolated(&|| ()) {
         return;
@@ -248,7 +248,7 @@ fn ip(words: &[&str]) {
     assert!(Command::new("ip").args(words).status().unwrap().success(), "ip {words:?}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_stranger_on_another_host_is_heard_only_by_those_who_reach_there() {
     if !network::isolated(&|| ()) {
         return;

@@ -3,7 +3,7 @@
 use std::{net::UdpSocket, time::Duration};
 use testkit::own_network as network;
 
-use crate::commands::{DEADLINE, next, numbered, topic, twist};
+use crate::commands::{DEADLINE, next, numbered, rust_dds, topic, twist};
 use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
 use ros_bridge::{
     dds::{Participant, Reader, Writer},
@@ -134,7 +134,7 @@ fn assert_little_memory() {
     assert!(peak < RESIDENT_KIB_MAX, "{peak} KiB were resident");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_stranger_that_announces_huge_samples_reserves_no_memory() {
     if !network::isolated(&|| ()) {
         return;
@@ -153,7 +153,7 @@ async fn a_stranger_that_announces_huge_samples_reserves_no_memory() {
     assert_little_memory();
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn incomplete_samples_of_a_known_writer_take_as_much_memory_as_came_of_them() {
     if !network::isolated(&|| ()) {
         return;
@@ -170,7 +170,7 @@ async fn incomplete_samples_of_a_known_writer_take_as_much_memory_as_came_of_the
     assert_eq!(next(&mut reader).await.sample, numbered(2));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_heartbeat_and_a_gap_over_countless_samples_are_handled_at_once() {
     if !network::isolated(&|| ()) {
         return;
@@ -185,7 +185,7 @@ async fn a_heartbeat_and_a_gap_over_countless_samples_are_handled_at_once() {
     assert_little_memory();
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_writer_that_nobody_has_announced_is_not_heard_whatever_it_is_called() {
     if !network::isolated(&|| ()) {
         return;
@@ -205,7 +205,7 @@ async fn a_writer_that_nobody_has_announced_is_not_heard_whatever_it_is_called()
     assert_eq!(hears_a_newcomer(&mut reader).await, []);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn numbers_at_the_end_of_their_range_do_not_end_dds() {
     if !network::isolated(&|| ()) {
         return;
@@ -221,7 +221,7 @@ async fn numbers_at_the_end_of_their_range_do_not_end_dds() {
     hears_a_newcomer(&mut reader).await;
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_sample_above_16_mib_is_passed_over_and_the_next_one_comes() {
     if !network::isolated(&|| ()) {
         return;
@@ -230,8 +230,8 @@ async fn a_sample_above_16_mib_is_passed_over_and_the_next_one_comes() {
     let here = Participant::open(DOMAIN, "here").await.unwrap();
     let mut reader = here.reader(&topic(), &twist(), &qos, Limits::default()).unwrap();
     // A bridge writes no such sample, so this is somebody else.
-    let there = DomainParticipantBuilder::new(DOMAIN).only_local(true).build().unwrap();
-    let policies = qos.policies();
+    let there = DomainParticipantBuilder::new(DOMAIN).build().unwrap();
+    let policies = rust_dds(&qos);
     let dds_topic = there.create_topic(topic().dds(), twist().dds(), &policies, TopicKind::NoKey).unwrap();
     let publisher = there.create_publisher(&policies).unwrap();
     let writer = publisher.create_datawriter_no_key_cdr::<Vec<u8>>(&dds_topic, Some(policies)).unwrap();

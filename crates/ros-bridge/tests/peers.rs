@@ -133,7 +133,7 @@ async fn some_come_and_go(peer: Peer, stream: Stream) {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn twists_at_50_hz_come_from_others_and_go_to_them() {
     if network::isolated(&|| ()) {
         for peer in PEERS {
@@ -143,7 +143,7 @@ async fn twists_at_50_hz_come_from_others_and_go_to_them() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_long_stream_of_twists_comes_from_others_and_goes_to_them_whole() {
     if network::isolated(&|| ()) {
         for peer in PEERS {
@@ -153,7 +153,7 @@ async fn a_long_stream_of_twists_comes_from_others_and_goes_to_them_whole() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn best_effort_streams_are_whole_and_in_order() {
     if network::isolated(&|| ()) {
         for peer in PEERS {
@@ -164,7 +164,7 @@ async fn best_effort_streams_are_whole_and_in_order() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn images_of_1_mb_come_from_others_and_go_to_them() {
     if network::isolated(&|| ()) {
         for peer in PEERS {
@@ -174,7 +174,7 @@ async fn images_of_1_mb_come_from_others_and_go_to_them() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn images_of_4_mb_come_from_others_and_go_to_them() {
     if network::isolated(&|| ()) {
         for peer in [Peer::Cyclone, Peer::FastWithLargeBuffers] {
@@ -201,7 +201,7 @@ fn film(writer: &Writer, numbers: std::ops::Range<u32>, subscriber: &mut Python)
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_subscriber_that_is_killed_takes_nothing_from_another_one() {
     if !network::isolated(&|| ()) {
         return;
@@ -214,7 +214,7 @@ async fn a_subscriber_that_is_killed_takes_nothing_from_another_one() {
     assert!(lives.finish());
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_subscriber_that_stands_still_takes_nothing_from_another_one_and_gets_the_newest_when_it_goes_on() {
     if !network::isolated(&|| ()) {
         return;
@@ -248,7 +248,7 @@ fn signal(signal: &str, python: &Python) {
     assert!(Command::new("sh").args(["-c", &format!("kill {signal} {id}")]).status().unwrap().success());
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn who_comes_late_gets_what_was_latched() {
     if !network::isolated(&|| ()) {
         return;
@@ -270,7 +270,7 @@ async fn who_comes_late_gets_what_was_latched() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_peer_that_was_killed_and_started_again_is_served_and_heard() {
     if !network::isolated(&|| ()) {
         return;

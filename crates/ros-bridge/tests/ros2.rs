@@ -71,7 +71,7 @@ async fn bridge() -> (Participant, Writer, Reader) {
     (bridge, writer, reader)
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn ros2_node_and_topic_show_the_bridge_like_any_node() {
     if !is_sourced() || !network::isolated(&|| ()) {
         return;
@@ -94,7 +94,7 @@ async fn ros2_node_and_topic_show_the_bridge_like_any_node() {
     );
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn rclpy_shows_the_bridge_like_any_node_and_complains_of_nothing() {
     if !rclpy::is_there() || !network::isolated(&|| ()) {
         return;
@@ -111,7 +111,7 @@ async fn rclpy_shows_the_bridge_like_any_node_and_complains_of_nothing() {
     assert_eq!(shown.lines().collect::<Vec<_>>(), wanted);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn ros2_topic_echo_and_hz_hear_the_bridge() {
     if !is_sourced() || !network::isolated(&|| ()) {
         return;
@@ -138,7 +138,7 @@ async fn ros2_topic_echo_and_hz_hear_the_bridge() {
     publishing.abort();
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn rclpy_publishes_to_the_bridge_and_hears_it() {
     if !rclpy::is_there() || !network::isolated(&|| ()) {
         return;
@@ -164,7 +164,7 @@ async fn rclpy_publishes_to_the_bridge_and_hears_it() {
     assert!(listener.finish());
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_static_transform_passes_from_tf2_through_two_bridges_to_tf2() {
     if !is_sourced() || !network::isolated(&|| ()) {
         return;
@@ -215,7 +215,7 @@ async fn arrives(writer: &Writer, heard: &mut Reader, number: u32) {
 }
 
 /// The relay for a domain that SROS2 secures, as people run it; without security here.
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn the_relay_carries_a_topic_into_another_domain_and_stops_the_robot_while_not_exactly_one_publishes_it() {
     if !rclpy::is_there() || !network::isolated(&|| ()) {
         return;

@@ -232,8 +232,8 @@ async fn a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_sub
     }
     let bench = bench("exclusive", "direction = 'to_ledger'\nbatch_max = 4", |fake| fake.set_own_epoch(3)).await;
     let writer = bench.writer().await;
-    // Multiples of four: DDS fills others up.
-    for length in [24, 44, 56] {
+    // Multiples of four: DDS fills others up. A longer one passes: some writers leave bytes behind a message.
+    for length in [4, 24, 44] {
         writer.write(&Sample::new(CDR_LE, &vec![7; length]).unwrap()).unwrap();
     }
     writer.write(&twist(1)).unwrap();

@@ -6,8 +6,7 @@
 //!
 //! - **On DDS** the mark is the QoS policy *lifespan* of the writer, and of a reader whose samples go to the ledger.
 //!   Lifespan is part of the discovery data that each DDS carries, so a mark is known before the first sample is. A
-//!   lifespan of more than 31 years ends no sample, and it is never compared when endpoints are matched. (RustDDS sends
-//!   no user data, which would be the place for this.)
+//!   lifespan of more than 31 years ends no sample, and it is never compared when endpoints are matched.
 //! - **In shared memory** each sample carries it, in the user header.
 //!
 //! Both times it is the same number: nanoseconds between 31 and 51 years, in steps of 16, because some DDS count
@@ -22,7 +21,7 @@
 //! delivers commands it passes for an earlier run of the bridge, but only as long as that could be there.
 
 use ledger_base::hash::Hash;
-use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
+use rtps::{qos::Qos as Policies, time::Ticks};
 
 const DOMAIN: &[u8] = b"ledgerd bridge";
 /// 31.7 years: no lifespan of an application.
@@ -68,16 +67,14 @@ impl Mark {
         Some(Self { network, service })
     }
 
-    /// The QoS of an endpoint with this mark.
-    pub(crate) fn put_on(self, qos: &QosPolicies) -> QosPolicies {
-        let nanos = i64::try_from(self.nanos()).unwrap_or(i64::MAX);
-        let lifespan = policy::Lifespan { duration: Duration::from_nanos(nanos) };
-        qos.modify_by(&QosPolicyBuilder::new().lifespan(lifespan).build())
+    /// The policies of an endpoint with this mark.
+    pub(crate) fn put_on(self, policies: Policies) -> Policies {
+        Policies { lifespan: Ticks::from_nanos(self.nanos()), ..policies }
     }
 
-    /// The mark of an endpoint with this lifespan.
-    pub(crate) fn of(lifespan: Option<policy::Lifespan>) -> Option<Self> {
-        Self::from_nanos(u64::try_from(lifespan?.duration.to_nanoseconds()).ok()?)
+    /// The mark of an endpoint with these policies.
+    pub(crate) fn of(policies: &Policies) -> Option<Self> {
+        Self::from_nanos(policies.lifespan.to_nanos()?)
     }
 }
 
@@ -106,20 +103,18 @@ mod tests {
         #[test]
         fn a_mark_survives_discovery_and_what_another_dds_rounds(network: [u8; 32], service in ".{0,40}", off in 0u64..16) {
             let mark = Mark::new(&Hash(network), &service);
-            let qos = mark.put_on(&Qos::default().policies());
-            prop_assert_eq!(Mark::of(qos.lifespan()), Some(mark));
+            let policies = mark.put_on(Qos::default().policies());
+            prop_assert_eq!(Mark::of(&policies), Some(mark));
             prop_assert_eq!(Mark::from_nanos(mark.nanos() + off - 8), Some(mark));
-            prop_assert!(qos.is_reliable());
+            prop_assert_eq!(Policies { lifespan: Ticks::INFINITE, ..policies }, Qos::default().policies());
         }
     }
 
     #[test]
     fn a_lifespan_of_an_application_is_no_mark() {
-        assert_eq!(Mark::of(None), None);
-        for duration in [Duration::INFINITE, Duration::ZERO, Duration::from_secs(10), Duration::from_secs(900_000_000)]
-        {
-            assert_eq!(Mark::of(Some(policy::Lifespan { duration })), None);
-        }
+        let of = |lifespan| Mark::of(&Policies { lifespan, ..Policies::default() });
+        assert_eq!([Ticks::INFINITE, Ticks::ZERO, Ticks::INVALID].map(of), [None; 3]);
+        assert_eq!([10, 900_000_000].map(|seconds| of(Ticks::from_micros(seconds * 1_000_000))), [None; 2]);
         assert_eq!(Mark::from_nanos(0), None);
         assert_eq!(Mark::from_nanos(u64::MAX), None);
     }

@@ -4,7 +4,7 @@
 //! reader does not hear a best-effort writer. Sensors often publish best effort.
 
 use ledger_base::settings::Section;
-use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
+use rtps::qos::{self, History, Qos as Policies};
 
 use crate::error::{Error, Explained, Result};
 
@@ -120,7 +120,7 @@ impl Qos {
     ///
     /// A reader that asks for no more than every publisher offers hears all of them. A writer that offers what any reader asks for
     /// reaches all. Commands are never latched unless somebody sets it: an old one would move the robot again.
-    pub(crate) fn meeting(self, copied: AdoptedQos, reads: bool, is_command: bool, others: &[&QosPolicies]) -> Self {
+    pub(crate) fn meeting(self, copied: AdoptedQos, reads: bool, is_command: bool, others: &[&Policies]) -> Self {
         let mut met = self;
         if others.is_empty() {
             return met;
@@ -130,10 +130,7 @@ impl Qos {
             met.reliability = if is_reliable { Reliability::Reliable } else { Reliability::BestEffort };
         }
         if copied.durability {
-            // Some DDS do not send what is the default.
-            let is_volatile =
-                |kept: Option<policy::Durability>| matches!(kept, None | Some(policy::Durability::Volatile));
-            let mut latched = others.iter().map(|other| !is_volatile(other.durability()));
+            let mut latched = others.iter().map(|other| other.durability != qos::Durability::Volatile);
             let is_latched = if reads { latched.all(|is| is) } else { latched.any(|is| is) };
             let is_latched = is_latched && !is_command;
             met.durability = if is_latched { Durability::TransientLocal } else { Durability::Volatile };
@@ -141,20 +138,19 @@ impl Qos {
         met
     }
 
-    /// The same in the terms of `rustdds`.
-    ///
-    /// The longest blocking time is zero: a write that finds its window full says so at once and
-    /// never holds up the caller.
-    pub fn policies(&self) -> QosPolicies {
-        let depth = i32::try_from(self.depth.clamp(1, DEPTH_SAMPLES_MAX)).unwrap_or(1);
-        let builder =
-            QosPolicyBuilder::new().history(policy::History::KeepLast { depth }).durability(match self.durability {
-                Durability::Volatile => policy::Durability::Volatile,
-                Durability::TransientLocal => policy::Durability::TransientLocal,
-            });
-        match self.reliability {
-            Reliability::Reliable => builder.reliable(Duration::ZERO).build(),
-            Reliability::BestEffort => builder.best_effort().build(),
+    /// The same as policies of DDS.
+    pub fn policies(&self) -> Policies {
+        Policies {
+            reliability: match self.reliability {
+                Reliability::Reliable => qos::Reliability::Reliable,
+                Reliability::BestEffort => qos::Reliability::BestEffort,
+            },
+            durability: match self.durability {
+                Durability::Volatile => qos::Durability::Volatile,
+                Durability::TransientLocal => qos::Durability::TransientLocal,
+            },
+            history: History::KeepLast(self.depth.clamp(1, DEPTH_SAMPLES_MAX)),
+            ..Policies::default()
         }
     }
 }
@@ -165,25 +161,19 @@ mod tests {
 
     #[test]
     fn the_default_is_reliable_volatile_and_deep_enough_for_bursts() {
-        let qos = Qos::default();
-        let policies = qos.policies();
-        assert!(policies.is_reliable());
-        assert!(policies.is_volatile());
-        assert_eq!(policies.history(), Some(policy::History::KeepLast { depth: 100 }));
+        let policies = Qos::default().policies();
+        let (reliable, volatile) = (qos::Reliability::Reliable, qos::Durability::Volatile);
+        assert_eq!((policies.reliability, policies.durability), (reliable, volatile));
+        assert_eq!(policies.history, History::KeepLast(100));
     }
 
     #[test]
     fn settings_become_policies_of_dds() {
-        let qos = Qos {
-            reliability: Reliability::BestEffort,
-            durability: Durability::TransientLocal,
-            depth: 5,
-            keyed: false,
-        };
-        let policies = qos.policies();
-        assert!(!policies.is_reliable());
-        assert_eq!(policies.durability(), Some(policy::Durability::TransientLocal));
-        assert_eq!(policies.history(), Some(policy::History::KeepLast { depth: 5 }));
+        let (reliability, durability) = (Reliability::BestEffort, Durability::TransientLocal);
+        let policies = Qos { reliability, durability, depth: 5, keyed: false }.policies();
+        assert_eq!(policies.reliability, qos::Reliability::BestEffort);
+        assert_eq!(policies.durability, qos::Durability::TransientLocal);
+        assert_eq!(policies.history, History::KeepLast(5));
     }
 
     #[test]
@@ -199,7 +189,7 @@ mod tests {
         let of = |reliability, durability| Qos { reliability, durability, depth: 1, keyed: false }.policies();
         let (latched, plain) =
             (of(Reliability::Reliable, Durability::TransientLocal), of(Reliability::BestEffort, Durability::Volatile));
-        let meet = |reads, is_command, others: &[&QosPolicies]| {
+        let meet = |reads, is_command, others: &[&Policies]| {
             let met = Qos::default().meeting(AdoptedQos::default(), reads, is_command, others);
             (met.reliability, met.durability, met.depth)
         };
@@ -209,21 +199,10 @@ mod tests {
         assert_eq!(meet(true, false, &[&latched, &plain]), (best, Durability::Volatile, depth), "it hears both");
         assert_eq!(meet(false, false, &[&latched, &plain]), (reliable, Durability::TransientLocal, depth));
         assert_eq!(meet(false, false, &[&plain]), (reliable, Durability::Volatile, depth));
-        let silent = QosPolicyBuilder::new().reliable(Duration::ZERO).build();
-        assert_eq!(
-            meet(true, false, &[&silent]),
-            (reliable, Durability::Volatile, depth),
-            "some do not send the default"
-        );
         for reads in [true, false] {
             assert_eq!(meet(reads, true, &[&latched]).1, Durability::Volatile, "an old command moves no robot");
         }
         let set = AdoptedQos { reliability: false, durability: false };
         assert_eq!(Qos::default().meeting(set, true, false, &[&plain, &latched]), Qos::default());
-    }
-
-    #[test]
-    fn a_write_never_blocks() {
-        assert_eq!(Qos::default().policies().reliable_max_blocking_time(), Some(Duration::ZERO));
     }
 }

@@ -94,14 +94,14 @@ impl Queue {
     pub(crate) fn push(&self, incoming: Incoming) {
         let bytes = weight(&incoming);
         if bytes > self.bytes_max {
-            self.count_dropped();
+            self.count_dropped(1);
             return;
         }
         let mut waiting = self.lock();
         while waiting.bytes + bytes > self.bytes_max || waiting.samples.len() >= self.samples_max {
             let Some(oldest) = waiting.samples.pop_front() else { break };
             waiting.bytes = waiting.bytes.saturating_sub(weight(&oldest));
-            self.count_dropped();
+            self.count_dropped(1);
         }
         waiting.bytes += bytes;
         waiting.samples.push_back(incoming);
@@ -110,8 +110,8 @@ impl Queue {
     }
 
     /// Counts a sample that was lost before or in the queue.
-    pub(crate) fn count_dropped(&self) {
-        self.dropped.fetch_add(1, Ordering::Relaxed);
+    pub(crate) fn count_dropped(&self, count: u64) {
+        self.dropped.fetch_add(count, Ordering::Relaxed);
     }
 
     /// Samples lost so far.

@@ -1,40 +1,24 @@
-//! Which samples a reader lets in: none of our own, none twice, none out of order.
+//! Which samples a reader lets in: none twice, none out of order. DDS promises that for one match; a writer that was lost and comes back
+//! is matched again, and may send again what it keeps.
 
 use std::collections::{BTreeMap, BTreeSet};
+
+use rtps::guid::{Guid, SequenceNumber};
 
 /// Most writers remembered at a time; those that left are forgotten first.
 const WRITERS_MAX: usize = 4096;
 
-/// The outcome for a sample at the filter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Verdict {
-    /// New: give it out.
-    Admit,
-    /// Published by this participant: giving it out would be a loop.
-    Own,
-    /// Already seen, or overtaken by a later one of the same writer.
-    Seen,
-}
-
 /// The last sequence number of each writer.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Intake {
-    own_prefix: [u8; 12],
-    last: BTreeMap<[u8; 16], i64>,
+    last: BTreeMap<Guid, SequenceNumber>,
 }
 
 impl Intake {
-    pub(super) fn new(own_prefix: [u8; 12]) -> Self {
-        Self { own_prefix, last: BTreeMap::new() }
-    }
-
-    /// Decides on a sample; `present` are the writers matched now.
-    pub(super) fn judge(&mut self, writer: [u8; 16], sequence: i64, present: &BTreeSet<[u8; 16]>) -> Verdict {
-        if writer.starts_with(&self.own_prefix) {
-            return Verdict::Own;
-        }
+    /// Is this sample new, and not overtaken by a later one of its writer? `present` are the writers matched now.
+    pub(super) fn admits(&mut self, writer: Guid, sequence: SequenceNumber, present: &BTreeSet<Guid>) -> bool {
         if self.last.get(&writer).is_some_and(|last| sequence <= *last) {
-            return Verdict::Seen;
+            return false;
         }
         if self.last.len() >= WRITERS_MAX && !self.last.contains_key(&writer) {
             self.last.retain(|known, _| present.contains(known));
@@ -43,7 +27,7 @@ impl Intake {
             }
         }
         self.last.insert(writer, sequence);
-        Verdict::Admit
+        true
     }
 }
 
@@ -51,34 +35,32 @@ impl Intake {
 mod tests {
     use super::*;
 
-    const WRITER: [u8; 16] = [7; 16];
+    fn admits(intake: &mut Intake, writer: u128, sequence: i64, present: &BTreeSet<Guid>) -> bool {
+        intake.admits(guid(writer), SequenceNumber(sequence), present)
+    }
 
-    #[test]
-    fn samples_of_the_same_participant_are_kept_out() {
-        let mut intake = Intake::new([7; 12]);
-        assert_eq!(intake.judge(WRITER, 1, &BTreeSet::new()), Verdict::Own);
+    fn guid(number: u128) -> Guid {
+        Guid::from_bytes(number.to_be_bytes())
     }
 
     #[test]
     fn a_sample_comes_in_once_and_never_after_a_later_one() {
-        let mut intake = Intake::new([0; 12]);
-        let none = BTreeSet::new();
-        assert_eq!(intake.judge(WRITER, 5, &none), Verdict::Admit);
-        assert_eq!(intake.judge(WRITER, 5, &none), Verdict::Seen);
-        assert_eq!(intake.judge(WRITER, 4, &none), Verdict::Seen);
-        assert_eq!(intake.judge([8; 16], 4, &none), Verdict::Admit);
-        assert_eq!(intake.judge(WRITER, 6, &none), Verdict::Admit);
+        let (mut intake, none) = (Intake::default(), BTreeSet::new());
+        assert!(admits(&mut intake, 7, 5, &none));
+        assert!(!admits(&mut intake, 7, 5, &none));
+        assert!(!admits(&mut intake, 7, 4, &none));
+        assert!(admits(&mut intake, 8, 4, &none));
+        assert!(admits(&mut intake, 7, 6, &none));
     }
 
     #[test]
     fn writers_that_left_do_not_fill_the_memory() {
-        let mut intake = Intake::new([0; 12]);
-        let present = BTreeSet::from([WRITER]);
-        assert_eq!(intake.judge(WRITER, 1, &present), Verdict::Admit);
+        let (mut intake, present) = (Intake::default(), BTreeSet::from([guid(7)]));
+        assert!(admits(&mut intake, 7, 1, &present));
         for number in 0..3 * WRITERS_MAX as u128 {
-            intake.judge((number << 8 | 1).to_be_bytes(), 1, &present);
+            admits(&mut intake, number << 8 | 1, 1, &present);
         }
         assert!(intake.last.len() <= WRITERS_MAX);
-        assert_eq!(intake.judge(WRITER, 1, &present), Verdict::Seen, "a present writer is not forgotten");
+        assert!(!admits(&mut intake, 7, 1, &present), "a present writer is not forgotten");
     }
 }

@@ -1,53 +1,48 @@
 //! Endpoints on the other end: counted, so that callers wait on a condition instead of a time.
 
-use std::{collections::BTreeSet, time::Duration};
+use std::time::Instant;
 
+use rtps::{
+    guid::{Guid, GuidPrefix},
+    io::Matches,
+    qos::Policy,
+};
 use tokio::sync::watch;
 
-use super::guid::prefix;
-
-/// How often a reader or writer looks whether DDS is still there.
-pub(super) const ALIVE_EVERY: Duration = Duration::from_secs(1);
+use crate::log::LogLimiter;
 
 /// The findings of discovery for one endpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Matching {
     /// Endpoints of other participants that are matched now.
     pub matched: usize,
-    /// Endpoints of this participant that are matched now. Samples between them are never given out. Without
-    /// multicast a participant does not find itself, and this stays zero.
-    pub own: usize,
-    /// Endpoints that were refused so far because their quality of service does not fit.
+    /// Endpoints that were rejected so far because their quality of service does not fit.
     pub incompatible: u64,
 }
 
 /// Follows the matching of a reader or writer.
 #[derive(Debug, Clone)]
-pub struct Matched(watch::Receiver<State>);
-
-#[derive(Debug, Default)]
-struct State {
-    matching: Matching,
-    /// The endpoints of others.
-    endpoints: BTreeSet<[u8; 16]>,
-    /// The endpoints of this participant.
-    own: BTreeSet<[u8; 16]>,
-}
+pub struct Matched(watch::Receiver<Matches>);
 
 impl Matched {
+    pub(super) fn of(matches: &watch::Receiver<Matches>) -> Self {
+        Self(matches.clone())
+    }
+
     /// The state now.
     pub fn now(&self) -> Matching {
-        self.0.borrow().matching
+        let matches = self.0.borrow();
+        Matching { matched: matches.endpoints.len(), incompatible: matches.rejected }
     }
 
     /// Is this endpoint of another participant matched now?
-    pub(super) fn has(&self, guid: &[u8; 16]) -> bool {
-        self.0.borrow().endpoints.contains(guid)
+    pub(super) fn has(&self, guid: Guid) -> bool {
+        self.0.borrow().endpoints.contains(&guid)
     }
 
     /// The endpoints of one other participant that are matched now.
-    pub(super) fn of_participant(&self, prefix: &[u8]) -> usize {
-        self.0.borrow().endpoints.iter().filter(|guid| guid.starts_with(prefix)).count()
+    pub(super) fn of_participant(&self, prefix: GuidPrefix) -> usize {
+        self.0.borrow().endpoints.iter().filter(|guid| guid.prefix == prefix).count()
     }
 
     /// Waits for a change.
@@ -61,7 +56,7 @@ impl Matched {
     /// Waits until at least `count` endpoints of others are matched; `false` if the reader or writer was closed
     /// before. It waits as long as it takes: put a timeout around it.
     pub async fn at_least(&self, count: usize) -> bool {
-        self.0.clone().wait_for(|state| state.matching.matched >= count).await.is_ok()
+        self.0.clone().wait_for(|matches| matches.endpoints.len() >= count).await.is_ok()
     }
 
     /// Has DDS ended? Then nothing passes any more.
@@ -71,43 +66,45 @@ impl Matched {
 
     /// Waits until DDS ends, or the reader or writer is dropped.
     pub async fn ended(self) {
-        let Self(mut state) = self;
-        while state.changed().await.is_ok() {}
+        let Self(mut matches) = self;
+        while matches.changed().await.is_ok() {}
     }
 }
 
-/// The side that learns of changes.
-pub(super) struct Matches {
-    own_prefix: [u8; 12],
-    state: watch::Sender<State>,
+/// Logs endpoints whose policies do not fit, each once.
+pub(super) struct MismatchLog {
+    topic: String,
+    /// The words of the log, and the change that brings both together.
+    message: &'static str,
+    remedy: fn(Policy) -> &'static str,
+    rejected: u64,
+    log_limiter: LogLimiter,
 }
 
-impl Matches {
-    pub(super) fn new(own_prefix: [u8; 12]) -> (Self, Matched) {
-        let (state, receiver) = watch::channel(State::default());
-        (Self { own_prefix, state }, Matched(receiver))
+impl MismatchLog {
+    pub(super) fn new(topic: String, message: &'static str, remedy: fn(Policy) -> &'static str) -> Self {
+        Self { topic, message, remedy, rejected: 0, log_limiter: LogLimiter::default() }
     }
 
-    /// An endpoint came (`change` above zero) or left.
-    pub(super) fn changed(&mut self, guid: rustdds::GUID, change: i32) {
-        let is_own = prefix(guid) == self.own_prefix;
-        self.state.send_modify(|State { matching, endpoints, own }| {
-            let side = if is_own { &mut *own } else { &mut *endpoints };
-            if change > 0 {
-                side.insert(guid.to_bytes());
-            } else {
-                side.remove(&guid.to_bytes());
+    /// Looks at the findings of now.
+    pub(super) fn look(&mut self, matches: &Matches) {
+        if std::mem::replace(&mut self.rejected, matches.rejected) == matches.rejected {
+            return;
+        }
+        for policy in matches.incompatible.values() {
+            let (topic, message, remedy) = (&self.topic, self.message, (self.remedy)(*policy));
+            let policy = policy.name();
+            if let Some(not_logged) = self.log_limiter.admit(remedy, Instant::now()) {
+                tracing::warn!(topic, policy, not_logged, "{message}: {remedy}");
             }
-            (matching.matched, matching.own) = (endpoints.len(), own.len());
-        });
+        }
     }
+}
 
-    pub(super) fn refused(&mut self) {
-        self.state.send_modify(|state| state.matching.incompatible = state.matching.incompatible.saturating_add(1));
+/// Logs the mismatches of a writer until it is closed, or DDS ends.
+pub(super) async fn watch_writer(mut matches: watch::Receiver<Matches>, mut log: MismatchLog) {
+    while matches.changed().await.is_ok() {
+        log.look(&matches.borrow_and_update());
     }
-
-    /// Calls with the endpoints of others that are matched now.
-    pub(super) fn with_endpoints<T>(&self, look: impl FnOnce(&BTreeSet<[u8; 16]>) -> T) -> T {
-        look(&self.state.borrow().endpoints)
-    }
+    tracing::error!(topic = log.topic, "DDS has ended: no sample is written any more");
 }

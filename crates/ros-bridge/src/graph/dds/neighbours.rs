@@ -5,20 +5,14 @@ use std::{
     time::Duration,
 };
 
-use futures::{FutureExt, StreamExt};
-use rustdds::{GUID, QosPolicies, StatusEvented};
-use tokio::{
-    sync::watch,
-    time::{sleep, timeout},
-};
+use rtps::{guid::Guid, interface::RemoteEndpoint, qos::Qos as Policies};
+use tokio::{sync::watch, time::sleep};
 
-use super::{guid::prefix, participant::Participant};
+use super::participant::Participant;
 use crate::graph::{endpoint::Role, mark::Mark};
 
 /// Between two looks, however much changes: a look costs as much as there are endpoints in the domain.
 const LOOK_PAUSE: Duration = Duration::from_millis(100);
-/// A look without news: those may be lost where many come at once.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
 /// Most endpoints that are followed; more are not told of.
 const NEIGHBOURS_MAX: usize = 4096;
 
@@ -38,16 +32,22 @@ pub struct Neighbour {
     /// The DDS type, `geometry_msgs::msg::dds_::Twist_`.
     pub type_name: String,
     /// The QoS that it offers or requests.
-    pub qos: QosPolicies,
+    pub qos: Policies,
     /// Set by bridges.
     pub mark: Option<Mark>,
 }
 
 impl Neighbour {
-    fn new(guid: GUID, role: Role, topic: &str, type_name: &str, qos: QosPolicies) -> Self {
-        let mark = Mark::of(qos.lifespan());
-        let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
-        Self { guid: guid.to_bytes(), role, topic, type_name, qos, mark }
+    pub(super) fn of(endpoint: &RemoteEndpoint) -> Self {
+        let role = if endpoint.guid.entity.is_writer() { Role::Publisher } else { Role::Subscriber };
+        Self {
+            guid: endpoint.guid.to_bytes(),
+            role,
+            topic: endpoint.topic.name.clone(),
+            type_name: endpoint.topic.type_name.clone(),
+            qos: endpoint.qos.clone(),
+            mark: Mark::of(&endpoint.qos),
+        }
     }
 
     /// Is its topic declared with keys? The last byte of a GUID says so.
@@ -68,47 +68,33 @@ pub enum Change {
 impl Participant {
     /// The publishers of others, now.
     pub(super) fn publishers(&self) -> impl Iterator<Item = Neighbour> {
-        let own = self.guid_prefix();
-        let writers = self.dds.discovered_writers().into_iter().map(|writer| {
-            let (guid, data) = (writer.writer_proxy.remote_writer_guid, writer.publication_topic_data);
-            (guid, Neighbour::new(guid, Role::Publisher, &data.topic_name, &data.type_name, data.qos()))
-        });
-        writers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
+        self.dds.publishers().into_iter().map(|endpoint| Neighbour::of(&endpoint))
     }
 
     /// Is this publisher of another in the domain?
     pub(crate) fn has_publisher(&self, guid: &[u8; 16]) -> bool {
-        self.publishers().any(|publisher| publisher.guid == *guid)
+        self.dds.endpoint(Guid::from_bytes(*guid)).is_some_and(|found| found.guid.entity.is_writer())
     }
 
-    /// The hash that somebody in the graph announces for a type.
+    /// The hash that an endpoint in the graph announces for a type.
     pub(super) fn hash_in_graph(&self, dds_type: &str) -> Option<String> {
-        let writers = self.dds.discovered_writers().into_iter();
-        let readers = self.dds.discovered_readers().into_iter();
-        let writers = writers.map(|writer| (writer.publication_topic_data.type_name.clone(), writer.user_data));
-        let readers = readers.map(|reader| (reader.subscription_topic_data.type_name().clone(), reader.user_data));
-        let mut announced = writers.chain(readers).filter(|(name, _)| name == dds_type);
-        announced.find_map(|(_, user_data)| type_hash(&user_data))
+        let all = self.dds.publishers().into_iter().chain(self.dds.subscribers());
+        let mut announced = all.filter(|endpoint| endpoint.topic.type_name == dds_type);
+        announced.find_map(|endpoint| type_hash(&endpoint.user_data))
     }
 
     /// The subscribers of others, now.
     pub(super) fn subscribers(&self) -> impl Iterator<Item = Neighbour> {
-        let own = self.guid_prefix();
-        let readers = self.dds.discovered_readers().into_iter().map(|reader| {
-            let (guid, data) = (reader.reader_proxy.remote_reader_guid, reader.subscription_topic_data);
-            (guid, Neighbour::new(guid, Role::Subscriber, data.topic_name(), data.type_name(), data.qos()))
-        });
-        readers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
+        self.dds.subscribers().into_iter().map(|endpoint| Neighbour::of(&endpoint))
     }
 
     /// Tells, as long as it runs, of publishers and subscribers that come and leave. Those that are there already come
-    /// first: all that are marked, and those on the DDS topics of `topics`, which may change. One caller at a time: the
-    /// news of a participant are given out once.
+    /// first: all that are marked, and those on the DDS topics of `topics`, which may change.
     pub async fn follow(&self, mut topics: watch::Receiver<BTreeSet<String>>, mut tell: impl FnMut(Change)) {
-        let listener = self.dds.status_listener();
-        let mut news = listener.as_async_status_stream();
+        let mut changes = self.dds.changes();
         let mut known: BTreeMap<[u8; 16], Neighbour> = BTreeMap::new();
         loop {
+            changes.mark_unchanged();
             let meant = topics.borrow_and_update().clone();
             let all = self.publishers().chain(self.subscribers());
             let all = all.filter(|neighbour| neighbour.mark.is_some() || meant.contains(&neighbour.topic));
@@ -125,22 +111,17 @@ impl Participant {
                 }
             }
             sleep(LOOK_PAUSE).await;
-            let next = async {
-                tokio::select! {
-                    next = news.next() => next.map(drop),
-                    Ok(()) = topics.changed() => Some(()),
-                }
-            };
-            match timeout(LOOK_EVERY, next).await {
-                // DDS has ended: its readers and writers say so.
-                Ok(None) => return std::future::pending().await,
-                // Whatever else came meanwhile is seen at the next look as well.
-                Ok(Some(_)) => while let Some(Some(_)) = news.next().now_or_never() {},
-                Err(_) => {}
+            tokio::select! {
+                changed = changes.changed() => if changed.is_err() {
+                    // DDS has ended: its readers and writers say so.
+                    return std::future::pending().await;
+                },
+                Ok(()) = topics.changed() => {}
             }
         }
     }
 }
+
 /// The hash in the USER_DATA of an endpoint: `typehash=RIHS01_…;` among other `key=value;`.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = std::str::from_utf8(user_data).ok()?;
@@ -153,6 +134,8 @@ fn type_hash(user_data: &[u8]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bytes::Bytes;
+    use rtps::{guid::VendorId, interface::TopicDescription};
 
     #[test]
     fn endpoints_with_keys_are_told_by_their_guid() {
@@ -160,7 +143,10 @@ mod tests {
             let mut guid = [7; 16];
             let [.., last] = &mut guid;
             *last = kind;
-            Neighbour::new(GUID::from_bytes(guid), Role::Publisher, "rt/x", "X_", QosPolicies::default()).is_keyed()
+            let topic = TopicDescription { name: "rt/x".to_owned(), type_name: "X_".to_owned(), keyed: false };
+            let (qos, user_data, vendor) = (Policies::default(), Bytes::new(), VendorId::UNKNOWN);
+            let guid = Guid::from_bytes(guid);
+            Neighbour::of(&RemoteEndpoint { guid, vendor, topic, qos, user_data, is_reachable: true }).is_keyed()
         };
         assert_eq!([0x02, 0x03, 0x04, 0x07].map(of), [true, false, false, true]);
     }

@@ -1,13 +1,20 @@
 //! The participant of a ROS domain.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    net::{IpAddr, Ipv4Addr},
+    sync::Arc,
+    time::Duration,
+};
 
+use bytes::Bytes;
 use ros_message::Library;
-use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, Topic, TopicKind};
+use rtps::{
+    interface::TopicDescription,
+    io::{Domain, DomainSettings},
+};
 
 use super::{
     failure::dds_error,
-    guid::prefix,
     ros_discovery::{RosDiscovery, node_name as node_name_of},
 };
 use crate::{
@@ -22,12 +29,14 @@ use crate::{
 
 /// How long others keep a participant that was killed. It announces itself five times in it.
 pub(crate) const LEASE: Duration = Duration::from_secs(6);
+/// The USER_DATA of a participant: ROS 2 keeps the name of the security enclave there.
+const ENCLAVE: &[u8] = b"enclave=/;";
 
 /// Our presence in one ROS domain: a DDS participant with one ROS 2 node. Cloning shares it; it
 /// leaves the domain when the last clone, reader and writer are gone.
 #[derive(Clone)]
 pub struct Participant {
-    pub(super) dds: DomainParticipant,
+    pub(super) dds: Domain,
     pub(super) discovery: Arc<RosDiscovery>,
     /// Is every process that it hears on this host, with the same clock?
     pub(super) is_alone: bool,
@@ -49,23 +58,27 @@ impl Participant {
             return Err(Error::Setting(Explained::new(what, domain.to_string(), wanted, hint)));
         }
         let node = node_name_of(node_name)?;
-        let reach = reach.clone();
-        let is_alone = reach.range == Range::Localhost && reach.static_peers.is_empty();
-        let join = move || {
-            let mut builder = DomainParticipantBuilder::new(domain)
-                .only_local(reach.range == Range::Localhost)
-                .static_peers(reach.peers())
-                .participant_lease(LEASE);
-            if let Some(interfaces) = reach.interfaces {
-                builder = builder.with_only_networks(interfaces);
-            }
-            let dds =
-                builder.build().map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?;
-            let discovery = Arc::new(RosDiscovery::announce(&dds, node)?);
-            Ok(Self { dds, discovery, is_alone })
+        let failed = |error: &dyn std::error::Error| dds_error(&format!("cannot join ROS domain {domain}"), error);
+        let asked = reach.clone();
+        let peers = tokio::task::spawn_blocking(move || asked.peers()).await.map_err(|error| failed(&error))?;
+        let v4 = |address| match address {
+            IpAddr::V4(address) => Some(address),
+            IpAddr::V6(_) => None,
         };
-        let joined = tokio::task::spawn_blocking(join).await;
-        joined.map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?
+        let static_peers: Vec<Ipv4Addr> = peers.into_iter().filter_map(v4).collect();
+        let settings = DomainSettings {
+            domain,
+            only_local: reach.range == Range::Localhost,
+            interfaces: reach.interfaces.clone(),
+            static_peers,
+            lease: LEASE,
+            name: node.base_name().to_owned(),
+            user_data: Bytes::from_static(ENCLAVE),
+        };
+        let dds = Domain::join(settings).await.map_err(|error| failed(&error))?;
+        let discovery = Arc::new(RosDiscovery::announce(&dds, node)?);
+        let is_alone = reach.range == Range::Localhost && reach.static_peers.is_empty();
+        Ok(Self { dds, discovery, is_alone })
     }
 
     /// The GUID of the participant: unique in the world, new with every start.
@@ -76,35 +89,32 @@ impl Participant {
     /// Loses DDS as a fault would take it away.
     #[cfg(test)]
     pub(crate) fn break_down(&self) {
-        self.dds.end_event_loop();
+        self.dds.end();
     }
 
     /// The ROS domain.
     pub fn domain(&self) -> u16 {
-        self.dds.domain_id()
+        self.dds.domain()
     }
 
-    /// These policies with the hash of the type, as `rmw` announces it. It is computed from the definition; for a type
-    /// without one it is taken from somebody in the graph who knows it.
-    pub(super) fn with_type_hash(&self, policies: QosPolicies, message: &TypeName) -> QosPolicies {
+    /// The USER_DATA of an endpoint with the hash of its type, as `rmw` announces it. It is computed from the definition; for a type
+    /// without one it is taken from an endpoint in the graph that announces it.
+    pub(super) fn type_hash(&self, message: &TypeName) -> Bytes {
         let computed = Library::builtin().message(&message.to_string()).ok().map(|message| message.type_hash());
         match computed.or_else(|| self.hash_in_graph(&message.dds())) {
-            Some(hash) => policies.with_user_data(format!("typehash={hash};").into_bytes()),
-            None => policies,
+            Some(hash) => Bytes::from(format!("typehash={hash};")),
+            None => Bytes::new(),
         }
     }
+}
 
-    pub(super) fn guid_prefix(&self) -> [u8; 12] {
-        prefix(self.dds.guid())
-    }
-
-    pub(super) fn topic(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Topic> {
-        qos.validate()?;
-        let kind = if qos.keyed { TopicKind::WithKey } else { TopicKind::NoKey };
-        self.dds
-            .create_topic(topic.dds(), message.dds(), &qos.policies(), kind)
-            .map_err(|error| dds_error(&format!("cannot open topic {topic} [{message}]"), &error))
-    }
+/// A topic as an endpoint of DDS names it.
+///
+/// # Errors
+/// [`Error::Setting`] if the settings are out of range.
+pub(super) fn described(topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<TopicDescription> {
+    qos.validate()?;
+    Ok(TopicDescription { name: topic.dds(), type_name: message.dds(), keyed: qos.keyed })
 }
 
 impl std::fmt::Debug for Participant {

@@ -6,18 +6,24 @@ use std::{
     time::{Duration, Instant, SystemTime},
 };
 
-use futures::StreamExt;
+use ledger_base::rejection::Rejection;
 use ledger_gate::sample::Sample;
-use rustdds::{DataReaderStatus, GUID, StatusEvented, Timestamp, no_key::SimpleDataReader};
-use tokio::{task::JoinHandle, time::interval};
+use rtps::{
+    guid::Guid,
+    interface::LossReason,
+    interface::{EndpointSettings, IncomingSample},
+    io::{DomainReader, Losses, QueueLimits},
+    time::Ticks,
+};
+use tokio::task::JoinHandle;
 
 use super::{
-    encoding::{AnyRaw, accepted},
+    encoding::accepting,
     failure::dds_error,
-    intake::{Intake, Verdict},
-    matched::{ALIVE_EVERY, Matched, Matches},
-    participant::Participant,
-    remedy::remedy,
+    intake::Intake,
+    matched::{Matched, MismatchLog},
+    participant::{Participant, described},
+    remedy,
     ros_discovery::{Role, RosDiscovery},
 };
 use crate::{
@@ -34,15 +40,18 @@ use crate::{
 
 /// Most writers whose mark is remembered; beyond it all are looked up again.
 const MARKS_MAX: usize = 4096;
-/// How far ahead of the clock of this host a sample may seem to be written: the clock is put right now and then. In parts of a
-/// second, of which there are 2^32.
-const AHEAD_TICKS_MAX: u64 = 1 << 32;
+/// How far ahead of the clock of this host a sample may seem to be written, microseconds: the clock is put right now and then.
+const AHEAD_MICROS_MAX: u64 = 1_000_000;
+/// Most samples that wait for the task of a reader. The queue of the route is behind it.
+const WAITING_MAX: usize = 1024;
+/// The log where a writer offers too little.
+pub(super) const OFFERS_LESS: &str = "a publisher offers less than this route requests";
 
-/// Reads one topic; ends when dropped. A task moves samples from DDS into a queue that is limited in bytes.
+/// Reads one topic; ends when dropped. A task moves samples from DDS into the queue of the route.
 pub struct Reader {
     queue: Arc<Queue>,
     matched: Matched,
-    guid: GUID,
+    guid: Guid,
     discovery: Arc<RosDiscovery>,
     pump: JoinHandle<()>,
 }
@@ -76,31 +85,34 @@ impl Reader {
         limits: Limits,
         filter: Option<Arc<LoopFilter>>,
     ) -> Result<Self> {
-        let failed = |error| dds_error(&format!("cannot read topic {topic} [{message}]"), &error);
-        let dds_topic = participant.topic(topic, message, qos)?;
-        let policies = qos.policies();
-        let policies = participant.with_type_hash(policies, message);
-        let policies = filter.as_ref().map_or_else(|| policies.clone(), |filter| filter.mark().put_on(&policies));
-        let policies = policies.with_data_representation(accepted());
-        // With one clock, a sample tells whether it is history. Otherwise its place before the first HEARTBEAT does.
-        let policies = if participant.is_alone { policies } else { policies.without_history() };
+        let description = described(topic, message, qos)?;
+        let policies = accepting(qos.policies());
+        let settings = EndpointSettings {
+            topic: description,
+            qos: filter.as_ref().map_or_else(|| policies.clone(), |filter| filter.mark().put_on(policies.clone())),
+            user_data: participant.type_hash(message),
+            // With one clock, a sample tells whether it is history. Otherwise its place before the first HEARTBEAT does.
+            without_history: !participant.is_alone && qos.durability == Durability::Volatile,
+        };
         let opened = (qos.durability == Durability::Volatile).then(Instant::now);
-        let subscriber = participant.dds.create_subscriber(&qos.policies()).map_err(failed)?;
-        let source: SimpleDataReader<Sample, AnyRaw> =
-            subscriber.create_simple_datareader_no_key(&dds_topic, Some(policies)).map_err(failed)?;
-        let guid = source.guid();
-        let (matches, matched) = Matches::new(participant.guid_prefix());
+        let waiting = QueueLimits { bytes: limits.queue_bytes_max, samples: WAITING_MAX };
+        let source = participant
+            .dds
+            .reader(settings, waiting)
+            .map_err(|error| dds_error(&format!("cannot read topic {topic} [{message}]"), &error))?;
+        let (guid, matched) = (source.guid(), Matched::of(source.matches()));
         let queue = Queue::new(&limits);
         let pump = Pump {
             topic: topic.clone(),
             opened,
-            intake: Intake::new(participant.guid_prefix()),
-            matches,
+            intake: Intake::default(),
+            mismatches: MismatchLog::new(topic.to_string(), OFFERS_LESS, remedy::for_reader),
             sample_bytes_max: limits.sample_bytes_max,
             queue: Arc::clone(&queue),
             participant: participant.clone(),
             filter,
             marks: BTreeMap::new(),
+            losses: Losses::default(),
             log_limiter: LogLimiter::default(),
         };
         participant.discovery.add(Role::Reads, guid);
@@ -147,7 +159,7 @@ struct Pump {
     /// When a reader was opened that takes nothing written before; none if it is latched.
     opened: Option<Instant>,
     intake: Intake,
-    matches: Matches,
+    mismatches: MismatchLog,
     sample_bytes_max: usize,
     queue: Arc<Queue>,
     /// Held, so that it outlives its reader.
@@ -155,34 +167,25 @@ struct Pump {
     /// Where samples go to the ledger.
     filter: Option<Arc<LoopFilter>>,
     /// The marks of writers that were looked up.
-    marks: BTreeMap<[u8; 16], Option<Mark>>,
+    marks: BTreeMap<Guid, Option<Mark>>,
+    /// The losses of which the queue of the route knows.
+    losses: Losses,
     log_limiter: LogLimiter,
 }
 
 impl Pump {
     /// Runs until the reader is dropped.
-    async fn run(mut self, source: SimpleDataReader<Sample, AnyRaw>) {
-        let samples = source.as_async_stream();
-        let mut samples = std::pin::pin!(samples);
-        let mut statuses = source.as_async_status_stream();
-        let mut alive = interval(ALIVE_EVERY);
+    async fn run(mut self, mut source: DomainReader) {
+        let mut matches = source.matches().clone();
         loop {
             tokio::select! {
-                sample = samples.next() => match sample {
-                    Some(Ok(change)) => {
-                        let waited = self.waited(change.source_timestamp());
-                        self.take(change.writer_guid, change.sequence_number.into(), change.sample, waited);
-                    }
-                    Some(Err(error)) => self.drop_unreadable(&error),
+                sample = source.next() => match sample {
+                    Some(sample) => self.take(sample, &source),
                     None => break,
                 },
-                status = statuses.next() => match status {
-                    Some(status) => self.note(&status),
-                    None => break,
-                },
-                // Nobody is woken when DDS ends, so it is looked at again.
-                _ = alive.tick() => {}
+                Ok(()) = matches.changed() => self.mismatches.look(&matches.borrow_and_update()),
             }
+            self.count_losses(source.losses());
         }
         tracing::error!(topic = %self.topic, "DDS has ended: no sample is read any more");
         self.queue.close();
@@ -190,31 +193,58 @@ impl Pump {
 
     /// How long a sample was on its way, by the time that its publisher gave it. That lies far back where this process stood still
     /// and the sample waited in a socket. It says something only if its clock is ours: other hosts have other clocks.
-    fn waited(&self, sent: Option<Timestamp>) -> Duration {
-        sent.filter(|_| self.participant.is_alone).map_or(Duration::ZERO, since)
+    fn waited(&self, sent: Option<Ticks>) -> Duration {
+        sent.filter(|_| self.participant.is_alone).map_or(Duration::ZERO, |sent| since(sent, SystemTime::now()))
     }
 
-    fn take(&mut self, writer: GUID, sequence: i64, sample: Sample, waited: Duration) {
-        let source = writer.to_bytes();
-        if self.matches.with_endpoints(|present| self.intake.judge(source, sequence, present)) != Verdict::Admit {
+    fn take(&mut self, incoming: IncomingSample, source: &DomainReader) {
+        let IncomingSample { writer, sequence, timestamp, payload, .. } = incoming;
+        if !self.intake.admits(writer, sequence, &source.matches().borrow().endpoints) {
             return;
         }
+        let waited = self.waited(timestamp);
         // A publisher may send what it keeps for others, or for those who come late.
         if self.opened.is_some_and(|opened| waited > opened.elapsed()) {
             return self.skip_history();
         }
-        if sample.wire().len() > self.sample_bytes_max {
-            return self.drop_large(sample.wire().len());
+        if payload.len() > self.sample_bytes_max {
+            return self.drop_large(payload.len());
         }
+        let sample = match Sample::from_wire(payload, self.sample_bytes_max) {
+            Ok(sample) => sample,
+            Err(rejection) => return self.drop_unreadable(&rejection),
+        };
         let received = Instant::now();
         if let Some(filter) = self.filter.clone() {
-            let mark = self.mark_of(source, &filter);
-            if filter.judge(source, mark, sample.wire(), received) != Entry::Admit {
+            let mark = self.mark_of(writer, &filter);
+            if filter.judge(writer.to_bytes(), mark, sample.wire(), received) != Entry::Admit {
                 return;
             }
         }
-        let sequence = u64::try_from(sequence).unwrap_or_default();
-        self.queue.push(Incoming { sample, source, sequence, received, wall: SystemTime::now(), waited });
+        let sequence = u64::try_from(sequence.0).unwrap_or_default();
+        let (source, wall) = (writer.to_bytes(), SystemTime::now());
+        self.queue.push(Incoming { sample, source, sequence, received, wall, waited });
+    }
+
+    /// Counts what was lost on the way here.
+    fn count_losses(&mut self, losses: Losses) {
+        if losses == self.losses {
+            return;
+        }
+        self.queue.count_dropped(losses.dropped.saturating_sub(self.losses.dropped));
+        for (reason, count) in &losses.lost {
+            let lost = count.saturating_sub(self.losses.lost.get(reason).copied().unwrap_or_default());
+            // A best-effort sample may be lost without a fault.
+            if lost > 0 && *reason == LossReason::BestEffort {
+                tracing::debug!(topic = %self.topic, lost, "samples were lost before they reached the bridge");
+            } else if lost > 0
+                && let Some(not_logged) = self.log_limiter.admit("lost", Instant::now())
+            {
+                let reason = reason.name();
+                tracing::warn!(topic = %self.topic, lost, reason, not_logged, "samples were lost before they reached the bridge");
+            }
+        }
+        self.losses = losses;
     }
 
     fn skip_history(&mut self) {
@@ -224,74 +254,45 @@ impl Pump {
     }
 
     fn drop_large(&mut self, bytes: usize) {
-        self.queue.count_dropped();
+        self.queue.count_dropped(1);
         if let Some(not_logged) = self.log_limiter.admit("large", Instant::now()) {
             let bytes_max = self.sample_bytes_max;
             tracing::warn!(topic = %self.topic, bytes, bytes_max, not_logged, "a sample was dropped: larger than sample_bytes_max");
         }
     }
 
-    fn drop_unreadable(&mut self, error: &dyn std::error::Error) {
-        self.queue.count_dropped();
+    fn drop_unreadable(&mut self, error: &Rejection) {
+        self.queue.count_dropped(1);
         if let Some(not_logged) = self.log_limiter.admit("unreadable", Instant::now()) {
             tracing::warn!(topic = %self.topic, %error, not_logged, "a sample was dropped: no CDR, so its publisher has another `type` than this route");
         }
     }
 
     /// The mark of a writer. Discovery knew it before its first sample was let in; a writer that is not found there has left.
-    fn mark_of(&mut self, writer: [u8; 16], filter: &LoopFilter) -> Option<Mark> {
+    fn mark_of(&mut self, writer: Guid, filter: &LoopFilter) -> Option<Mark> {
         if let Some(known) = self.marks.get(&writer) {
             return *known;
         }
         if self.marks.len() >= MARKS_MAX {
             self.marks.clear();
         }
-        let mut found = None;
-        for neighbour in self.participant.publishers() {
-            if let Some(mark) = neighbour.mark {
-                filter.hear_of(mark);
-            }
-            if neighbour.guid == writer {
-                found = neighbour.mark;
-                self.marks.insert(writer, found);
-            }
-        }
-        found
-    }
-
-    fn note(&mut self, status: &DataReaderStatus) {
-        match status {
-            DataReaderStatus::SubscriptionMatched { current, writer, .. } => {
-                self.matches.changed(*writer, current.count_change());
-            }
-            DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. } => {
-                self.matches.refused();
-                let (policy, remedy) = (format!("{last_policy_id:?}"), remedy(Role::Reads, *last_policy_id));
-                if let Some(not_logged) = self.log_limiter.admit(remedy, Instant::now()) {
-                    tracing::warn!(topic = %self.topic, policy, not_logged, "a publisher offers less than this route requests: {remedy}");
-                }
-            }
-            DataReaderStatus::SampleLost { count } => {
-                tracing::debug!(topic = %self.topic, lost = count.count(), "samples were lost before they reached the bridge");
-            }
-            _ => {}
-        }
+        self.participant.publishers().filter_map(|neighbour| neighbour.mark).for_each(|mark| filter.hear_of(mark));
+        let found = self.participant.dds.endpoint(writer)?;
+        let mark = Mark::of(&found.qos);
+        self.marks.insert(writer, mark);
+        mark
     }
 }
 
 /// How long ago that was by the clock of this host; zero if it is no time. If it lies ahead, the clock was set back since then,
-/// and nobody knows.
-fn since(sent: Timestamp) -> Duration {
-    if [Timestamp::ZERO, Timestamp::INVALID, Timestamp::INFINITE].contains(&sent) {
-        return Duration::ZERO;
-    }
-    let (now, sent) = (Timestamp::now().to_ticks(), sent.to_ticks());
-    if sent > now.saturating_add(AHEAD_TICKS_MAX) {
+/// and the age is unknown.
+fn since(sent: Ticks, now: SystemTime) -> Duration {
+    let now = now.duration_since(SystemTime::UNIX_EPOCH).map_or(0, rtps::time::micros);
+    let Some(sent) = sent.to_micros().filter(|sent| *sent > 0) else { return Duration::ZERO };
+    if sent > now.saturating_add(AHEAD_MICROS_MAX) {
         return Duration::MAX;
     }
-    let ticks = now.saturating_sub(sent);
-    let micros = (u128::from(ticks) * 1_000_000) >> 32_u32;
-    Duration::from_micros(u64::try_from(micros).unwrap_or(u64::MAX))
+    Duration::from_micros(now.saturating_sub(sent))
 }
 
 #[cfg(test)]
@@ -300,12 +301,13 @@ mod tests {
 
     #[test]
     fn a_sample_of_before_the_clock_was_set_back_is_older_than_any_and_one_without_a_time_is_not_old() {
-        for sent in [Timestamp::ZERO, Timestamp::INVALID, Timestamp::INFINITE] {
-            assert_eq!(since(sent), Duration::ZERO, "{sent:?}");
+        let now = SystemTime::UNIX_EPOCH + Duration::from_secs(7200);
+        let at = |seconds: u64| since(Ticks::from_micros(seconds * 1_000_000), now);
+        for sent in [Ticks::ZERO, Ticks::INVALID, Ticks::INFINITE] {
+            assert_eq!(since(sent, now), Duration::ZERO, "{sent:?}");
         }
-        let ahead = Timestamp::from_ticks(Timestamp::now().to_ticks() + (3600 << 32));
-        assert_eq!(since(ahead), Duration::MAX);
-        let before = Timestamp::from_ticks(Timestamp::now().to_ticks() - (60 << 32));
-        assert!(since(before) >= Duration::from_secs(60));
+        assert_eq!(at(7200 + 3600), Duration::MAX);
+        assert_eq!(at(7200 + 1), Duration::ZERO);
+        assert_eq!(at(7140), Duration::from_secs(60));
     }
 }

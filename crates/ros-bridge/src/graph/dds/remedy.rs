@@ -1,16 +1,25 @@
 //! The words for two endpoints that DDS keeps apart because of their quality of service.
 
-use rustdds::dds::qos::QosPolicyId;
+use rtps::qos::Policy;
 
 use super::ros_discovery::Role;
 
-/// The change that brings them together: a setting of the route, where one decides about the policy.
-pub(super) fn remedy(ours: Role, policy: QosPolicyId) -> &'static str {
+/// The change that brings a route's reader together with a writer: a setting of the route, where one decides about the policy.
+pub(super) fn for_reader(policy: Policy) -> &'static str {
+    remedy(Role::Reads, policy)
+}
+
+/// The same for a route's writer and a reader.
+pub(super) fn for_writer(policy: Policy) -> &'static str {
+    remedy(Role::Writes, policy)
+}
+
+fn remedy(ours: Role, policy: Policy) -> &'static str {
     match (policy, ours) {
-        (QosPolicyId::Reliability, Role::Reads) => "set `qos = { reliability = \"best_effort\" }`",
-        (QosPolicyId::Durability, Role::Reads) => "set `qos = { durability = \"volatile\" }`",
-        (QosPolicyId::Reliability, Role::Writes) => "set `qos = { reliability = \"reliable\" }`",
-        (QosPolicyId::Durability, Role::Writes) => "set `qos = { durability = \"transient_local\" }`",
+        (Policy::Reliability, Role::Reads) => "set `qos = { reliability = \"best_effort\" }`",
+        (Policy::Durability, Role::Reads) => "set `qos = { durability = \"volatile\" }`",
+        (Policy::Reliability, Role::Writes) => "set `qos = { reliability = \"reliable\" }`",
+        (Policy::Durability, Role::Writes) => "set `qos = { durability = \"transient_local\" }`",
         _ => "no setting of the route decides about it, so change the other node",
     }
 }
@@ -25,7 +34,7 @@ mod tests {
     #[test]
     fn a_route_accepts_the_setting_that_brings_it_together_with_another_node() {
         let route = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
-        for policy in [QosPolicyId::Reliability, QosPolicyId::Durability] {
+        for policy in [Policy::Reliability, Policy::Durability] {
             for ours in [Role::Reads, Role::Writes] {
                 let words = remedy(ours, policy);
                 let setting = words.split('`').nth(1).unwrap();
@@ -33,6 +42,6 @@ mod tests {
                 assert!(config.is_ok(), "{setting}: {:?}", config.err());
             }
         }
-        assert!(!remedy(Role::Reads, QosPolicyId::Deadline).contains('`'), "routes have no deadline");
+        assert!(!remedy(Role::Reads, Policy::Deadline).contains('`'), "routes have no deadline");
     }
 }

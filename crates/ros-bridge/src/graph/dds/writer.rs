@@ -3,25 +3,25 @@
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex, PoisonError},
-    time::{Duration, Instant},
+    time::{Duration, SystemTime},
 };
 
 use bytes::Bytes;
-use futures::{StreamExt, future::BoxFuture};
-use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample};
-use rustdds::{
-    DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic,
-    dds::{qos::QosPolicyId, result::WriteError},
-    no_key::DataWriter,
+use ledger_gate::sample::Sample;
+use rtps::{
+    interface::{EndpointSettings, OutgoingSample},
+    io::DomainWriter,
+    qos::Representation,
+    time::Ticks,
 };
-use tokio::{task::AbortHandle, time::interval};
+use tokio::task::AbortHandle;
 
 use super::{
-    encoding::{Payload, Raw, offered},
+    encoding::{offering, version_of},
     failure::dds_error,
-    matched::{ALIVE_EVERY, Matched, Matches},
-    participant::Participant,
-    remedy::remedy,
+    matched::{Matched, MismatchLog, watch_writer},
+    participant::{Participant, described},
+    remedy,
     ros_discovery::Role,
 };
 use crate::{
@@ -31,9 +31,10 @@ use crate::{
         names::{TopicName, TypeName},
         qos::Qos,
     },
-    log::LogLimiter,
 };
 
+/// The log where a reader requests too much.
+pub(super) const REQUESTS_MORE: &str = "a subscriber requests more than this route offers";
 /// A sample up to this size is copied. DDS keeps many samples for readers that lag. Each would keep the whole buffer in
 /// memory in which it came, with everything else that came in it.
 const COPIED_BYTES_MAX: usize = 4 * 1024;
@@ -43,15 +44,14 @@ const COPIED_BYTES_MAX: usize = 4 * 1024;
 pub struct Writer {
     participant: Participant,
     topic: TopicName,
-    dds_topic: Topic,
-    policies: QosPolicies,
+    settings: EndpointSettings,
     matched: Matched,
-    endpoints: Mutex<BTreeMap<[u8; 2], Endpoint>>,
+    endpoints: Mutex<BTreeMap<Representation, Endpoint>>,
 }
 
-/// The DDS writer of one encoding.
+/// The DDS writer of one version of CDR: readers must accept what it offers.
 struct Endpoint {
-    output: Arc<dyn Output>,
+    output: Arc<DomainWriter>,
     watcher: AbortHandle,
 }
 
@@ -75,20 +75,21 @@ impl Writer {
         qos: &Qos,
         mark: Option<Mark>,
     ) -> Result<Self> {
-        let policies = participant.with_type_hash(qos.policies(), message);
-        let dds_topic = participant.topic(topic, message, qos)?;
-        let (matches, matched) = Matches::new(participant.guid_prefix());
-        let mut writer = Self {
+        let (topic_description, policies) = (described(topic, message, qos)?, qos.policies());
+        let settings = EndpointSettings {
+            topic: topic_description,
+            qos: mark.map_or_else(|| policies.clone(), |mark| mark.put_on(policies.clone())),
+            user_data: participant.type_hash(message),
+            without_history: false,
+        };
+        let first = open(participant, topic, &settings, Representation::XCDR1)?;
+        Ok(Self {
             participant: participant.clone(),
             topic: topic.clone(),
-            dds_topic,
-            policies: mark.map_or_else(|| policies.clone(), |mark| mark.put_on(&policies)),
-            matched,
-            endpoints: Mutex::default(),
-        };
-        let first = writer.endpoint(CDR_LE, matches)?;
-        writer.endpoints.get_mut().unwrap_or_else(PoisonError::into_inner).insert(CDR_LE, first);
-        Ok(writer)
+            settings,
+            matched: Matched::of(first.output.matches()),
+            endpoints: Mutex::new(BTreeMap::from([(Representation::XCDR1, first)])),
+        })
     }
 
     /// Publishes a sample. [`Error::Dds`] means that the participant is broken, or has ended.
@@ -97,141 +98,72 @@ impl Writer {
             let what = format!("cannot publish on {}", self.topic);
             return Err(Error::Dds(Explained::new(what, "DDS has ended", "a running DDS", "start the bridge again")));
         }
-        let mut endpoints = self.endpoints.lock().unwrap_or_else(PoisonError::into_inner);
         let id = sample.representation_id();
-        let endpoint = match endpoints.entry(id) {
+        let version = version_of(sample).ok_or_else(|| {
+            let found = format!("encoding {id:02x?}");
+            let what = format!("cannot publish on {}: unknown encoding", self.topic);
+            Error::Sample(Explained::new(what, found, "00 00 to 00 03, or 00 06 to 00 0b", ""))
+        })?;
+        let mut endpoints = self.endpoints.lock().unwrap_or_else(PoisonError::into_inner);
+        let endpoint = match endpoints.entry(version) {
             std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
             std::collections::btree_map::Entry::Vacant(new) => {
-                let (matches, _) = Matches::new(self.participant.guid_prefix());
-                new.insert(self.endpoint(id, matches)?)
+                new.insert(open(&self.participant, &self.topic, &self.settings, version)?)
             }
         };
-        let (options, mut body) = (sample.options(), sample.body());
-        if body.len() <= COPIED_BYTES_MAX {
-            body = Bytes::copy_from_slice(&body);
+        let mut payload = sample.wire().clone();
+        if payload.len() <= COPIED_BYTES_MAX {
+            payload = Bytes::copy_from_slice(&payload);
         }
-        let payload = Payload { options, body };
-        endpoint.output.put(payload).map_err(|error| dds_error(&format!("cannot publish on {}", self.topic), &error))
+        let written = endpoint.output.write(OutgoingSample { payload, timestamp: Some(now()), related: None });
+        written.map(drop).map_err(|error| dds_error(&format!("cannot publish on {}", self.topic), &error))
     }
 
     /// Waits until all reliable readers have everything written so far; `false` after `at_most`. A stop message
     /// deserves it before the writer is dropped.
     pub async fn flush(&self, at_most: Duration) -> bool {
-        let outputs: Vec<Arc<dyn Output>> = {
+        let outputs: Vec<Arc<DomainWriter>> = {
             let endpoints = self.endpoints.lock().unwrap_or_else(PoisonError::into_inner);
             endpoints.values().map(|endpoint| Arc::clone(&endpoint.output)).collect()
         };
         let all = futures::future::join_all(outputs.iter().map(|output| output.acknowledged()));
-        tokio::time::timeout(at_most, all).await.is_ok_and(|all| all.into_iter().all(|done| done))
+        tokio::time::timeout(at_most, all).await.is_ok_and(|all| all.into_iter().all(|done| done.is_ok()))
     }
 
-    /// The readers of others (of the usual encoding, little endian).
+    /// The readers of others that accept XCDR1, as all of ROS 2 do.
     pub fn matched(&self) -> &Matched {
         &self.matched
     }
+}
 
-    /// Opens the DDS writer of an encoding and follows its status.
-    fn endpoint(&self, id: [u8; 2], matches: Matches) -> Result<Endpoint> {
-        match id {
-            CDR_LE => self.endpoint_of::<1>(matches),
-            CDR_BE => self.endpoint_of::<0>(matches),
-            PL_CDR_BE => self.endpoint_of::<2>(matches),
-            PL_CDR_LE => self.endpoint_of::<3>(matches),
-            [0, 6] => self.endpoint_of::<6>(matches),
-            [0, 7] => self.endpoint_of::<7>(matches),
-            [0, 8] => self.endpoint_of::<8>(matches),
-            [0, 9] => self.endpoint_of::<9>(matches),
-            [0, 10] => self.endpoint_of::<10>(matches),
-            [0, 11] => self.endpoint_of::<11>(matches),
-            [first, second] => {
-                let found = format!("encoding {first:02x} {second:02x}");
-                let what = format!("cannot publish on {}: unknown encoding", self.topic);
-                Err(Error::Sample(Explained::new(what, found, "00 00 to 00 03, or 00 06 to 00 0b", "")))
-            }
-        }
-    }
+/// The time of the wall clock as it travels with a sample.
+pub(super) fn now() -> Ticks {
+    SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .map_or(Ticks::INVALID, |now| Ticks::from_micros(rtps::time::micros(now)))
+}
 
-    fn endpoint_of<const ID: u8>(&self, matches: Matches) -> Result<Endpoint> {
-        let failed = |error| dds_error(&format!("cannot write topic {}", self.topic), &error);
-        let policies = match offered([0, ID]) {
-            Some(version) => self.policies.clone().with_data_representation(version),
-            None => self.policies.clone(),
-        };
-        let publisher = self.participant.dds.create_publisher(&policies).map_err(failed)?;
-        let writer: DataWriter<Payload, Raw<ID>> =
-            publisher.create_datawriter_no_key(&self.dds_topic, Some(policies)).map_err(failed)?;
-        let writer = Arc::new(writer);
-        self.participant.discovery.add(Role::Writes, writer.guid());
-        let remedy = |policy| remedy(Role::Writes, policy);
-        let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.to_string(), matches, remedy)).abort_handle();
-        Ok(Endpoint { output: writer, watcher })
-    }
+/// Opens the DDS writer of a version of CDR, and follows its matches.
+fn open(
+    participant: &Participant,
+    topic: &TopicName,
+    settings: &EndpointSettings,
+    version: Representation,
+) -> Result<Endpoint> {
+    let settings = EndpointSettings { qos: offering(settings.qos.clone(), version), ..settings.clone() };
+    let output =
+        participant.dds.writer(settings).map_err(|error| dds_error(&format!("cannot write topic {topic}"), &error))?;
+    participant.discovery.add(Role::Writes, output.guid());
+    let log = MismatchLog::new(topic.to_string(), REQUESTS_MORE, remedy::for_writer);
+    let watcher = tokio::spawn(watch_writer(output.matches().clone(), log)).abort_handle();
+    Ok(Endpoint { output: Arc::new(output), watcher })
 }
 
 impl Drop for Writer {
     fn drop(&mut self) {
         for endpoint in self.endpoints.get_mut().unwrap_or_else(PoisonError::into_inner).values() {
             endpoint.watcher.abort();
-            self.participant.discovery.remove(Role::Writes, endpoint.output.id());
+            self.participant.discovery.remove(Role::Writes, endpoint.output.guid());
         }
     }
-}
-
-/// A DDS writer of any encoding.
-trait Output: Send + Sync {
-    fn put(&self, payload: Payload) -> std::result::Result<(), WriteError<Payload>>;
-    fn acknowledged(&self) -> BoxFuture<'_, bool>;
-    fn id(&self) -> GUID;
-}
-
-impl<const ID: u8> Output for DataWriter<Payload, Raw<ID>> {
-    fn put(&self, payload: Payload) -> std::result::Result<(), WriteError<Payload>> {
-        self.write(payload, Some(Timestamp::now()))
-    }
-
-    fn acknowledged(&self) -> BoxFuture<'_, bool> {
-        Box::pin(async { self.async_wait_for_acknowledgments().await.unwrap_or(false) })
-    }
-
-    fn id(&self) -> GUID {
-        self.guid()
-    }
-}
-
-/// Follows the status of a DDS writer until it is dropped. `remedy` tells what brings it together with a reader.
-pub(super) async fn watch<const ID: u8>(
-    writer: Arc<DataWriter<Payload, Raw<ID>>>,
-    topic: String,
-    mut matches: Matches,
-    remedy: fn(QosPolicyId) -> &'static str,
-) {
-    let mut statuses = writer.as_async_status_stream();
-    let (mut alive, mut log_limiter) = (interval(ALIVE_EVERY), LogLimiter::default());
-    loop {
-        let status = tokio::select! {
-            status = statuses.next() => status,
-            // Nobody is woken when DDS ends, so it is looked at again.
-            _ = alive.tick() => continue,
-        };
-        let Some(status) = status else { break };
-        match status {
-            DataWriterStatus::PublicationMatched { current, reader, .. } => {
-                matches.changed(reader, current.count_change());
-            }
-            DataWriterStatus::OfferedIncompatibleQos { last_policy_id, .. } => {
-                matches.refused();
-                let (policy, remedy) = (format!("{last_policy_id:?}"), remedy(last_policy_id));
-                if let Some(not_logged) = log_limiter.admit(remedy, Instant::now()) {
-                    tracing::warn!(
-                        topic,
-                        policy,
-                        not_logged,
-                        "a subscriber requests more than this route offers: {remedy}"
-                    );
-                }
-            }
-            _ => {}
-        }
-    }
-    tracing::error!(topic, "DDS has ended: no sample is written any more");
 }

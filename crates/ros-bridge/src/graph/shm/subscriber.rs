@@ -205,7 +205,7 @@ impl Pump {
                 }
             }
             Err(error) => {
-                self.queue.count_dropped();
+                self.queue.count_dropped(1);
                 let is_large = payload.len() > self.bytes_max;
                 let why = if is_large { "larger than sample_bytes_max" } else { "no CDR" };
                 if let Some(not_logged) = self.log_limiter.admit(why, Instant::now()) {

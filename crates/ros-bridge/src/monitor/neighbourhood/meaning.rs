@@ -1,10 +1,8 @@
 //! The meaning of other endpoints for a route.
 
-use rustdds::QosPolicies;
-
 use crate::{
     graph::{
-        dds::{Neighbour, accepted},
+        dds::{Neighbour, accepting},
         endpoint::Role,
         mark::Mark,
     },
@@ -56,13 +54,13 @@ pub(super) fn misfit(open: &OpenRoute, neighbour: &Neighbour) -> Option<String> 
     if qos.keyed != neighbour.is_keyed() {
         return Some("keys".to_owned());
     }
-    let ours: QosPolicies = qos.policies();
-    let accepts = ours.clone().with_data_representation(accepted());
-    let (offered, requested) = match neighbour.role {
-        Role::Publisher => (&neighbour.qos, &accepts),
-        Role::Subscriber => (&ours, &neighbour.qos),
+    let ours = qos.policies();
+    let accepts = accepting(ours.clone());
+    let mismatches = match neighbour.role {
+        Role::Publisher => neighbour.qos.mismatches(&accepts),
+        Role::Subscriber => ours.mismatches(&neighbour.qos),
     };
-    offered.compliance_failure_wrt(requested).map(|policy| format!("{policy:?}").to_lowercase())
+    mismatches.first().map(|policy| policy.name().to_owned())
 }
 
 /// Is it an endpoint of a bridge of this network?

@@ -94,7 +94,7 @@ mod tests {
     use super::*;
     use crate::graph::endpoint::Role;
     use ledger_base::hash::Hash;
-    use rustdds::QosPolicies;
+    use rtps::qos::Qos as Policies;
 
     fn own() -> Mark {
         Mark::new(&Hash([1; 32]), "T/cmd_vel")
@@ -102,7 +102,7 @@ mod tests {
 
     fn publisher(number: u8, mark: Option<Mark>) -> Neighbour {
         let (topic, type_name) = ("rt/cmd_vel".to_owned(), "geometry_msgs::msg::dds_::Twist_".to_owned());
-        Neighbour { guid: [number; 16], role: Role::Publisher, topic, type_name, qos: QosPolicies::default(), mark }
+        Neighbour { guid: [number; 16], role: Role::Publisher, topic, type_name, qos: Policies::default(), mark }
     }
 
     #[test]

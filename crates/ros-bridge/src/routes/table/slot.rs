@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ledger_base::rejection::Rejection;
 use ledger_traces::Tracer;
-use rustdds::QosPolicies;
+use rtps::qos::Qos as Policies;
 use tokio::sync::watch;
 
 use crate::{
@@ -149,7 +149,7 @@ impl OpenRoute {
         }
         let RouteConfig { qos, copied, kind, .. } = &self.slot.route;
         let keyed = others.iter().all(|other| other.is_keyed());
-        let policies: Vec<&QosPolicies> = others.iter().map(|other| &other.qos).collect();
+        let policies: Vec<&Policies> = others.iter().map(|other| &other.qos).collect();
         let met = Qos { keyed, ..qos.meeting(*copied, kind.takes_in(), self.is_command(), &policies) };
         let is_news = self.slot.qos.send_if_modified(|known| std::mem::replace(known, met) != met);
         is_news.then_some(met)

@@ -1,7 +1,7 @@
 //! A message that comes in at a server or a client.
 
 use bytes::Bytes;
-use rustdds::{GUID, rpc::SampleIdentity};
+use rtps::guid::{Guid, SampleIdentity, SequenceNumber};
 
 /// The side of a service that the two ends serve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,8 +24,8 @@ impl Side {
 pub(super) struct Arrival {
     /// The message, little endian.
     pub(super) message: Bytes,
-    pub(super) writer: GUID,
-    pub(super) sequence: i64,
+    pub(super) writer: Guid,
+    pub(super) sequence: SequenceNumber,
     /// The request to which it is related, as it says.
     pub(super) related: Option<SampleIdentity>,
 }

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger_base::hash::Hash;
-use rustdds::{GUID, SequenceNumber, rpc::SampleIdentity};
+use rtps::guid::{Guid, SampleIdentity, SequenceNumber};
 
 use super::{
     arrival::{Arrival, Side},
@@ -13,7 +13,7 @@ use super::{
 use crate::{
     error::{Error, Explained, Result},
     graph::{
-        dds::{guid::PREFIX_BYTES, matched::Matched, participant::Participant},
+        dds::{matched::Matched, participant::Participant},
         mark::Mark,
     },
 };
@@ -69,9 +69,9 @@ impl Client {
             }
             Mapping::NearbyEndpoint => {
                 let [reader, _] = self.link.guids();
-                let related = SampleIdentity { writer_guid: reader, sequence_number: SequenceNumber::UNKNOWN };
+                let related = SampleIdentity { writer: reader, sequence: SequenceNumber::UNKNOWN };
                 let sent = self.link.write(Bytes::copy_from_slice(message), Some(related))?;
-                Ok(Number(Mapping::NearbyEndpoint, sent.sequence_number.into()))
+                Ok(Number(Mapping::NearbyEndpoint, sent.sequence.0))
             }
         }
     }
@@ -98,12 +98,11 @@ impl Client {
         let mut found = self.link.participant().subscribers();
         let found = found.find(|other| {
             let serves = other.topic == topic && other.type_name == of;
-            let participant = other.guid.get(..PREFIX_BYTES).unwrap_or_default();
-            let is_found =
-                || self.link.hearers().has(&other.guid) && self.link.matched().of_participant(participant) > 0;
+            let guid = Guid::from_bytes(other.guid);
+            let is_found = || self.link.hearers().has(guid) && self.link.matched().of_participant(guid.prefix) > 0;
             serves && !is_bridge(other.mark) && is_found()
         })?;
-        Some(Mapping::of(found.guid))
+        Some(Mapping::of(Guid::from_bytes(found.guid)))
     }
 
     fn unserved(&self) -> Error {
@@ -113,16 +112,16 @@ impl Client {
 
     /// The reply in a message, if it is for this client.
     fn reply(&self, Arrival { message, writer, related, .. }: Arrival) -> Option<Reply> {
-        match Mapping::of(writer.to_bytes()) {
+        match Mapping::of(writer) {
             Mapping::InFront => {
                 let (header, message) = Header::split(&message)?;
                 let number = Number(Mapping::InFront, header.number);
                 (header.client == self.own).then_some(Reply { number, message })
             }
             Mapping::NearbyEndpoint => {
-                let is_own = |named: GUID| self.link.guids().contains(&named);
+                let is_own = |named: Guid| self.link.guids().contains(&named);
                 named(related).filter(|named| is_own(*named))?;
-                Some(Reply { number: Number(Mapping::NearbyEndpoint, related?.sequence_number.into()), message })
+                Some(Reply { number: Number(Mapping::NearbyEndpoint, related?.sequence.0), message })
             }
         }
     }

@@ -1,23 +1,14 @@
 //! A reader and a writer that belong together: the two ends of a server, or of a client.
 
-use std::{
-    collections::BTreeMap,
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-    time::Duration,
-};
+use std::{collections::BTreeMap, sync::Arc};
 
-use bytes::Bytes;
+use bytes::{BufMut, Bytes, BytesMut};
 use ledger_base::hash::Hash;
-use ledger_gate::sample::Sample;
-use rustdds::{
-    GUID, RTPSEntity, Timestamp, TopicKind,
-    dds::result::WriteError,
-    no_key::{DataWriter, SimpleDataReader},
-    rpc::SampleIdentity,
-    with_key::WriteOptionsBuilder,
+use ledger_gate::sample::{CDR_LE, HEADER_BYTES};
+use rtps::{
+    guid::{Guid, SampleIdentity},
+    interface::{EndpointSettings, OutgoingSample, TopicDescription},
+    io::{DomainWriter, QueueLimits},
 };
 use tokio::{sync::mpsc, task::JoinHandle};
 
@@ -30,13 +21,14 @@ use crate::{
     error::{Error, Explained, Result},
     graph::{
         dds::{
-            encoding::{AnyRaw, Payload, Raw},
+            encoding::accepting,
             failure::dds_error,
             intake::Intake,
-            matched::{Matched, Matches},
+            matched::{Matched, MismatchLog, watch_writer},
             participant::Participant,
+            reader::OFFERS_LESS,
             ros_discovery::Role,
-            writer::watch,
+            writer::{REQUESTS_MORE, now},
         },
         mark::Mark,
         names::TypeName,
@@ -47,6 +39,8 @@ use crate::{
 
 /// Most bytes written that readers have not acknowledged. Beyond it a write is refused.
 const UNACKNOWLEDGED_BYTES_MAX: usize = 16 * 1024 * 1024;
+/// Most bytes that wait for the task of a link.
+const QUEUE_BYTES_MAX: usize = 64 * 1024 * 1024;
 /// As the middlewares of ROS 2 have it for services, but deeper for bursts.
 const QOS: Qos = Qos { reliability: Reliability::Reliable, durability: Durability::Volatile, depth: 100, keyed: false };
 
@@ -61,13 +55,12 @@ pub(super) struct LinkTopics {
 pub(super) struct Link {
     participant: Participant,
     arrivals: mpsc::Receiver<Arrival>,
-    reader: GUID,
-    writer: Arc<DataWriter<Payload, Raw<1>>>,
+    reader: Guid,
+    writer: Arc<DomainWriter>,
     /// The writers of others that the reader hears.
     matched: Matched,
     /// The readers of others that hear the writer.
     hearers: Matched,
-    unacknowledged: AtomicUsize,
     /// For messages.
     topic: String,
     tasks: [JoinHandle<()>; 2],
@@ -76,28 +69,23 @@ pub(super) struct Link {
 impl Link {
     /// Opens both ends. Nothing comes from bridges of the mark's network, nor from this participant.
     pub(super) fn open(participant: &Participant, ends: LinkTopics, mark: Mark, bytes_max: usize) -> Result<Self> {
-        let (policies, dds) = (QOS.policies(), &participant.dds);
-        let failed = |error| dds_error(&format!("cannot open {}", ends.reads.0), &error);
+        let failed = |error: &dyn std::error::Error| dds_error(&format!("cannot open {}", ends.reads.0), error);
         // One text for both ends, by which their peers know that they belong together.
         let id = Hash::of(&[&participant.guid(), ends.of.key().as_bytes(), ends.reads.0.as_bytes()]);
-        let announced = |of: &TypeName| {
-            let policies = mark.put_on(&participant.with_type_hash(policies.clone(), of));
-            let known = policies.user_data().unwrap_or_default().to_vec();
-            policies.with_user_data([known, format!("{}={id};", ends.of.key()).into_bytes()].concat())
+        let pair = format!("{}={id};", ends.of.key());
+        let settings = |(name, of): &(String, TypeName)| EndpointSettings {
+            topic: TopicDescription { name: name.clone(), type_name: of.dds(), keyed: false },
+            qos: mark.put_on(QOS.policies()),
+            user_data: Bytes::from([&participant.type_hash(of), pair.as_bytes()].concat()),
+            // A request may be written before its server knows the client.
+            without_history: false,
         };
-        let topic = |(name, of): &(String, TypeName)| {
-            dds.create_topic(name.clone(), of.dds(), &policies, TopicKind::NoKey).map_err(failed)
-        };
-        let (reads, writes) = (topic(&ends.reads)?, topic(&ends.writes)?);
-        let subscriber = dds.create_subscriber(&policies).map_err(failed)?;
-        let source: SimpleDataReader<Sample, AnyRaw> =
-            subscriber.create_simple_datareader_no_key(&reads, Some(announced(&ends.reads.1))).map_err(failed)?;
-        let publisher = dds.create_publisher(&policies).map_err(failed)?;
-        let writer: DataWriter<Payload, Raw<1>> =
-            publisher.create_datawriter_no_key(&writes, Some(announced(&ends.writes.1))).map_err(failed)?;
-        let writer = Arc::new(writer);
-        let (matches, matched) = Matches::new(participant.guid_prefix());
-        let (heard, hearers) = Matches::new(participant.guid_prefix());
+        let mut reads = settings(&ends.reads);
+        reads.qos = accepting(reads.qos);
+        let waiting = QueueLimits { bytes: QUEUE_BYTES_MAX, samples: WAITING_MAX };
+        let source = participant.dds.reader(reads, waiting).map_err(|error| failed(&error))?;
+        let writer = Arc::new(participant.dds.writer(settings(&ends.writes)).map_err(|error| failed(&error))?);
+        let (matched, hearers) = (Matched::of(source.matches()), Matched::of(writer.matches()));
         let (sender, arrivals) = mpsc::channel(WAITING_MAX);
         let reader = source.guid();
         participant.discovery.add(Role::Reads, reader);
@@ -105,8 +93,8 @@ impl Link {
         let pump = Pump {
             topic: ends.reads.0.clone(),
             of: ends.of,
-            intake: Intake::new(participant.guid_prefix()),
-            matches,
+            intake: Intake::default(),
+            mismatches: MismatchLog::new(ends.reads.0, OFFERS_LESS, |_| REMEDY),
             matched: matched.clone(),
             hearers: hearers.clone(),
             held: WaitingRequests::new(),
@@ -117,18 +105,16 @@ impl Link {
             bridges: BTreeMap::new(),
             log_limiter: LogLimiter::default(),
         };
+        let log = MismatchLog::new(ends.writes.0.clone(), REQUESTS_MORE, |_| REMEDY);
+        let watcher = watch_writer(writer.matches().clone(), log);
         Ok(Self {
             participant: participant.clone(),
             arrivals,
             reader,
-            writer: Arc::clone(&writer),
+            writer,
             matched,
             hearers,
-            unacknowledged: AtomicUsize::new(0),
-            tasks: [
-                tokio::spawn(pump.run(source)),
-                tokio::spawn(watch(writer, ends.writes.0.clone(), heard, |_| REMEDY)),
-            ],
+            tasks: [tokio::spawn(pump.run(source)), tokio::spawn(watcher)],
             topic: ends.writes.0,
         })
     }
@@ -147,29 +133,20 @@ impl Link {
         if self.matched.is_ended() {
             return Err(Error::Dds(Explained::new(cannot, "DDS has ended", "a running DDS", "start the bridge again")));
         }
-        if self.writer.wait_for_acknowledgments(Duration::ZERO).unwrap_or(false) {
-            self.unacknowledged.store(0, Ordering::Relaxed);
-        }
-        let bytes = message.len();
-        let waiting = self.unacknowledged.load(Ordering::Relaxed);
-        let slow = || {
+        let (bytes, waiting) = (message.len(), self.writer.unacknowledged_bytes());
+        if waiting > 0 && waiting.saturating_add(bytes) > UNACKNOWLEDGED_BYTES_MAX {
             let found = format!("{waiting} bytes that nobody has acknowledged");
             let wanted = format!("at most {UNACKNOWLEDGED_BYTES_MAX} bytes");
-            Error::Slow(Explained::new(cannot.clone(), found, wanted, "look at the process at the other end"))
-        };
-        if waiting > 0 && waiting.saturating_add(bytes) > UNACKNOWLEDGED_BYTES_MAX {
-            return Err(slow());
+            let hint = "look at the process at the other end";
+            return Err(Error::Slow(Explained::new(cannot, found, wanted, hint)));
         }
-        let options =
-            WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).related_sample_identity_opt(related);
-        match self.writer.write_with_options(Payload { options: [0, 0], body: message }, options.build()) {
-            Ok(written) => {
-                self.unacknowledged.fetch_add(bytes, Ordering::Relaxed);
-                Ok(written)
-            }
-            Err(WriteError::WouldBlock { .. }) => Err(slow()),
-            Err(error) => Err(dds_error(&cannot, &error)),
-        }
+        let mut payload = BytesMut::with_capacity(HEADER_BYTES + bytes);
+        payload.put_slice(&CDR_LE);
+        payload.put_slice(&[0, 0]);
+        payload.put_slice(&message);
+        let sample = OutgoingSample { payload: payload.freeze(), timestamp: Some(now()), related };
+        let sequence = self.writer.write(sample).map_err(|error| dds_error(&cannot, &error))?;
+        Ok(SampleIdentity { writer: self.writer.guid(), sequence })
     }
 
     /// The participant.
@@ -178,7 +155,7 @@ impl Link {
     }
 
     /// The reader and the writer.
-    pub(super) fn guids(&self) -> [GUID; 2] {
+    pub(super) fn guids(&self) -> [Guid; 2] {
         [self.reader, self.writer.guid()]
     }
 

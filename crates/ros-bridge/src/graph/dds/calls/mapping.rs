@@ -9,10 +9,8 @@
 //! Which of both a peer means is known by its DDS: the first two bytes of a GUID are the number of the vendor.
 
 use bytes::{BufMut, Bytes, BytesMut};
-use rustdds::{GUID, rpc::SampleIdentity};
+use rtps::guid::{Guid, SampleIdentity, VendorId};
 
-/// The vendor number of CycloneDDS.
-const CYCLONE: [u8; 2] = [1, 0x10];
 /// Bytes in front of a message of CycloneDDS.
 const HEADER_BYTES: usize = 16;
 
@@ -25,8 +23,8 @@ pub(super) enum Mapping {
 
 impl Mapping {
     /// That of the peer with this endpoint.
-    pub(super) fn of(endpoint: [u8; 16]) -> Self {
-        if endpoint.starts_with(&CYCLONE) { Self::InFront } else { Self::NearbyEndpoint }
+    pub(super) fn of(endpoint: Guid) -> Self {
+        if endpoint.prefix.0.starts_with(&VendorId::CYCLONE.0) { Self::InFront } else { Self::NearbyEndpoint }
     }
 }
 
@@ -34,7 +32,7 @@ impl Mapping {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
     /// The writer of the request.
-    pub(super) writer: GUID,
+    pub(super) writer: Guid,
     pub(super) request: Named,
 }
 
@@ -76,8 +74,8 @@ impl Header {
 }
 
 /// The name of the client in a request's parameter, if there is one: else its writer is it.
-pub(super) fn named(related: Option<SampleIdentity>) -> Option<GUID> {
-    related.map(|related| related.writer_guid).filter(|named| *named != GUID::GUID_UNKNOWN)
+pub(super) fn named(related: Option<SampleIdentity>) -> Option<Guid> {
+    related.map(|related| related.writer).filter(|named| *named != Guid::default())
 }
 
 #[cfg(test)]
@@ -88,11 +86,13 @@ mod tests {
     #[test]
     fn the_vendor_tells_the_mapping() {
         let mut guid = [0; 16];
-        for (vendor, mapping) in
-            [(CYCLONE, Mapping::InFront), ([1, 0x0f], Mapping::NearbyEndpoint), ([1, 0x12], Mapping::NearbyEndpoint)]
-        {
-            guid[..2].copy_from_slice(&vendor);
-            assert_eq!(Mapping::of(guid), mapping);
+        for (vendor, mapping) in [
+            (VendorId::CYCLONE, Mapping::InFront),
+            (VendorId::FAST_DDS, Mapping::NearbyEndpoint),
+            (VendorId::RUST_DDS, Mapping::NearbyEndpoint),
+        ] {
+            guid[..2].copy_from_slice(&vendor.0);
+            assert_eq!(Mapping::of(Guid::from_bytes(guid)), mapping);
         }
     }
 

@@ -2,14 +2,9 @@
 
 use std::{collections::BTreeMap, time::Instant};
 
-use bytes::Bytes;
-use futures::StreamExt;
-use ledger_gate::sample::{CDR_LE, HEADER_BYTES, Sample};
-use rustdds::{DataReaderStatus, GUID, StatusEvented, no_key::SimpleDataReader, rpc::SampleIdentity};
-use tokio::{
-    sync::mpsc,
-    time::{interval, sleep_until},
-};
+use ledger_gate::sample::{CDR_LE, HEADER_BYTES};
+use rtps::{guid::Guid, interface::IncomingSample, io::DomainReader};
+use tokio::{sync::mpsc, time::sleep_until};
 
 use super::{
     arrival::{Arrival, Side},
@@ -19,10 +14,8 @@ use super::{
 use crate::{
     graph::{
         dds::{
-            encoding::AnyRaw,
-            guid::prefix,
-            intake::{Intake, Verdict},
-            matched::{ALIVE_EVERY, Matched, Matches},
+            intake::Intake,
+            matched::{Matched, MismatchLog},
             participant::Participant,
         },
         mark::Mark,
@@ -40,7 +33,7 @@ pub(super) struct Pump {
     pub(super) topic: String,
     pub(super) of: Side,
     pub(super) intake: Intake,
-    pub(super) matches: Matches,
+    pub(super) mismatches: MismatchLog,
     pub(super) matched: Matched,
     pub(super) hearers: Matched,
     pub(super) held: WaitingRequests<Arrival>,
@@ -49,18 +42,14 @@ pub(super) struct Pump {
     pub(super) participant: Participant,
     pub(super) mark: Mark,
     /// The writers that were looked up: are they of a bridge of this network?
-    pub(super) bridges: BTreeMap<[u8; 16], bool>,
+    pub(super) bridges: BTreeMap<Guid, bool>,
     pub(super) log_limiter: LogLimiter,
 }
 
 impl Pump {
     /// Runs until the link is dropped, or DDS ends.
-    pub(super) async fn run(mut self, source: SimpleDataReader<Sample, AnyRaw>) {
-        let samples = source.as_async_stream();
-        let mut samples = std::pin::pin!(samples);
-        let mut statuses = source.as_async_status_stream();
-        let mut alive = interval(ALIVE_EVERY);
-        let mut hearers = self.hearers.clone();
+    pub(super) async fn run(mut self, mut source: DomainReader) {
+        let (mut matches, mut hearers) = (source.matches().clone(), self.hearers.clone());
         loop {
             let until = self.held.until();
             tokio::select! {
@@ -69,66 +58,28 @@ impl Pump {
                 () = async { sleep_until(until.unwrap_or_else(Instant::now).into()).await }, if until.is_some() => {
                     self.release();
                 }
-                sample = samples.next() => match sample {
-                    Some(Ok(change)) => {
-                        // DDS has told of its writer before: whoever takes it finds that there.
-                        while let Some(status) = source.try_recv_status() {
-                            self.note(&status);
-                        }
-                        let related = change.related_sample_identity();
-                        self.take(change.writer_guid, change.sequence_number.into(), related, &change.sample);
-                    }
-                    Some(Err(_)) => self.drop_one("it cannot be read"),
+                sample = source.next() => match sample {
+                    Some(sample) => self.take(sample, &source),
                     None => break,
                 },
-                status = statuses.next() => match status {
-                    Some(status) => self.note(&status),
-                    None => break,
-                },
-                // Nobody is woken when DDS ends, so it is looked at again.
-                _ = alive.tick() => {}
+                Ok(()) = matches.changed() => self.mismatches.look(&matches.borrow_and_update()),
             }
         }
         tracing::error!(topic = self.topic, "DDS has ended: nothing is read any more");
     }
 
-    fn note(&mut self, status: &DataReaderStatus) {
-        match status {
-            DataReaderStatus::SubscriptionMatched { current, writer, .. } => {
-                self.matches.changed(*writer, current.count_change());
-            }
-            DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. } => {
-                self.matches.refused();
-                let policy = format!("{last_policy_id:?}");
-                if let Some(not_logged) = self.log_limiter.admit("qos", Instant::now()) {
-                    tracing::warn!(
-                        topic = self.topic,
-                        policy,
-                        not_logged,
-                        "a peer offers less than services need: {REMEDY}"
-                    );
-                }
-            }
-            _ => {}
-        }
-    }
-
-    fn take(&mut self, writer: GUID, sequence: i64, related: Option<SampleIdentity>, sample: &Sample) {
-        let source = writer.to_bytes();
-        if self.matches.with_endpoints(|present| self.intake.judge(source, sequence, present)) != Verdict::Admit
-            || self.is_bridge(source)
-        {
+    fn take(&mut self, incoming: IncomingSample, source: &DomainReader) {
+        let IncomingSample { writer, sequence, related, payload, .. } = incoming;
+        if !self.intake.admits(writer, sequence, &source.matches().borrow().endpoints) || self.is_bridge(writer) {
             return;
         }
-        if sample.wire().len() > self.bytes_max {
+        if payload.len() > self.bytes_max {
             return self.drop_one("it is larger than sample_bytes_max");
         }
-        if sample.representation_id() != CDR_LE {
+        if !payload.starts_with(&CDR_LE) || payload.len() < HEADER_BYTES {
             return self.drop_one("it is not little endian CDR");
         }
-        // A copy, so that it keeps nothing larger alive.
-        let message = Bytes::copy_from_slice(sample.wire().get(HEADER_BYTES..).unwrap_or_default());
-        let arrival = Arrival { message, writer, sequence, related };
+        let arrival = Arrival { message: payload.slice(HEADER_BYTES..), writer, sequence, related };
         if self.of == Side::Client || is_heard(&arrival, &self.matched, &self.hearers) {
             // Earlier ones of the same client go first.
             self.release();
@@ -159,16 +110,15 @@ impl Pump {
     }
 
     /// Is it an endpoint of a bridge of this network? Messages from the ledger do not go there again.
-    fn is_bridge(&mut self, writer: [u8; 16]) -> bool {
+    fn is_bridge(&mut self, writer: Guid) -> bool {
         if let Some(known) = self.bridges.get(&writer) {
             return *known;
         }
         if self.bridges.len() >= MARKS_MAX {
             self.bridges.clear();
         }
-        let found = self.participant.publishers().find(|neighbour| neighbour.guid == writer);
-        let Some(found) = found else { return false };
-        let is_bridge = found.mark.is_some_and(|mark| mark.is_of_network_of(self.mark));
+        let Some(found) = self.participant.dds.endpoint(writer) else { return false };
+        let is_bridge = Mark::of(&found.qos).is_some_and(|mark| mark.is_of_network_of(self.mark));
         self.bridges.insert(writer, is_bridge);
         is_bridge
     }
@@ -177,9 +127,9 @@ impl Pump {
 /// Would the client of a request hear the reply? Its reader must be known. A request may name the reader. If not, as many
 /// readers as writers of its participant must be known: each client has one of both.
 fn is_heard(request: &Arrival, matched: &Matched, hearers: &Matched) -> bool {
-    if let Some(reader) = named(request.related).filter(|named| named.entity_id.kind().is_reader()) {
-        return hearers.has(&reader.to_bytes());
+    if let Some(reader) = named(request.related).filter(|named| named.entity.is_reader()) {
+        return hearers.has(reader);
     }
-    let participant = prefix(request.writer);
-    hearers.of_participant(&participant) >= matched.of_participant(&participant).max(1)
+    let participant = request.writer.prefix;
+    hearers.of_participant(participant) >= matched.of_participant(participant).max(1)
 }

@@ -1,7 +1,7 @@
 //! The server of a ROS 2 service.
 
 use bytes::Bytes;
-use rustdds::rpc::SampleIdentity;
+use rtps::guid::SampleIdentity;
 
 use super::{
     arrival::{Arrival, Side},
@@ -63,7 +63,7 @@ impl Server {
 
     /// Is the client that has called still there?
     pub fn is_there(&self, caller: &Caller) -> bool {
-        self.0.matched().has(&caller.writer.to_bytes())
+        self.0.matched().has(caller.writer)
     }
 
     /// The clients of others.
@@ -74,14 +74,14 @@ impl Server {
 
 /// The request in a message; none if it is too short to be one.
 fn request(Arrival { message, writer, sequence, related }: Arrival) -> Option<Request> {
-    let (request, message) = match Mapping::of(writer.to_bytes()) {
+    let (request, message) = match Mapping::of(writer) {
         Mapping::InFront => {
             let (header, message) = Header::split(&message)?;
             (Named::InFront(header), message)
         }
         Mapping::NearbyEndpoint => {
-            let writer_guid = named(related).unwrap_or(writer);
-            (Named::NearbyEndpoint(SampleIdentity { writer_guid, sequence_number: sequence.into() }), message)
+            let named = named(related).unwrap_or(writer);
+            (Named::NearbyEndpoint(SampleIdentity { writer: named, sequence }), message)
         }
     };
     Some(Request { message, caller: Caller { writer, request } })
