@@ -161,7 +161,7 @@ fn plan(data: &Path, address: &str) -> NetworkPlan {
     }
 }
 
-/// A host, and its address. The genesis names the address, so the socket is bound before that is written, and kept: nobody can take
+/// A host, and its address. The genesis names the address, so the socket is bound before that is written, and kept: no other process can take
 /// the port meanwhile.
 fn bound(listen: &str) -> Result<(Host, String), Rejection> {
     let listener = TcpListener::bind(listen).map_err(|error| {

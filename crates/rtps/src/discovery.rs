@@ -178,7 +178,7 @@ impl Discovery {
         self.renew(now, prefix);
     }
 
-    /// Matches the builtin endpoints of a participant with the own ones, or tells them its new addresses.
+    /// Matches the builtin endpoints of a participant with the own ones, or gives them its new addresses.
     fn connect(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(participant) = self.participants.get(&prefix) else { return };
         if let Some(peer) = participant.builtin_peer() {
@@ -277,7 +277,7 @@ impl Discovery {
         self.builtin.poll(now, out);
     }
 
-    /// Tells all participants that this one leaves, with all its endpoints.
+    /// Announces to all participants that this one leaves, with all its endpoints.
     pub(crate) fn leave(&mut self, now: Now, out: &mut Vec<Outgoing>) {
         let own: Vec<EntityId> = self.builtin.announced().collect();
         for entity in own {

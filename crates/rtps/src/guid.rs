@@ -33,19 +33,19 @@ impl EntityId {
     pub const PARTICIPANT: Self = Self([0, 0, 1, 0xc1]);
     /// Announces participants (SPDP).
     pub const SPDP_WRITER: Self = Self([0, 1, 0, 0xc2]);
-    /// Hears participants (SPDP).
+    /// Receives announcements of participants (SPDP).
     pub const SPDP_READER: Self = Self([0, 1, 0, 0xc7]);
     /// Announces writers (SEDP).
     pub const PUBLICATIONS_WRITER: Self = Self([0, 0, 3, 0xc2]);
-    /// Hears of writers (SEDP).
+    /// Receives announcements of writers (SEDP).
     pub const PUBLICATIONS_READER: Self = Self([0, 0, 3, 0xc7]);
     /// Announces readers (SEDP).
     pub const SUBSCRIPTIONS_WRITER: Self = Self([0, 0, 4, 0xc2]);
-    /// Hears of readers (SEDP).
+    /// Receives announcements of readers (SEDP).
     pub const SUBSCRIPTIONS_READER: Self = Self([0, 0, 4, 0xc7]);
     /// Asserts the liveliness of writers (§8.4.13).
     pub const LIVELINESS_WRITER: Self = Self([0, 2, 0, 0xc2]);
-    /// Hears the liveliness of writers (§8.4.13).
+    /// Receives the liveliness of writers (§8.4.13).
     pub const LIVELINESS_READER: Self = Self([0, 2, 0, 0xc7]);
 
     /// A writer of an application with this key, of 24 bits. `keyed`: its topic has keys.

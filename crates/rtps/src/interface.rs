@@ -52,7 +52,7 @@ pub struct EndpointSettings {
     pub qos: Qos,
     /// `typehash=RIHS01_…;` and other keys of ROS 2.
     pub user_data: Bytes,
-    /// Readers only: samples from before the match are not delivered, whatever the writer keeps. Sequence numbers tell: these are all
+    /// Readers only: samples from before the match are not delivered, whatever the writer keeps. By sequence numbers, these are all
     /// up to the last one of the writer's first HEARTBEAT, unless they came before it.
     pub without_history: bool,
 }
@@ -140,7 +140,7 @@ pub enum Input {
         /// The sample.
         sample: OutgoingSample,
     },
-    /// Leave the domain: others are told.
+    /// Leave the domain, and announce that to others.
     Leave,
 }
 

@@ -10,7 +10,7 @@
 //! writer        keeps the newest samples, sends and repairs them for each matched reader
 //! announcement  data of participants and endpoints as parameter lists
 //! wire          datagrams and submessages as bytes
-//! qos           policies that ROS 2 knows, and when they fit
+//! qos           policies that ROS 2 uses, and when they fit
 //! guid, time, limits
 //! io            sockets, clocks and tasks around a participant; the handles of applications
 //! ```

@@ -1,4 +1,4 @@
-//! The policies that ROS 2 knows, and when a writer fits a reader (DDS 1.4 §2.2.3).
+//! The policies that ROS 2 uses, and when a writer fits a reader (DDS 1.4 §2.2.3).
 
 mod partition;
 

@@ -145,7 +145,7 @@ impl Engine {
         }
     }
 
-    /// A voter stands for election, in a term that is later than the next one: it does not follow the leader of this term any more. To a
+    /// A voter campaigns, in a term that is later than the next one: it does not follow the leader of this term any more. To a
     /// voter that complains itself, that is another complaint.
     pub(super) fn count_campaign(&mut self, from: u64, message: &RaftMessage) {
         let campaigns = [RaftKind::PreVote, RaftKind::Vote].into_iter().any(|kind| message.kind == i32::from(kind));

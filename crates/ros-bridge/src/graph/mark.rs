@@ -17,7 +17,7 @@
 //! network     = the first 23 bits of SHA-256("ledgerd bridge" || network)
 //! service     = the first 32 bits of SHA-256("ledgerd bridge" || network || service)
 //! ```
-//! A mark is no proof: a local process can copy it. Then it is not taken in, which harms nobody else. Next to a route that
+//! A mark is no proof: a local process can copy it. Then it is not taken in, which harms no other process. Next to a route that
 //! delivers commands it passes for an earlier run of the bridge, but only as long as that could be there.
 
 use ledger_base::hash::Hash;

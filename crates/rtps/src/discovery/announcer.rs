@@ -25,15 +25,15 @@ pub(crate) mod builtin {
     pub(crate) const PARTICIPANT: u32 = 0b11;
     /// Announces its writers.
     pub(crate) const PUBLICATIONS_WRITER: u32 = 1 << 2;
-    /// Hears of writers.
+    /// Receives announcements of writers.
     pub(crate) const PUBLICATIONS_READER: u32 = 1 << 3;
     /// Announces its readers.
     pub(crate) const SUBSCRIPTIONS_WRITER: u32 = 1 << 4;
-    /// Hears of readers.
+    /// Receives announcements of readers.
     pub(crate) const SUBSCRIPTIONS_READER: u32 = 1 << 5;
     /// Asserts the liveliness of its writers.
     pub(crate) const LIVELINESS_WRITER: u32 = 1 << 10;
-    /// Hears the liveliness of writers.
+    /// Receives the liveliness of writers.
     pub(crate) const LIVELINESS_READER: u32 = 1 << 11;
     /// Those of this crate.
     pub(crate) const OWN: u32 = PARTICIPANT
@@ -121,7 +121,7 @@ impl Announcer {
         self.send(now, to.to_vec(), peer, Payload::Data(self.payload.clone()), 0, out);
     }
 
-    /// Tells all that this participant leaves: it is disposed of and unregistered.
+    /// Announces to all that this participant leaves: it is disposed of and unregistered.
     pub(crate) fn leave(&mut self, now: Now, others: impl Iterator<Item = SocketAddrV4>, out: &mut Vec<Outgoing>) {
         let payload = Payload::Key(key_payload(self.guid));
         self.send(now, self.with(others), GuidPrefix::UNKNOWN, payload, 3, out);

@@ -70,7 +70,7 @@ struct End {
     sequence: SequenceNumber,
 }
 
-/// When ends are told again, and since which moment.
+/// When ends are announced again, and since which moment.
 #[derive(Clone, Copy, Debug)]
 struct Repetition {
     due: u64,
@@ -84,13 +84,13 @@ pub(crate) struct BuiltinEndpoints {
     writers: BTreeMap<EntityId, Writer>,
     readers: BTreeMap<EntityId, Reader>,
     /// The current announcement of each own endpoint. Invariant: the writers of announcements keep these and no others, and those of
-    /// `ends` that not all have heard of.
+    /// `ends` that not all have received.
     announced: BTreeMap<EntityId, SequenceNumber>,
     liveliness: Liveliness,
     /// The oldest first, at most [`ENDS_MAX`].
     ends: VecDeque<End>,
     repetition: Option<Repetition>,
-    /// When ends were told again last.
+    /// When ends were announced again last.
     repeated: Option<u64>,
     /// Participants that were silent, and since when: they may not know that, and keep what they heard before. At most [`LOST_MAX`].
     lost: BTreeMap<GuidPrefix, u64>,
@@ -173,7 +173,7 @@ impl BuiltinEndpoints {
         self.lost.insert(prefix, since);
     }
 
-    /// Tells again which endpoints have been closed since a moment. For whoever knows it, it changes nothing.
+    /// Announces again which endpoints have been closed since a moment. Repeating it changes nothing.
     fn repeat_ends(&mut self, now: Now) {
         let Some(Repetition { since, .. }) = self.repetition.take_if(|repetition| repetition.due <= now.steady) else {
             return;

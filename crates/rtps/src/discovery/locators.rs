@@ -16,7 +16,7 @@ fn port(domain: u16, offset: u32) -> Option<u16> {
     u16::try_from(7400 + 250 * u32::from(domain) + offset).ok()
 }
 
-/// Where all participants of a domain hear of each other.
+/// The multicast address by which all participants of a domain find each other.
 pub(crate) fn discovery_multicast(domain: u16) -> Option<SocketAddrV4> {
     Some(SocketAddrV4::new(GROUP, port(domain, 0)?))
 }

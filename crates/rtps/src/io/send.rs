@@ -100,7 +100,7 @@ impl Outlet {
 
     /// Returns whether it is the first to wait.
     fn send(&mut self, to: SocketAddrV4, datagram: &Bytes, backlog: &mut Backlog) -> bool {
-        // The order is kept: a HEARTBEAT must not pass the sample that it tells of.
+        // The order is kept: a HEARTBEAT must not pass the sample that it announces.
         let is_first = self.waiting.is_empty();
         if is_first && !self.is_full(to, datagram, backlog) {
             return false;

@@ -176,7 +176,7 @@ fn receiver(port: u16, is_shared: bool, filter: Option<&[SockFilter]>) -> io::Re
 fn multicast_sender(interface: Ipv4Addr, only_local: bool) -> Option<UdpSocket> {
     let open = || {
         let socket = sender(Some(interface))?;
-        // Other participants of this host hear them. With a TTL of 0 no other host does.
+        // Other participants of this host receive them. With a TTL of 0 no other host does.
         socket.set_multicast_loop_v4(true)?;
         socket.set_multicast_ttl_v4(u32::from(!only_local))?;
         Ok(socket)

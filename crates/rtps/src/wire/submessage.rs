@@ -9,7 +9,7 @@ use bytes::Bytes;
 pub struct NumberSet {
     /// The first number that can be in the set. Everything below is not in it.
     pub base: i64,
-    /// How many numbers the set tells of, at most [`crate::limits::SET_BITS_MAX`].
+    /// How many numbers the set covers, at most [`crate::limits::SET_BITS_MAX`].
     pub bits: u32,
     /// One bit for each, the most significant of the first word first.
     pub bitmap: [u32; 8],
@@ -178,7 +178,7 @@ pub enum Submessage {
 pub struct Addressed {
     /// The participant that sends it.
     pub source: GuidPrefix,
-    /// The participant for which it is; [`GuidPrefix::UNKNOWN`] for everybody.
+    /// The participant for which it is; [`GuidPrefix::UNKNOWN`] for all.
     pub destination: GuidPrefix,
     /// INFO_TS; none if it was absent or said that there is none.
     pub timestamp: Option<Ticks>,

@@ -194,7 +194,7 @@ fn a_write_waits_for_no_reader_and_the_newest_samples_replace_the_oldest() {
         assert!(writer.history.bytes_kept() <= HISTORY_BYTES_MAX);
     }
     assert_eq!(writer.history.numbers().len(), 31);
-    // What is gone is told by HEARTBEAT.
+    // A HEARTBEAT announces the samples that are gone.
     poll(&mut writer, 0);
     writer.add_reader(at(0), peer(1, true, true));
     assert_eq!(heartbeats(&poll(&mut writer, 0)), [(10, 40)]);

@@ -1,4 +1,4 @@
-//! Which samples a reader lets in: none twice, none out of order. DDS promises that for one match; a writer that was lost and comes back
+//! The samples that a reader accepts: none twice, none out of order. DDS promises that for one match; a writer that was lost and comes back
 //! is matched again, and may send again what it keeps.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -91,7 +91,7 @@ impl Reader {
             topic: description,
             qos: filter.as_ref().map_or_else(|| policies.clone(), |filter| filter.mark().put_on(policies.clone())),
             user_data: participant.type_hash(message),
-            // With one clock, a sample tells whether it is history. Otherwise its place before the first HEARTBEAT does.
+            // With one clock, its timestamp shows whether a sample is history. Otherwise its place before the first HEARTBEAT does.
             without_history: !participant.is_alone && qos.durability == Durability::Volatile,
         };
         let opened = (qos.durability == Durability::Volatile).then(Instant::now);
@@ -168,7 +168,7 @@ struct Pump {
     filter: Option<Arc<LoopFilter>>,
     /// The marks of writers that were looked up.
     marks: BTreeMap<Guid, Option<Mark>>,
-    /// The losses of which the queue of the route knows.
+    /// The losses that the queue of the route has counted.
     losses: Losses,
     log_limiter: LogLimiter,
 }

@@ -213,7 +213,7 @@ impl Network {
     }
 }
 
-/// By which socket a participant takes a datagram in. The sender hears its own multicast.
+/// By which socket a participant takes a datagram in. The sender receives its own multicast.
 fn channel(sender: &Config, receiver: &Config, to: SocketAddrV4) -> Option<Channel> {
     if *to.ip() == GROUP {
         return match to.port() {
