@@ -38,6 +38,7 @@ mod stop_early;
 mod tasks;
 mod telling;
 mod traces;
+mod watchdog;
 mod watched;
 mod world;
 

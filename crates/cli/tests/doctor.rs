@@ -83,6 +83,8 @@ fn variables_of_ros_that_a_bridge_cannot_follow_are_wrong() {
     for (variable, value, check, repair) in [
         ("ROS_DOMAIN_ID", "seven", "DDS domain", "domain_id"),
         ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp", "DDS domain", "rmw_fastrtps_cpp"),
+        ("ROS_DISCOVERY_SERVER", "10.0.0.1:11811", "DDS domain", "ROS_STATIC_PEERS"),
+        ("FASTDDS_BUILTIN_TRANSPORTS", "SHM", "DDS domain", "UDPv4"),
         ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "DDS interfaces", "discovery_range"),
         ("ROS_STATIC_PEERS", "two words", "DDS interfaces", "static_peers"),
         ("ROS_SECURITY_ENABLE", "true", "DDS interfaces", "ROS_SECURITY_ENABLE=false"),

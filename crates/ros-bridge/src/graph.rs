@@ -6,6 +6,7 @@ pub(crate) mod addresses;
 pub mod dds;
 pub mod domain;
 pub(crate) mod endpoint;
+pub mod environment;
 pub(crate) mod local;
 pub mod loop_filter;
 pub mod mark;

@@ -51,6 +51,6 @@ mod shutdown;
 
 pub use bridge::{Bridge, Summary, keep_renewed, run};
 pub use config::{Config, Guarded, IdentitySource, context_of};
-pub use graph::{dds, domain, loop_filter, mark, messages::stop, names, qos, queue, reach, shm};
+pub use graph::{dds, domain, environment, loop_filter, mark, messages::stop, names, qos, queue, reach, shm};
 pub use monitor::{BridgeMonitor, BridgeStatus, BridgeView, Level, RouteView, Status};
 pub use routes::counters::{BOUNDS_US, Latency, RouteSummary, Spread, Tally};

@@ -23,8 +23,7 @@ use ros_bridge::{
     reach::Reach,
 };
 
-const LATCHED: Qos =
-    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 100, keyed: false };
+const LATCHED: Qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 100);
 
 /// Where processes with other clocks may be heard.
 fn not_alone() -> Reach {

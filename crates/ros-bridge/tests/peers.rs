@@ -20,10 +20,8 @@ const DEADLINE: Duration = Duration::from_secs(60);
 const DOMAIN: u16 = 5;
 /// An image of 640 x 480 in three colours.
 const VGA: usize = 900_000;
-const BEST_EFFORT: Qos =
-    Qos { reliability: Reliability::BestEffort, durability: Durability::Volatile, depth: 100, keyed: false };
-const LATCHED: Qos =
-    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 10, keyed: false };
+const BEST_EFFORT: Qos = Qos::new(Reliability::BestEffort, Durability::Volatile, 100);
+const LATCHED: Qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 10);
 
 /// Samples, how many of them a second, and bytes of each; 0 is a Twist.
 type Stream = (u32, u32, usize);

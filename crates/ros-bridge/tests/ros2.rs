@@ -25,8 +25,7 @@ const DEADLINE: Duration = Duration::from_secs(60);
 const DOMAIN: u16 = 5;
 const TWIST: &str = "geometry_msgs/msg/Twist";
 const TWIST_HASH: &str = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
-const LATCHED: Qos =
-    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 100, keyed: false };
+const LATCHED: Qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 100);
 
 /// Is a whole ROS 2 sourced? Otherwise it says why the test is skipped.
 fn is_sourced() -> bool {

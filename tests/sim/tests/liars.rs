@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Of the gates, judged by `control`.
 const CERTIFIED_STATE: &str = "no gate passes what no certified state of the last second allows";
 /// Seeds of one test run; `LEDGER_LIAR_SEEDS` runs more.
-const SEEDS: u64 = 64;
+const SEEDS: u64 = 40;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 5000;
 /// Those that once failed.

@@ -167,7 +167,7 @@ fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
 
 #[test]
 fn a_free_place_that_goes_to_somebody_before_the_line_is_noticed() {
-    caught(Mutation::SkipTheLine, 0, &["nobody is overtaken", "the oracle agrees"]);
+    caught(Mutation::SkipTheLine, 9, &["nobody is overtaken", "the oracle agrees"]);
 }
 
 #[test]

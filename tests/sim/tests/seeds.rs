@@ -8,7 +8,7 @@ use ledgerd_sim::seeds::{Report, Simulation, Storms, all, explain};
 use std::sync::Arc;
 
 /// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
-const SEEDS: u64 = 24;
+const SEEDS: u64 = 16;
 /// Seeds of `./test --long`.
 const SEEDS_LONG: u64 = 2000;
 /// Those that once failed.

@@ -17,6 +17,7 @@ use crate::{
     graph::{
         addresses::Addresses,
         domain::{Domain, ROS_DOMAIN_ID},
+        environment::OutOfReach,
         local::LocalGraph,
         reach::Reach,
     },
@@ -58,6 +59,9 @@ impl Bridge {
         }
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
+        for found in OutOfReach::find(|name| std::env::var(name).ok()) {
+            tracing::warn!(remedy = found.remedy, "{found}");
+        }
         let addresses = Addresses::read(&reach).await?;
         let local = LocalGraph::join(domain.id, &reach, &config.node_name, config.shared_memory).await?;
 

@@ -63,8 +63,7 @@ fn every_fault_is_named_at_once_with_its_line() {
 fn quality_of_service_is_read_by_the_names_of_ros() {
     let qos = "qos = { reliability = 'best_effort', durability = 'transient_local', depth = 5 }";
     let config = parse(&format!("{ROUTE}direction = 'to_ledger'\n{qos}")).unwrap();
-    let wanted =
-        Qos { reliability: Reliability::BestEffort, durability: Durability::TransientLocal, depth: 5, keyed: false };
+    let wanted = Qos::new(Reliability::BestEffort, Durability::TransientLocal, 5);
     assert_eq!(config.routes[0].qos, wanted);
     for bad in ["reliabilty = 'reliable'", "reliability = 'maybe'", "depth = -1"] {
         assert!(parse(&format!("{ROUTE}direction = 'to_ledger'\nqos = {{ {bad} }}")).is_err(), "{bad}");

@@ -3,8 +3,13 @@
 //! Reader and writer match only if the writer offers at least what the reader requests: a reliable
 //! reader does not hear a best-effort writer. Sensors often publish best effort.
 
+use std::{fmt, time::Duration};
+
 use ledger_base::settings::Section;
-use rtps::qos::{self, History, Qos as Policies};
+use rtps::{
+    qos::{self, History, LivelinessKind, Qos as Policies},
+    time::Ticks,
+};
 
 use crate::error::{Error, Explained, Result};
 
@@ -12,6 +17,8 @@ use crate::error::{Error, Explained, Result};
 pub const DEPTH_SAMPLES_MAX: u32 = 10_000;
 /// Default of [`Qos::depth`]. Readers lose samples of a burst below about 100.
 pub const DEPTH_SAMPLES_DEFAULT: u32 = 100;
+/// Shortest deadline and lease that a writer offers, microseconds. A subscriber that requests a shorter one is not served.
+const TIMELINESS_MICROS_MIN: u64 = 1000;
 
 /// Whether lost samples are sent again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -66,6 +73,35 @@ impl Default for AdoptedQos {
     }
 }
 
+/// The timeliness that a writer offers because subscribers request it. A publisher that becomes silent breaks it, and the watchdog of
+/// the subscriber takes effect. So the bridge keeps it by delivered samples only, never by a timer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Timeliness {
+    /// Longest time between two samples.
+    pub deadline: Ticks,
+    /// Longest time for which one sample proves that the writer is alive (MANUAL_BY_TOPIC). None: no subscriber requests it.
+    pub liveliness_lease: Option<Ticks>,
+}
+
+impl Timeliness {
+    /// Nothing is promised.
+    pub const NONE: Self = Self { deadline: Ticks::INFINITE, liveliness_lease: None };
+
+    /// The strictest of these requests.
+    fn meeting(others: &[&Policies]) -> Self {
+        let shortest = |times: &mut dyn Iterator<Item = Ticks>| {
+            times.min().map(|time| time.max(Ticks::from_micros(TIMELINESS_MICROS_MIN)))
+        };
+        let has_watchdog = |other: &&&Policies| {
+            other.liveliness != LivelinessKind::Automatic || other.liveliness_lease < Ticks::INFINITE
+        };
+        Self {
+            deadline: shortest(&mut others.iter().map(|other| other.deadline)).unwrap_or(Ticks::INFINITE),
+            liveliness_lease: shortest(&mut others.iter().filter(has_watchdog).map(|other| other.liveliness_lease)),
+        }
+    }
+}
+
 /// The settings of one route; unset ones have ROS 2's defaults for publishers and subscriptions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Qos {
@@ -79,16 +115,22 @@ pub struct Qos {
     /// Is the topic declared with keys? DDS connects no endpoint with keys to one without. Default: without, as ROS 2's
     /// topics are.
     pub keyed: bool,
+    /// Offered by writers as subscribers request it; not a setting. Readers request none.
+    pub timeliness: Timeliness,
 }
 
 impl Default for Qos {
     fn default() -> Self {
-        let (reliability, durability) = (Reliability::default(), Durability::default());
-        Self { reliability, durability, depth: DEPTH_SAMPLES_DEFAULT, keyed: false }
+        Self::new(Reliability::default(), Durability::default(), DEPTH_SAMPLES_DEFAULT)
     }
 }
 
 impl Qos {
+    /// Of a topic without keys, with no timeliness.
+    pub const fn new(reliability: Reliability, durability: Durability, depth: u32) -> Self {
+        Self { reliability, durability, depth, keyed: false, timeliness: Timeliness::NONE }
+    }
+
     /// Reads the settings; answers what is not set.
     pub(crate) fn read(&mut self, section: &mut Section<'_, '_>) -> AdoptedQos {
         let (mut reliability, mut durability) = (None, None);
@@ -135,6 +177,9 @@ impl Qos {
             let is_latched = is_latched && !is_command;
             met.durability = if is_latched { Durability::TransientLocal } else { Durability::Volatile };
         }
+        if !reads {
+            met.timeliness = Timeliness::meeting(others);
+        }
         met
     }
 
@@ -150,7 +195,32 @@ impl Qos {
                 Durability::TransientLocal => qos::Durability::TransientLocal,
             },
             history: History::KeepLast(self.depth.clamp(1, DEPTH_SAMPLES_MAX)),
+            deadline: self.timeliness.deadline,
+            liveliness: match self.timeliness.liveliness_lease {
+                // By topic: one that DDS asserts by itself would hide a silent driver from the robot's watchdog.
+                Some(_) => LivelinessKind::ManualByTopic,
+                None => LivelinessKind::Automatic,
+            },
+            liveliness_lease: self.timeliness.liveliness_lease.unwrap_or(Ticks::INFINITE),
             ..Policies::default()
+        }
+    }
+}
+
+impl fmt::Display for Qos {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}, {}", self.reliability.name(), self.durability.name())?;
+        if self.keyed {
+            f.write_str(", with keys")?;
+        }
+        let finite = |time: Ticks| time.to_micros().map(Duration::from_micros);
+        if let Some(deadline) = finite(self.timeliness.deadline) {
+            write!(f, ", deadline {deadline:?}")?;
+        }
+        match self.timeliness.liveliness_lease.map(finite) {
+            Some(Some(lease)) => write!(f, ", liveliness {lease:?}"),
+            Some(None) => f.write_str(", liveliness"),
+            None => Ok(()),
         }
     }
 }
@@ -170,7 +240,7 @@ mod tests {
     #[test]
     fn settings_become_policies_of_dds() {
         let (reliability, durability) = (Reliability::BestEffort, Durability::TransientLocal);
-        let policies = Qos { reliability, durability, depth: 5, keyed: false }.policies();
+        let policies = Qos::new(reliability, durability, 5).policies();
         assert_eq!(policies.reliability, qos::Reliability::BestEffort);
         assert_eq!(policies.durability, qos::Durability::TransientLocal);
         assert_eq!(policies.history, History::KeepLast(5));
@@ -186,7 +256,7 @@ mod tests {
 
     #[test]
     fn a_route_meets_the_endpoints_on_its_topic_where_nobody_has_set_how() {
-        let of = |reliability, durability| Qos { reliability, durability, depth: 1, keyed: false }.policies();
+        let of = |reliability, durability| Qos::new(reliability, durability, 1).policies();
         let (latched, plain) =
             (of(Reliability::Reliable, Durability::TransientLocal), of(Reliability::BestEffort, Durability::Volatile));
         let meet = |reads, is_command, others: &[&Policies]| {
@@ -204,5 +274,36 @@ mod tests {
         }
         let set = AdoptedQos { reliability: false, durability: false };
         assert_eq!(Qos::default().meeting(set, true, false, &[&plain, &latched]), Qos::default());
+    }
+
+    #[test]
+    fn a_writer_offers_the_strictest_timeliness_that_is_requested_and_no_timer_keeps_it() {
+        let requests = |deadline, liveliness, lease| Policies {
+            deadline: Ticks::from_micros(deadline),
+            liveliness,
+            liveliness_lease: if lease == 0 { Ticks::INFINITE } else { Ticks::from_micros(lease) },
+            ..Policies::default()
+        };
+        let plain = Policies::default();
+        let slow = requests(500_000, LivelinessKind::Automatic, 2_000_000);
+        let fast = requests(100_000, LivelinessKind::ManualByTopic, 300_000);
+        let endless = requests(1, LivelinessKind::ManualByParticipant, 0);
+        let meet =
+            |reads, others: &[&Policies]| Qos::default().meeting(AdoptedQos::default(), reads, true, others).policies();
+        for others in [&[&plain, &slow, &fast][..], &[&slow][..], &[&fast, &slow][..], &[&endless][..], &[&plain][..]] {
+            let offered = meet(false, others);
+            for other in others {
+                let misses = offered.mismatches(other);
+                // A microsecond is below what is offered to anybody.
+                let is_too_fast = other.deadline < Ticks::from_micros(TIMELINESS_MICROS_MIN);
+                assert_eq!(misses.as_slice(), if is_too_fast { &[qos::Policy::Deadline][..] } else { &[] });
+            }
+            let is_watched = others.iter().any(|other| **other != plain);
+            assert_eq!(offered.liveliness == LivelinessKind::ManualByTopic, is_watched, "a sample alone proves it");
+            assert_eq!(meet(true, others).deadline, Ticks::INFINITE, "a reader requests none");
+            assert_eq!(meet(true, others).liveliness, LivelinessKind::Automatic);
+        }
+        assert_eq!(meet(false, &[&slow, &fast]).deadline, fast.deadline);
+        assert_eq!(meet(false, &[&slow, &fast]).liveliness_lease, fast.liveliness_lease);
     }
 }

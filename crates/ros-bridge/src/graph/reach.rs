@@ -16,6 +16,8 @@ use ledger_base::settings::Section;
 pub const ROS_AUTOMATIC_DISCOVERY_RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";
 /// The variable that names hosts beyond that range, with `;` between them.
 pub const ROS_STATIC_PEERS: &str = "ROS_STATIC_PEERS";
+/// The older variable for the range: if it is 1, ROS 2 ignores the range and the static peers of the environment.
+const ROS_LOCALHOST_ONLY: &str = "ROS_LOCALHOST_ONLY";
 /// Demands DDS Security (SROS2) from every ROS 2 node if it is `true`.
 const ROS_SECURITY_ENABLE: &str = "ROS_SECURITY_ENABLE";
 /// Most static peers, and most interfaces.
@@ -93,6 +95,8 @@ impl Reach {
                     "start the bridge with {ROS_SECURITY_ENABLE}=false; docs/bridge.md (SROS2) says how to close the robot's graph"
                 )));
         }
+        let is_localhost_only = variable(ROS_LOCALHOST_ONLY).is_some_and(|text| text == "1");
+        let variable = |name| variable(name).filter(|_| !is_localhost_only);
         let range = match (settings.range, variable(ROS_AUTOMATIC_DISCOVERY_RANGE)) {
             (Some(range), _) => range,
             (None, None) => Range::default(),
@@ -187,6 +191,30 @@ mod tests {
             choose(&Settings::default(), "", "10.0.0.6; robot7.local;").unwrap().static_peers,
             ["10.0.0.6", "robot7.local"]
         );
+    }
+
+    #[test]
+    fn localhost_only_counts_before_the_other_variables_and_after_the_settings() {
+        let choose = |settings: &Settings, only: &str| {
+            let of = |name: &str| match name {
+                ROS_LOCALHOST_ONLY => Some(only.to_owned()),
+                ROS_AUTOMATIC_DISCOVERY_RANGE => Some("SUBNET".to_owned()),
+                ROS_STATIC_PEERS => Some("10.0.0.6".to_owned()),
+                _ => None,
+            };
+            Reach::choose(settings, of).unwrap().to_string()
+        };
+        let none = Settings::default();
+        assert_eq!(choose(&none, "1"), "local processes only");
+        for disabled in ["0", "", "true"] {
+            assert_eq!(
+                choose(&none, disabled),
+                "all hosts of the subnet and 10.0.0.6",
+                "as ROS 2 reads it: {disabled:?}"
+            );
+        }
+        let settings = Settings { range: Some(Range::Subnet), ..Settings::default() };
+        assert_eq!(choose(&settings, "1"), "all hosts of the subnet");
     }
 
     #[test]

@@ -164,9 +164,7 @@ impl Neighbourhood {
         let others: Vec<&Neighbour> = others.collect();
         if let Some(met) = open.meet(&others) {
             let (service, topic) = (&open.slot.route.service, open.topic().as_str());
-            let (reliability, durability) = (met.reliability.name(), met.durability.name());
-            let keys = if met.keyed { ", with keys" } else { "" };
-            tracing::info!(service, topic, "{reliability}, {durability}{keys}: as the others on {topic}");
+            tracing::info!(service, topic, "{met}: as the others on {topic}");
         }
     }
 

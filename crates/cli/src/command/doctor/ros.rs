@@ -6,6 +6,7 @@ use netdev::Interface;
 use ros_bridge::Config;
 use ros_bridge::config::PROGRAM_SECTIONS;
 use ros_bridge::domain::{Domain, ROS_DOMAIN_ID};
+use ros_bridge::environment::OutOfReach;
 use ros_bridge::reach::{Range, Reach, Settings};
 use std::fs;
 use std::io;
@@ -25,8 +26,6 @@ const RECEIVE_BUFFER_MIN: u64 = 4 << 20;
 const EPHEMERAL: &str = "/proc/sys/net/ipv4/ip_local_port_range";
 /// Ports of DDS: the first of domain 0, how many a domain has, and how many of them are used by a full host.
 const PORTS: (u32, u32, u32) = (7400, 250, 250);
-/// The variable that chooses the middleware of ROS 2.
-const RMW: &str = "RMW_IMPLEMENTATION";
 
 /// Looks at the graph that a bridge on this machine would join.
 pub(super) fn look(config: Option<&Path>, domain: Option<u16>, findings: &mut Vec<Finding>) {
@@ -37,7 +36,8 @@ pub(super) fn look(config: Option<&Path>, domain: Option<u16>, findings: &mut Ve
         Ok(domain) => ports(&domain, &fs::read_to_string(EPHEMERAL).unwrap_or_default()),
         Err(refused) => Finding::refused("DDS domain", &refused),
     });
-    findings.extend(environment(RMW).and_then(|name| middleware(&name)));
+    let hidden = OutOfReach::find(environment);
+    findings.extend(hidden.into_iter().map(|found| Finding::wrong("DDS domain", found.to_string(), found.remedy)));
     let interfaces = netdev::get_interfaces();
     let reach = config.map_or_else(Settings::default, |config| config.reach);
     match Reach::choose(&reach, environment) {
@@ -76,19 +76,6 @@ fn ports(domain: &Domain, ephemeral: &str) -> Finding {
         ),
         _ => Finding::ok("DDS domain", text),
     }
-}
-
-/// A middleware that does not speak DDS.
-fn middleware(name: &str) -> Option<Finding> {
-    let speaks_dds =
-        name.is_empty() || ["fastrtps", "cyclonedds", "connext", "gurum"].iter().any(|dds| name.contains(dds));
-    (!speaks_dds).then(|| {
-        Finding::wrong(
-            "DDS domain",
-            format!("{RMW}={name} does not speak DDS: a bridge does not see its nodes"),
-            format!("{RMW}=rmw_fastrtps_cpp or rmw_cyclonedds_cpp, for every node of this graph"),
-        )
-    })
 }
 
 /// The interfaces that the bridge would use, and whether they lead where it shall reach.
@@ -211,12 +198,6 @@ mod tests {
         assert_eq!(buffers(Some("212992\n")).state, State::Advice);
         assert_eq!(buffers(Some("4194304")).state, State::Ok);
         assert_eq!(buffers(None).state, State::Unknown);
-    }
-
-    #[test]
-    fn a_middleware_without_dds_is_wrong() {
-        assert!(middleware("rmw_fastrtps_cpp").is_none() && middleware("rmw_cyclonedds_cpp").is_none());
-        assert_eq!(middleware("rmw_zenoh_cpp").map(|found| found.state), Some(State::Wrong));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Endpoints on the other end: counted, so that callers wait on a condition instead of a time.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use rtps::{
     guid::{Guid, GuidPrefix},
@@ -10,6 +10,9 @@ use rtps::{
 use tokio::sync::watch;
 
 use crate::log::LogLimiter;
+
+/// By then a route has followed the quality of service of a subscriber that has come.
+const FOLLOWED: Duration = Duration::from_secs(2);
 
 /// The findings of discovery for one endpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -101,9 +104,11 @@ impl MismatchLog {
     }
 }
 
-/// Logs the mismatches of a writer until it is closed, or DDS ends.
+/// Logs the mismatches of a writer until it is closed, or DDS ends. The route may follow the subscribers by another writer; only a
+/// mismatch that stays is logged.
 pub(super) async fn watch_writer(mut matches: watch::Receiver<Matches>, mut log: MismatchLog) {
     while matches.changed().await.is_ok() {
+        tokio::time::sleep(FOLLOWED).await;
         log.look(&matches.borrow_and_update());
     }
     tracing::error!(topic = log.topic, "DDS has ended: no sample is written any more");

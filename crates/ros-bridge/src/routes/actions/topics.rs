@@ -23,12 +23,7 @@ pub(super) struct ActionTopic {
 /// # Errors
 /// The name of the action is too long for it.
 pub(super) fn feedback(action: &TopicName, of: &TypeName) -> Result<ActionTopic> {
-    let qos = Qos {
-        reliability: Reliability::Reliable,
-        durability: Durability::Volatile,
-        depth: FEEDBACK_DEPTH,
-        keyed: false,
-    };
+    let qos = Qos::new(Reliability::Reliable, Durability::Volatile, FEEDBACK_DEPTH);
     Ok(ActionTopic { topic: action.below("/_action/feedback")?, message: of.part("_FeedbackMessage"), qos })
 }
 
@@ -37,8 +32,7 @@ pub(super) fn feedback(action: &TopicName, of: &TypeName) -> Result<ActionTopic>
 /// # Errors
 /// As [`feedback`].
 pub(super) fn status(action: &TopicName) -> Result<ActionTopic> {
-    let qos =
-        Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1, keyed: false };
+    let qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 1);
     let message = TypeName::parse("action_msgs/msg/GoalStatusArray")?;
     Ok(ActionTopic { topic: action.below("/_action/status")?, message, qos })
 }

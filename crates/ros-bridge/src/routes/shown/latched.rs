@@ -12,8 +12,7 @@ use crate::graph::{
     qos::{Durability, Qos, Reliability},
 };
 
-const QOS: Qos =
-    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1, keyed: false };
+const QOS: Qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 1);
 
 /// The topic.
 pub(crate) struct LatchedTopic {

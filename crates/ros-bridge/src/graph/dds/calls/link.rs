@@ -42,7 +42,7 @@ const UNACKNOWLEDGED_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Most bytes that wait for the task of a link.
 const QUEUE_BYTES_MAX: usize = 64 * 1024 * 1024;
 /// As the middlewares of ROS 2 have it for services, but deeper for bursts.
-const QOS: Qos = Qos { reliability: Reliability::Reliable, durability: Durability::Volatile, depth: 100, keyed: false };
+const QOS: Qos = Qos::new(Reliability::Reliable, Durability::Volatile, 100);
 
 /// The two topics of a link, and how it is announced.
 pub(super) struct LinkTopics {
