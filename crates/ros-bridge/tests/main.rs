@@ -8,6 +8,7 @@ mod commands;
 mod cyclone;
 mod dds;
 mod forged;
+mod large;
 mod peers;
 mod ros2;
 mod shm;

@@ -267,10 +267,12 @@ fn the_scripts_for_a_real_ros_2_are_python() {
         "../../examples/sros2/relay.py",
         "action.py",
         "graph.py",
+        "large.py",
         "listener.py",
         "service.py",
         "talker.py",
         "transform.py",
+        "watchdog.py",
     ] {
         let check = "import ast, sys; ast.parse(open(sys.argv[1]).read())";
         let script = source(&format!("../ros/{name}"));

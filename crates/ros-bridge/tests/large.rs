@@ -1,0 +1,176 @@
+//! Messages from 1 kB to 4 MB over each kind of channel, in both directions, beside CycloneDDS and Fast DDS. A goal and a result of an
+//! action are a request and a reply, and feedback is a topic.
+
+use std::{collections::BTreeSet, time::Duration};
+use testkit::own_network as network;
+
+use ledger_base::hash::Hash;
+use ledger_gate::sample::{CDR_LE, Sample};
+use ros_bridge::{
+    dds::{Client, Exchange, Participant, Server},
+    error::Error,
+    mark::Mark,
+    names::{TopicName, TypeName},
+    qos::{Durability, Qos, Reliability},
+    queue::Limits,
+};
+use testkit::{python::Python, rclpy};
+
+const DOMAIN: u16 = 5;
+const DEADLINE: Duration = Duration::from_secs(60);
+const BYTES_MAX: usize = 8 << 20;
+/// Bytes of the string in a message. Around 64 kB a message becomes larger than a datagram.
+const SIZES: [usize; 8] = [1_000, 60_000, 64_000, 66_000, 100_000, 400_000, 1_000_000, 4_000_000];
+const LATCHED: Qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 1);
+const ASK: &str = "rcl_interfaces/srv/GetParameters";
+const TELL: &str = "std_srvs/srv/SetBool";
+
+/// A string of this size as CDR has it.
+fn string(size: usize) -> Vec<u8> {
+    let mut bytes = u32::try_from(size + 1).unwrap().to_le_bytes().to_vec();
+    bytes.resize(4 + size, b'x');
+    bytes.push(0);
+    bytes
+}
+
+/// The size of such a string.
+fn size_of(bytes: &[u8]) -> usize {
+    let (length, text) = bytes.split_at(4);
+    let size = u32::from_le_bytes(length.try_into().unwrap()) as usize - 1;
+    assert!(text[..size].iter().all(|byte| *byte == b'x'), "a byte of {size} is wrong");
+    size
+}
+
+/// A request of `GetParameters` with one name of this size.
+fn question(size: usize) -> Vec<u8> {
+    [1u32.to_le_bytes().to_vec(), string(size)].concat()
+}
+
+/// A reply of `SetBool` with a message of this size.
+fn answer(size: usize) -> Vec<u8> {
+    [vec![1, 0, 0, 0], string(size)].concat()
+}
+
+fn exchange(name: &str, of: &str) -> Exchange {
+    Exchange::new(&TopicName::parse(name).unwrap(), &TypeName::parse(of).unwrap())
+}
+
+/// Calls as soon as somebody serves, and returns the reply.
+async fn call(client: &mut Client, request: &[u8]) -> Vec<u8> {
+    let done = async {
+        loop {
+            match client.call(request) {
+                Ok(number) => loop {
+                    let reply = client.next().await.unwrap();
+                    if reply.number == number {
+                        return reply.message.to_vec();
+                    }
+                },
+                Err(Error::Unserved(_)) => tokio::time::sleep(Duration::from_millis(20)).await,
+                Err(error) => panic!("{error}"),
+            }
+        }
+    };
+    tokio::time::timeout(DEADLINE, done).await.expect("a reply")
+}
+
+/// Replies to each request, and passes on how large it was.
+async fn serve(mut server: Server, reply: impl Fn(usize) -> Vec<u8>, sizes: tokio::sync::mpsc::UnboundedSender<usize>) {
+    let mut number = 0;
+    while let Some(request) = server.next().await {
+        server.reply(&request.caller, &reply(number)).unwrap();
+        number += 1;
+        // SetBool has no string in its request.
+        sizes.send(if request.message.len() > 8 { size_of(&request.message[4..]) } else { 0 }).unwrap();
+    }
+}
+
+/// Lines of the other side until it has printed all of these.
+fn prints(python: &mut Python, wanted: impl IntoIterator<Item = String>) {
+    let mut wanted: BTreeSet<String> = wanted.into_iter().collect();
+    while !wanted.is_empty() {
+        let line = python.line().unwrap_or_else(|| panic!("never came: {wanted:?}"));
+        wanted.remove(&line);
+    }
+}
+
+async fn messages_of_every_size_pass_on_each_channel(start: impl FnOnce(&[String]) -> Python) {
+    let bridge = Participant::open(DOMAIN, "ledgerd_bridge").await.unwrap();
+    let string_type = TypeName::parse("std_msgs/msg/String").unwrap();
+    let topic = |name: &str| TopicName::parse(name).unwrap();
+    let sample = |size| Sample::new(CDR_LE, &string(size)).unwrap();
+    let mark = Mark::new(&Hash([1; 32]), "T/large");
+    let (asked, mut asked_sizes) = tokio::sync::mpsc::unbounded_channel();
+    let ask = bridge.server(&exchange("/ours/ask", ASK), mark, BYTES_MAX).unwrap();
+    let tell = bridge.server(&exchange("/ours/tell", TELL), mark, BYTES_MAX).unwrap();
+    tokio::spawn(serve(ask, |_| 0u32.to_le_bytes().to_vec(), asked));
+    let (told, _told_sizes) = tokio::sync::mpsc::unbounded_channel();
+    tokio::spawn(serve(tell, |number| answer(SIZES[number]), told));
+    let latched: Vec<_> = SIZES
+        .iter()
+        .map(|size| {
+            let writer = bridge.writer(&topic(&format!("/ours/latched_{size}")), &string_type, &LATCHED).unwrap();
+            writer.write(&sample(*size)).unwrap();
+            writer
+        })
+        .collect();
+    let writer = bridge.writer(&topic("/ours/topic"), &string_type, &Qos::default()).unwrap();
+    let sizes = SIZES.map(|size| size.to_string());
+    let mut python = start(&sizes);
+    prints(&mut python, ["ready".to_owned()]);
+
+    // From here to there.
+    assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+    SIZES.iter().for_each(|size| writer.write(&sample(*size)).unwrap());
+    let mut client = bridge.client(&exchange("/theirs/ask", ASK), mark, BYTES_MAX).unwrap();
+    for size in SIZES {
+        assert_eq!(call(&mut client, &question(size)).await, 0u32.to_le_bytes(), "{size}");
+    }
+    let mut client = bridge.client(&exchange("/theirs/tell", TELL), mark, BYTES_MAX).unwrap();
+    for size in SIZES {
+        assert_eq!(size_of(&call(&mut client, &[1]).await[4..]), size);
+    }
+    let each = |channel: &str| SIZES.map(|size| format!("{channel} {size}"));
+    prints(&mut python, [each("ask"), each("topic"), each("latched")].concat());
+
+    // And from there to here.
+    let mut kept = Vec::new();
+    for size in SIZES {
+        let name = topic(&format!("/theirs/latched_{size}"));
+        kept.push(bridge.reader(&name, &string_type, &LATCHED, Limits::default()).unwrap());
+    }
+    for (reader, size) in kept.iter_mut().zip(SIZES) {
+        let incoming = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
+        assert_eq!(size_of(&incoming.sample.body()), size);
+    }
+    let mut reader = bridge.reader(&topic("/theirs/topic"), &string_type, &Qos::default(), Limits::default()).unwrap();
+    for size in SIZES {
+        let incoming = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
+        assert_eq!(size_of(&incoming.sample.body()), size);
+        let asked = tokio::time::timeout(DEADLINE, asked_sizes.recv()).await.unwrap().unwrap();
+        assert_eq!(asked, size);
+    }
+    prints(&mut python, each("told").into_iter().chain(["done".to_owned()]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_every_size_pass_on_each_channel_beside_cyclonedds() {
+    if network::isolated(&|| ()) {
+        messages_of_every_size_pass_on_each_channel(|sizes| {
+            let domain = DOMAIN.to_string();
+            let args: Vec<&str> = [&domain].into_iter().chain(sizes).map(String::as_str).collect();
+            Python::start("large.py", &args)
+        })
+        .await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_every_size_pass_on_each_channel_beside_fast_dds() {
+    if rclpy::is_there() && network::isolated(&|| ()) {
+        messages_of_every_size_pass_on_each_channel(|sizes| {
+            rclpy::script("large.py", DOMAIN, &sizes.iter().map(String::as_str).collect::<Vec<_>>())
+        })
+        .await;
+    }
+}
