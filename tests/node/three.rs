@@ -1,26 +1,26 @@
-//! Three voters of two organisations, as README.md says: any one of them may die, lose its disk, or have it damaged.
+//! Three voters of two organisations, as docs/cluster.md founds them: any one of them may die, lose its disk, or have it damaged.
 
 use crate::own_network::isolated;
 use crate::support::ctl::Ctl;
 use crate::support::eventually;
-use crate::support::readme::{Terminal, block, next_commands};
+use crate::support::readme::{Terminal, console, next_commands};
 use rustix::process::Signal;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// The three nodes of README.md: the command that runs each, and a context that knows another one.
+/// The three nodes of docs/cluster.md: the command that runs each, and a context that knows another one.
 const NODES: [(&str, &str); 3] = [
     ("ledgerd run --config a/ledgerd.toml", "Org2-admin"),
     ("ledgerd run --config b/ledgerd.toml", "admin"),
     ("ledgerd run --config c/ledgerd.toml", "admin"),
 ];
 
-/// Types the block of README.md, and waits until all three vote.
+/// Types the block of docs/cluster.md, and waits until all three vote.
 fn three(directory: &TempDir) -> Terminal {
     let mut terminal = Terminal::at(directory.path());
-    for line in block("## A network of three") {
+    for line in console("docs/cluster.md", "## Three voters of two organisations") {
         terminal.type_line(&line);
     }
     until_three_vote(&terminal, "admin");

@@ -120,13 +120,13 @@ fn settings() -> Vec<(String, Vec<Setting>)> {
 #[test]
 fn the_page_about_settings_is_that_of_the_configuration_file() {
     let mut page = String::from(
-        "# Settings of a node\n\nA test makes this page from [ledgerd.toml](../ledgerd.toml), which is compared with the program. Remove the \
-         `#` before a setting there to change it. `ledgerd check --config FILE` names every fault at once. Times and sizes have bounds, and a \
-         value outside of them is refused.\n\nThe settings of a bridge: [Bridges](bridge.md#settings).\n",
+        "# Node settings\n\nThis page is generated from [ledgerd.toml](../ledgerd.toml), which tests compare with the program. To change a setting, \
+         remove the `#` before it in that file. `ledgerd check --config FILE` reports all errors. Values outside of the given bounds are \
+         rejected.\n\nThe settings of a bridge are in [Bridges](bridge.md#settings).\n",
     );
     let mut seen = 0;
     for (section, settings) in settings() {
-        let heading = if section.is_empty() { "At the top".to_owned() } else { format!("`[{section}]`") };
+        let heading = if section.is_empty() { "Top-level settings".to_owned() } else { format!("`[{section}]`") };
         page.push_str(&format!("\n## {heading}\n\n| setting | default | meaning |\n|---|---|---|\n"));
         // Some settings have one comment together: it stands with the first.
         for Setting { key, default, meaning } in settings {

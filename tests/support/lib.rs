@@ -6,7 +6,7 @@
 //! | `process` | a child process, killed by its id when the test ends |
 //! | `programs` | where the built programs are |
 //! | `network` | a network on disk, its nodes and identities |
-//! | `readme` | the blocks of README.md, typed as they stand |
+//! | `readme` | blocks of commands in documents, typed as they stand |
 //! | `directory` | a copy of a stopped node's directory |
 //! | `small_disk` | a disk that can be full |
 //! | `dev` | `ledgerd dev` with its users |

@@ -1,4 +1,4 @@
-//! The blocks of README.md, run as they stand.
+//! Blocks of commands in documents, run as they stand.
 //!
 //! A line that begins with `$ ` is typed. Words in capitals stand for the output of an earlier command, always the
 //! newest. `TOKEN` is the word of `ledgerctl network invite`, `FINGERPRINT` and `SECRET` stand behind
@@ -16,11 +16,6 @@ use std::time::{Duration, Instant};
 const NOBODY_ANSWERS: i32 = 4;
 /// Between two tries.
 const PAUSE: Duration = Duration::from_millis(200);
-
-/// The first block of commands in a section of README.md.
-pub fn block(heading: &str) -> Vec<String> {
-    console("README.md", heading)
-}
 
 /// The first block of commands in a section of a document.
 pub fn console(document: &str, heading: &str) -> Vec<String> {

@@ -162,7 +162,7 @@ _GIVEN: set[int] = set()
 
 
 class Three(Place):
-    """Three voters of two organisations, as README.md of ledgerd founds them, and the robots of the paper."""
+    """Three voters of two organisations, as docs/cluster.md founds them, and the robots of the paper."""
 
     ADMIN: Final = "admin"
     OWNER: Final = "Org2-admin"

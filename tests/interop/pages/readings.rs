@@ -31,15 +31,16 @@ const SALMA: &str = "enrol Salma --attr Turtlebot4 --attr Husky --attr OptiTrack
 /// The pages that are typed here.
 pub(super) const READINGS: &[Reading] = &[
     Reading {
-        elsewhere: &[
-            ("cargo run --release -- demo", ".ci/run plays the demo; tests/repository compares this line with it"),
-            ("ledgerd init", "tests/node/three.rs types this block, and kills each of the three nodes"),
-        ],
+        elsewhere: &[(
+            "cargo run --release -- demo",
+            ".ci/run plays the demo; tests/repository compares this line with it",
+        )],
         ..Reading::of("README.md")
     },
     Reading::of("docs/start.md"),
     Reading {
         captures: &[("PROCESS", "Org4/node4 voter "), ("DIRECTORY", "files ")],
+        elsewhere: &[("ledgerd init", "tests/node/three.rs types this block, and kills each of the three nodes")],
         ..Reading::of("docs/cluster.md")
     },
     Reading {

@@ -1,4 +1,4 @@
-//! Nobody in line is overtaken (docs/conflict.md, "The line"). A holder that is granted a service goes before all who wait for
+//! Nobody in line is overtaken (docs/conflict.md, "Queue"). A holder that is granted a service goes before all who wait for
 //! it: with a higher priority, or an equal one and an earlier arrival. Those whom policies permit no more leave before that. Where waiting
 //! raises priorities, the oracle judges alone. Tasks wait like contenders. A holder of the service is passed over, also by the one who
 //! takes its place.

@@ -1,4 +1,4 @@
-//! A stop lasts (docs/conflict.md, "Emergency"). From the block that stops a robot to the one that resumes it, nobody holds one
+//! A stop lasts (docs/conflict.md, "Emergency stop"). From the block that stops a robot to the one that resumes it, nobody holds one
 //! of its command services. Nobody is granted one or publishes on one. Every node knows that, also when it has just started.
 //!
 //! All services of the simulated robots are command services. A reader goes on.
