@@ -2,7 +2,7 @@
 //!
 //! A command at 50 Hz meets a machine that has gone to sleep since the last one. Each wait on its way, for the disk and
 //! for the next thread, ends with a processor that must wake up first. That takes longer than all the work (see
-//! docs/benchmarks.md). So with the profile `low-latency` the node asks the kernel that no processor sleeps, from the
+//! docs/experiments.md). So with the profile `low-latency` the node asks the kernel that no processor sleeps, from the
 //! first admitted transaction until a second after the last one. The kernel's way is its PM QoS interface:
 //! `/dev/cpu_dma_latency` takes the longest time that waking up may take, in microseconds
 //! (Documentation/power/pm_qos_interface.rst). Before admission nothing is asked for: a flood of refused requests must

@@ -172,7 +172,7 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     assert!(check("salma").ok().stdout.contains("Org3/salma could sign in"));
     check("gone").refused(2, &["LGR-2004", "could not sign in"]);
     check("stranger").refused(3, &["LGR-2005", "no role in the units"]);
-    let lines = console("docs/fabric.md", "## The move, in ten lines");
+    let lines = console("docs/fabric.md", "## Migration in ten commands");
     assert_eq!(lines.len(), 10);
     let mut printed = Vec::new();
     let mut id = String::new();

@@ -205,7 +205,7 @@ async fn grpcurl_lists_the_services_by_the_line_of_the_documentation() {
         .args(["install", "github.com/fullstorydev/grpcurl/cmd/grpcurl@v1.9.1"])
         .env("GOBIN", place.path()));
     let page = include_str!("../../docs/metrics.md");
-    let lines = block(page, "## For gRPC tools", "sh");
+    let lines = block(page, "## gRPC health checks and reflection", "sh");
     let context = fleet.home().join("contexts").join(&owner.name);
     // As `jq -r '.[].roots[]' msps.json` prints them.
     let msps: Vec<Value> = serde_json::from_slice(&fs::read(context.join("msps.json")).unwrap()).unwrap();

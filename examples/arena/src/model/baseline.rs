@@ -1,4 +1,4 @@
-//! Figures of others, to draw beside ours. docs/benchmarks.md says how they were measured.
+//! Latencies of other systems, drawn next to ours; docs/comparison.md describes the measurements.
 
 /// Latencies against frequency.
 #[derive(Clone, Copy, Debug)]

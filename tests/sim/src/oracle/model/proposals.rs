@@ -1,4 +1,4 @@
-//! Proposed sets of policies (docs/policies.md, "Who must agree"). The ledger chooses their names.
+//! Proposed sets of policies (docs/policies.md, "Approval rules"). The ledger chooses their names.
 
 use super::sets::Set;
 use super::{Agreed, Judged, Model, Person, Verdict, only_admins};

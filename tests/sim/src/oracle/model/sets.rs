@@ -1,4 +1,4 @@
-//! Whole sets of policies, and who must agree to them (docs/policies.md, "Versions" and "Who must agree").
+//! Whole sets of policies, and who must agree to them (docs/policies.md, "Versions" and "Approval rules").
 
 use super::{Judged, Model, Person, Verdict, only_admins};
 use crate::policy::Policy;
