@@ -17,6 +17,7 @@ mod confidential;
 mod console;
 mod demo;
 mod discovering;
+mod field_trial;
 mod keyed;
 mod latched;
 mod liar;

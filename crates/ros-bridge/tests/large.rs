@@ -14,7 +14,10 @@ use ros_bridge::{
     qos::{Durability, Qos, Reliability},
     queue::Limits,
 };
-use testkit::{python::Python, rclpy};
+use testkit::{
+    python::{CYCLONE, Python},
+    rclpy,
+};
 
 const DOMAIN: u16 = 5;
 const DEADLINE: Duration = Duration::from_secs(60);
@@ -160,6 +163,21 @@ async fn messages_of_every_size_pass_on_each_channel_beside_cyclonedds() {
             let domain = DOMAIN.to_string();
             let args: Vec<&str> = [&domain].into_iter().chain(sizes).map(String::as_str).collect();
             Python::start("large.py", &args)
+        })
+        .await;
+    }
+}
+
+/// CycloneDDS with fragments of 4000 bytes, as people set it for radio links.
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_every_size_pass_on_each_channel_beside_cyclonedds_with_small_fragments() {
+    if network::isolated(&|| ()) {
+        let general = "<MaxMessageSize>4000B</MaxMessageSize><FragmentSize>3900B</FragmentSize></General>";
+        let cyclone = CYCLONE.replace("</General>", general);
+        messages_of_every_size_pass_on_each_channel(|sizes| {
+            let domain = DOMAIN.to_string();
+            let args: Vec<&str> = [&domain].into_iter().chain(sizes).map(String::as_str).collect();
+            Python::start_within(&[], &cyclone, "large.py", &args)
         })
         .await;
     }

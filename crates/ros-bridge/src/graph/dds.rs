@@ -37,5 +37,5 @@ pub use self::{
     reader::Reader,
     writer::Writer,
 };
-pub(crate) use self::{encoding::accepting, participant::LEASE};
+pub(crate) use self::{encoding::accepting, neighbours::UNREACHABLE, participant::LEASE};
 pub use super::{domain::DOMAIN_MAX, endpoint::Role};

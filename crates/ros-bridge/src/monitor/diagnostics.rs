@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::{
     graph::{
-        dds::{Participant, Writer},
+        dds::{Participant, Role, UNREACHABLE, Writer},
         messages::builtin,
         names::{TopicName, TypeName},
         qos::Qos,
@@ -59,6 +59,10 @@ impl Status {
                     format!("{others} publish on {topic} beside this bridge: their messages go around the ledger");
                 (Level::Warn, message)
             }
+            State::Unreachable { others, role, topic } => {
+                let role = role.name();
+                (Level::Error, format!("{others} {role}(s) on {topic}: each {UNREACHABLE}"))
+            }
             State::Silent(Silence { reason, is_fault: true, .. }) => (Level::Warn, format!("silent: {reason}")),
             State::Silent(Silence { reason, .. }) => (Level::Ok, format!("silent: {reason}")),
             State::Works => (Level::Ok, "carries what comes".to_owned()),
@@ -79,6 +83,12 @@ pub(crate) enum State<'a> {
     /// So many others publish on the topic to which it delivers commands.
     NearbyEndpoint {
         others: usize,
+        topic: &'a str,
+    },
+    /// Endpoints at its other end exchange no messages by UDP over IPv4.
+    Unreachable {
+        others: usize,
+        role: Role,
         topic: &'a str,
     },
     Silent(&'a Silence),
@@ -159,6 +169,7 @@ mod tests {
         assert_eq!(level(State::Waits("LGR-3012")), Level::Error);
         assert_eq!(level(State::Unknown), Level::Stale);
         assert_eq!(level(State::NearbyEndpoint { others: 1, topic: "/cmd_vel" }), Level::Warn);
+        assert_eq!(level(State::Unreachable { others: 1, role: Role::Subscriber, topic: "/cmd_vel" }), Level::Error);
         assert_eq!(Status::of_route(&summary, String::new(), State::Silent(&fault)).message, "silent: why");
     }
 

@@ -226,7 +226,13 @@ impl Reporter {
                 (Some(_), true) => Status::of_route(&summary, holder, State::Unknown),
                 (Some(open), false) => {
                     let silence = self.look_at_route(&open, neighbourhood, now);
+                    let unreachable = neighbourhood.other_end(&open).unreachable;
                     let state = match slot.counters.lock().live.beside {
+                        _ if unreachable > 0 => State::Unreachable {
+                            others: unreachable,
+                            role: slot.route.kind.other_end,
+                            topic: open.topic().as_str(),
+                        },
                         0 => silence.as_ref().map_or(State::Works, State::Silent),
                         others => State::NearbyEndpoint { others, topic: open.topic().as_str() },
                     };

@@ -2,9 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use crate::routes::{
-    kind::Kind,
-    silence::{Cause, Facts, Silence, fault},
+use crate::{
+    graph::dds::UNREACHABLE,
+    routes::{
+        kind::Kind,
+        silence::{Cause, Facts, Silence, fault},
+    },
 };
 
 /// An event that is not older counts as present.
@@ -22,7 +25,9 @@ pub(super) fn silence(kind: &Kind, facts: &Facts<'_>, now: Instant) -> Option<Si
     }
     if other_end.usable == 0 && other_end.in_memory == 0 {
         let role = kind.other_end.name();
-        return Some(if let Some(found) = &other_end.other_type {
+        return Some(if other_end.unreachable > 0 {
+            fault("unreachable", format!("the {role} on {topic} {UNREACHABLE}"))
+        } else if let Some(found) = &other_end.other_type {
             fault("other_type", format!("the {role} on {topic} has another type: {found}"))
         } else if let Some(policy) = &other_end.other_qos {
             let reason = format!("the qos of this route and of the {role} on {topic} do not fit together: {policy}");
@@ -69,6 +74,7 @@ mod tests {
         assert_eq!(name(down, some(), &not_held(), now), "no_holder");
         assert_eq!(name(up, OtherEnd { bridges: 1, ..none() }, &held(), now), "only_bridges");
         assert_eq!(name(down, OtherEnd { bridges: 1, ..none() }, &held(), now), "no_subscriber");
+        assert_eq!(name(down, OtherEnd { unreachable: 1, ..none() }, &held(), now), "unreachable");
         let other = OtherEnd { other_type: Some("T".to_owned()), ..none() };
         assert_eq!(name(up, other, &held(), now), "other_type");
         let other = OtherEnd { other_qos: Some("Reliability".to_owned()), ..none() };

@@ -25,6 +25,8 @@ pub(crate) struct OtherEnd {
     pub(crate) other_type: Option<String>,
     /// The policy of one with which ours do not fit together.
     pub(crate) other_qos: Option<String>,
+    /// Those that exchange no messages by UDP over IPv4.
+    pub(crate) unreachable: usize,
     /// Those in shared memory, without our own.
     pub(crate) in_memory: usize,
 }
@@ -65,6 +67,8 @@ impl OtherEnd {
             self.other_type = Some(quoted(&neighbour.type_name));
         } else if is_bridge {
             self.bridges += 1;
+        } else if !neighbour.is_reachable {
+            self.unreachable += 1;
         } else if let Some(policy) = misfit {
             self.other_qos = Some(policy);
         } else {

@@ -16,6 +16,9 @@ const LOOK_PAUSE: Duration = Duration::from_millis(100);
 /// Most endpoints that are followed; more are not told of.
 const NEIGHBOURS_MAX: usize = 4096;
 
+/// The words for an endpoint that no datagram reaches, behind its name.
+pub(crate) const UNREACHABLE: &str =
+    "has no address for UDP over IPv4: nothing passes until its node starts with FASTDDS_BUILTIN_TRANSPORTS=DEFAULT";
 /// The kinds of endpoints of applications on topics with keys (DDSI-RTPS 9.3.1.2).
 const WRITER_WITH_KEY: u8 = 0x02;
 const READER_WITH_KEY: u8 = 0x07;
@@ -35,6 +38,8 @@ pub struct Neighbour {
     pub qos: Policies,
     /// Set by bridges.
     pub mark: Option<Mark>,
+    /// Does it take messages by UDP over IPv4? Fast DDS with shared memory or TCP alone does not.
+    pub is_reachable: bool,
 }
 
 impl Neighbour {
@@ -47,6 +52,7 @@ impl Neighbour {
             type_name: endpoint.topic.type_name.clone(),
             qos: endpoint.qos.clone(),
             mark: Mark::of(&endpoint.qos),
+            is_reachable: endpoint.is_reachable,
         }
     }
 

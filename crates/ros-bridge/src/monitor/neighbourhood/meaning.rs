@@ -2,7 +2,7 @@
 
 use crate::{
     graph::{
-        dds::{Neighbour, accepting},
+        dds::{Neighbour, UNREACHABLE, accepting},
         endpoint::Role,
         mark::Mark,
     },
@@ -41,6 +41,8 @@ pub(super) fn meaning(open: &OpenRoute, neighbour: &Neighbour, came: bool) -> Op
             "another bridge takes {topic} to {service}, and this route delivers {service} on {topic}: this would be a \
              circle, so it does not take that in; give one of both another topic or domain"
         ))
+    } else if !neighbour.is_reachable {
+        Line::Warning(format!("a {role} on {topic} {UNREACHABLE}"))
     } else if let Some(policy) = misfit(open, neighbour) {
         Line::Warning(format!("the qos of a {role} on {topic} does not fit ({policy}): nothing passes"))
     } else {

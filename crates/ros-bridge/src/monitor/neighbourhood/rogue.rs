@@ -102,7 +102,8 @@ mod tests {
 
     fn publisher(number: u8, mark: Option<Mark>) -> Neighbour {
         let (topic, type_name) = ("rt/cmd_vel".to_owned(), "geometry_msgs::msg::dds_::Twist_".to_owned());
-        Neighbour { guid: [number; 16], role: Role::Publisher, topic, type_name, qos: Policies::default(), mark }
+        let (guid, qos) = ([number; 16], Policies::default());
+        Neighbour { guid, role: Role::Publisher, topic, type_name, qos, mark, is_reachable: true }
     }
 
     #[test]
