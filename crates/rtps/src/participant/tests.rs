@@ -3,8 +3,11 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
 mod by_hand;
+mod counters;
 mod endpoints;
 mod liar;
+mod liveliness;
+mod memory;
 mod network;
 mod node;
 mod packing;
