@@ -19,7 +19,7 @@ mod writer_leases;
 use crate::announcement::{EndpointData, ParticipantData, key_of};
 use crate::endpoint::{Delivered, DisposedKey, Outgoing, Peer};
 use crate::guid::{EntityId, Guid, GuidPrefix};
-use crate::interface::{Channel, Config, Counters, RemoteEndpoint};
+use crate::interface::{Channel, Config, Counters, RemoteEndpoint, UnreachableParticipant};
 use crate::limits::{ENDPOINTS_MAX, ENDPOINTS_OF_PARTICIPANT_MAX, PARTICIPANTS_MAX};
 use crate::time::Now;
 use crate::timers::Timers;
@@ -41,6 +41,10 @@ pub(crate) enum Event {
     Moved(Guid),
     /// It is not there any more.
     Gone(Guid),
+    /// A participant cannot be reached.
+    Unreachable(UnreachableParticipant),
+    /// It can be reached now, or has gone.
+    NotUnreachable(Guid),
     /// The liveliness of a writer has ended or begun again.
     Liveliness(LivelinessChange),
     /// The numbers of a builtin writer began again, or its messages were forged.
@@ -88,6 +92,11 @@ impl Discovery {
         let participant = self.participants.get(&guid.prefix)?;
         let entry = participant.endpoints.get(&guid.entity)?;
         Some((&entry.endpoint, participant.endpoint_peer(entry)))
+    }
+
+    /// The participants that cannot be reached.
+    pub(crate) fn unreachable(&self) -> impl Iterator<Item = UnreachableParticipant> {
+        self.participants.values().filter_map(RemoteParticipant::unreachable)
     }
 
     /// All endpoints of others.
@@ -211,6 +220,7 @@ impl Discovery {
             return;
         }
         let prefix = data.prefix;
+        let before = self.participants.get(&prefix).and_then(RemoteParticipant::unreachable);
         if let Some(participant) = self.participants.get_mut(&prefix) {
             if let Some(moved) = participant.update(&self.config, now, data, from, channel) {
                 events.extend(moved.into_iter().map(|entity| Event::Moved(Guid::new(prefix, entity))));
@@ -223,6 +233,12 @@ impl Discovery {
             self.connect(now, prefix);
         } else {
             self.counters.beyond_limits += 1;
+        }
+        let after = self.participants.get(&prefix).and_then(RemoteParticipant::unreachable);
+        match (before, after) {
+            (None, Some(unreachable)) => events.push(Event::Unreachable(unreachable)),
+            (Some(before), None) => events.push(Event::NotUnreachable(before.guid)),
+            _ => {}
         }
         self.renew(now, prefix, events);
     }
@@ -246,6 +262,7 @@ impl Discovery {
         let participant = self.participants.remove(&prefix)?;
         self.leases.set(prefix, None);
         self.endpoint_count = self.endpoint_count.saturating_sub(participant.endpoints.len());
+        events.extend(participant.unreachable().map(|participant| Event::NotUnreachable(participant.guid)));
         for entity in participant.endpoints.keys() {
             self.writer_leases.remove(Guid::new(prefix, *entity));
             events.push(Event::Gone(Guid::new(prefix, *entity)));

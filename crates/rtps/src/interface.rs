@@ -100,6 +100,18 @@ pub struct RemoteEndpoint {
     pub is_reachable: bool,
 }
 
+/// A participant of others that announces no address of UDP over IPv4 for discovery: Fast DDS with TCP or shared memory alone
+/// (`LARGE_DATA`), or a host with IPv6 alone. Its endpoints are not found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnreachableParticipant {
+    /// Its identifier.
+    pub guid: Guid,
+    /// Of which implementation.
+    pub vendor: VendorId,
+    /// The host from which it announced itself last.
+    pub host: Ipv4Addr,
+}
+
 /// The socket by which a datagram came, or from which it goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Channel {
@@ -232,6 +244,10 @@ pub enum Output {
     },
     /// All reliable readers have everything that was written. Said once after each time that this becomes true.
     Acknowledged(EntityId),
+    /// A participant has announced itself that cannot be reached.
+    Unreachable(UnreachableParticipant),
+    /// A participant that could not be reached can be reached now, or has gone.
+    NotUnreachable(Guid),
     /// An endpoint of another participant has come, or has changed.
     Found(Box<RemoteEndpoint>),
     /// An endpoint of another participant has gone.

@@ -31,7 +31,7 @@ pub use reader::DomainReader;
 pub use writer::{DomainWriter, WriteError};
 
 use crate::guid::{Guid, GuidPrefix, PREFIX_BYTES, VendorId};
-use crate::interface::{Config, Counters, EndpointSettings, RemoteEndpoint};
+use crate::interface::{Config, Counters, EndpointSettings, RemoteEndpoint, UnreachableParticipant};
 use crate::participant::Participant;
 use bytes::Bytes;
 use membership::Membership;
@@ -160,6 +160,12 @@ impl Domain {
     /// The readers of other participants, now. None after the end.
     pub fn subscribers(&self) -> Vec<Arc<RemoteEndpoint>> {
         self.membership.discovered(|endpoint| endpoint.guid.entity.is_reader())
+    }
+
+    /// The other participants that announce no address of UDP over IPv4: their endpoints are not found. None after the end. A change
+    /// counts in [`Domain::changes`].
+    pub fn unreachable(&self) -> Vec<UnreachableParticipant> {
+        self.membership.unreachable()
     }
 
     /// This endpoint of another participant, if it is there now.

@@ -37,7 +37,7 @@
 //!
 //! Source: OMG DDSI-RTPS 2.5 (formal/2022-04-01); section numbers in comments are of that document.
 
-mod announcement;
+pub mod announcement;
 mod discovery;
 mod endpoint;
 pub mod guid;

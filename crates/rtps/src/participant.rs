@@ -18,7 +18,8 @@ use crate::discovery::{Discovery, Event};
 use crate::endpoint::{Delivered, Outgoing};
 use crate::guid::{EntityId, Guid};
 use crate::interface::{
-    Config, Counters, EndpointSettings, Input, OutgoingSample, Output, RemoteEndpoint, WriterLosses,
+    Config, Counters, EndpointSettings, Input, OutgoingSample, Output, RemoteEndpoint, UnreachableParticipant,
+    WriterLosses,
 };
 use crate::limits::PARTICIPANT_BYTES_MAX;
 use crate::qos::LivelinessKind;
@@ -107,6 +108,11 @@ impl Participant {
     /// The readers of other participants.
     pub fn subscribers(&self) -> impl Iterator<Item = &RemoteEndpoint> {
         self.discovery.endpoints().filter(|endpoint| endpoint.guid.entity.is_reader())
+    }
+
+    /// The other participants that announce no address by which they can be reached: their endpoints are not found.
+    pub fn unreachable(&self) -> impl Iterator<Item = UnreachableParticipant> {
+        self.discovery.unreachable()
     }
 
     /// Have all reliable readers everything that this own writer has written? True if it is not open.
@@ -317,6 +323,8 @@ impl Participant {
                     self.unmatch_other(now, guid, out);
                     out.push(Output::Gone(guid));
                 }
+                Event::Unreachable(participant) => out.push(Output::Unreachable(participant)),
+                Event::NotUnreachable(guid) => out.push(Output::NotUnreachable(guid)),
                 Event::Liveliness(change) => self.report_liveliness(change, out),
                 Event::Resynchronized(writer) => {
                     self.counters.resynchronized += 1;

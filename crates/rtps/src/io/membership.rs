@@ -10,7 +10,9 @@ use super::reports::Reports;
 use super::send::Senders;
 use super::timer::{Timer, now};
 use crate::guid::{EntityId, Guid, SequenceNumber};
-use crate::interface::{Counters, Input, LossReason, OutgoingSample, Output, RemoteEndpoint, WriterLosses};
+use crate::interface::{
+    Counters, Input, LossReason, OutgoingSample, Output, RemoteEndpoint, UnreachableParticipant, WriterLosses,
+};
 use crate::participant::Participant;
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -76,6 +78,7 @@ enum Kind {
     PushedOut,
     Malformed,
     BeyondLimits,
+    Unreachable,
 }
 
 /// The answer to a command.
@@ -175,6 +178,11 @@ impl Membership {
     pub(super) fn discovered(&self, select: impl Fn(&RemoteEndpoint) -> bool) -> Vec<Arc<RemoteEndpoint>> {
         let all = self.with(|state| state.discovered.values().filter(|endpoint| select(endpoint)).cloned().collect());
         all.unwrap_or_default()
+    }
+
+    /// The other participants that cannot be reached; none after the end.
+    pub(super) fn unreachable(&self) -> Vec<UnreachableParticipant> {
+        self.with(|state| state.participant.unreachable().collect()).unwrap_or_default()
     }
 
     /// An endpoint of another participant.
@@ -301,6 +309,11 @@ impl State {
             Output::Incompatible { endpoint, other, policy } => {
                 self.change_matches(endpoint, |matches| matches.reject(other, policy));
             }
+            Output::Unreachable(participant) => {
+                answer.has_discovered = true;
+                self.report_unreachable(participant);
+            }
+            Output::NotUnreachable(_) => answer.has_discovered = true,
             Output::Found(endpoint) => {
                 answer.has_discovered = true;
                 self.discovered.insert(endpoint.guid, Arc::from(endpoint));
@@ -343,6 +356,13 @@ impl State {
             && let Some(lost) = self.admit(writer, Kind::PushedOut, lost)
         {
             tracing::warn!(topic = self.topic(writer), lost, "newer samples pushed out some that not all readers have");
+        }
+    }
+
+    fn report_unreachable(&mut self, participant: UnreachableParticipant) {
+        if let Some(participants) = self.admit(EntityId::PARTICIPANT, Kind::Unreachable, 1) {
+            let UnreachableParticipant { guid, host, .. } = participant;
+            tracing::warn!(participant = %guid, %host, participants, "a participant cannot be reached: it announces no address of UDP over IPv4");
         }
     }
 

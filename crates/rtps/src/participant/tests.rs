@@ -5,6 +5,7 @@
 mod by_hand;
 mod counters;
 mod endpoints;
+mod field;
 mod liar;
 mod liveliness;
 mod memory;
@@ -13,4 +14,5 @@ mod node;
 mod packing;
 mod participants;
 mod random;
+mod readers;
 mod simulation;

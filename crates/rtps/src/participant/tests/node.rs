@@ -42,6 +42,8 @@ pub(super) struct Node {
     pub(super) not_alive: BTreeSet<(EntityId, Guid)>,
     pub(super) deadlines_missed: BTreeMap<EntityId, u64>,
     pub(super) resynchronized: u64,
+    /// Participants that cannot be reached.
+    pub(super) unreachable: BTreeSet<Guid>,
     /// The wall clock is ahead of the steady one by this.
     pub(super) wall: u64,
     /// Bytes and datagrams that it sent.
@@ -77,6 +79,7 @@ impl Node {
             not_alive: BTreeSet::new(),
             deadlines_missed: BTreeMap::new(),
             resynchronized: 0,
+            unreachable: BTreeSet::new(),
             wall,
             sent: (0, 0),
             steps: 0,
@@ -151,6 +154,8 @@ impl Node {
                 assert!(count > 0);
                 *self.matches.get_mut(&(reader, writer)).unwrap().lost.entry(reason).or_default() += count;
             }
+            Output::Unreachable(participant) => assert!(self.unreachable.insert(participant.guid)),
+            Output::NotUnreachable(guid) => assert!(self.unreachable.remove(&guid)),
             Output::Resynchronized { .. } => self.resynchronized += 1,
             Output::Liveliness { reader, writer, is_alive } => {
                 assert!(self.matches.contains_key(&(reader, writer)), "{prefix:?}: {writer:?} does not match");
