@@ -119,7 +119,9 @@ pub fn conversations() -> Vec<Vec<u8>> {
     let reader = EntityId::UNKNOWN;
     let set = |base, numbers: std::ops::Range<i64>| {
         let mut set = NumberSet::new(base);
-        numbers.for_each(|number| drop(set.insert(number)));
+        for number in numbers {
+            set.insert(number);
+        }
         set
     };
     let mut all = Vec::new();

@@ -4,8 +4,8 @@
 //! over, or the participant says that it leaves, its endpoints are gone with it. It is found again by its next announcement, with
 //! nothing kept from before. An announcement counts for the participant that sends it, and for its own endpoints only.
 //!
-//! Memory: a participant takes 48 KiB with its builtin endpoints, an endpoint 8 KiB. What waits for missing announcements takes 128 KiB of a participant and 16 MiB
-//! of all, for each of three kinds.
+//! Memory: a participant takes 48 KiB with its builtin endpoints, an endpoint 8 KiB. Announcements that wait for missing ones take 128 KiB
+//! of a participant and 16 MiB of all, for each of three kinds.
 //! Their numbers are limited by [`PARTICIPANTS_MAX`], [`ENDPOINTS_OF_PARTICIPANT_MAX`] and [`ENDPOINTS_MAX`]; more are
 //! ignored until others go.
 
@@ -104,7 +104,7 @@ impl Discovery {
         self.participants.values().flat_map(|participant| participant.endpoints.values()).map(|entry| &entry.endpoint)
     }
 
-    /// What was rejected and ignored so far. Of datagrams and samples nothing is counted here.
+    /// Counts of rejected and ignored announcements; those of datagrams and samples are zero here.
     pub(crate) fn counters(&self) -> Counters {
         self.counters
     }

@@ -297,7 +297,7 @@ pub struct WriterLosses {
     pub pushed_out: u64,
 }
 
-/// What a participant has rejected and ignored since it began.
+/// Counts of what a participant has rejected and ignored since it began.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Datagrams of which the rest, or all, was dropped as malformed.

@@ -186,7 +186,7 @@ impl Domain {
         self.membership.unsent()
     }
 
-    /// What was rejected and ignored so far.
+    /// Counts of what was rejected and ignored so far.
     ///
     /// # Errors
     /// If the domain has ended.

@@ -130,7 +130,7 @@ impl Participant {
         self.writer(writer).map(Writer::losses)
     }
 
-    /// What was rejected and ignored so far.
+    /// Counts of what was rejected and ignored so far.
     pub fn counters(&self) -> Counters {
         let Counters { announcements_rejected, beyond_limits, .. } = self.discovery.counters();
         Counters { announcements_rejected, beyond_limits, ..self.counters }

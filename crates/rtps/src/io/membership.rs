@@ -160,7 +160,7 @@ impl Membership {
         self.with(|state| state.participant.unacknowledged_bytes(writer)).unwrap_or_default()
     }
 
-    /// What this own writer has dropped too early; nothing after the end.
+    /// Samples that this own writer has dropped too early; none after the end.
     pub(super) fn writer_losses(&self, writer: EntityId) -> WriterLosses {
         self.with(|state| state.participant.writer_losses(writer)).flatten().unwrap_or_default()
     }
@@ -169,7 +169,7 @@ impl Membership {
         self.with(|state| state.step(Input::AssertLiveliness(writer), None)).map(drop).ok_or(Ended)
     }
 
-    /// What was rejected and ignored so far.
+    /// Counts of what was rejected and ignored so far.
     pub(super) fn counters(&self) -> Result<Counters, Ended> {
         self.with(|state| state.participant.counters()).ok_or(Ended)
     }

@@ -1,4 +1,4 @@
-//! What is reported to handles and logged: losses, forged messages, liveliness.
+//! Reports to handles, and log lines: losses, forged messages, liveliness.
 
 use super::*;
 use crate::discovery::locators::data_port;

@@ -1,4 +1,4 @@
-//! What a participant counts, and the limits of what it keeps.
+//! Counters of a participant, and the limits of its memory.
 
 use super::by_hand::*;
 use crate::guid::{EntityId, Guid, GuidPrefix, SequenceNumber};

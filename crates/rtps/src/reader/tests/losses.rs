@@ -1,4 +1,4 @@
-//! What is counted as lost, with its reason, and once.
+//! Losses are counted with their reason, and once.
 
 use super::*;
 use crate::limits::{ASSEMBLY_MICROS_MAX, SAMPLE_BYTES_MAX};
