@@ -143,7 +143,7 @@ impl Writer {
         SequenceNumber(sequence)
     }
 
-    /// What readers will not get of it.
+    /// Samples that it has dropped before all reliable readers had them.
     pub(crate) fn losses(&self) -> WriterLosses {
         self.losses
     }

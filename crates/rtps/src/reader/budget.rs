@@ -1,6 +1,6 @@
 //! The bytes that samples of each writer hold in a reader, and which of them give way where they are too many.
 //!
-//! Each writer may hold an equal share. What is free may be used by any. Where there is too little, a writer above its share
+//! Each writer may hold an equal share. Any of them may use the rest. Where there is too little, a writer above its share
 //! gives way: first one that has waited too long for the same sample, then the one whose sample came last. So the oldest large
 //! samples are completed one after the other, and a writer within its share loses nothing to others.
 

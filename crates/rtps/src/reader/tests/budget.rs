@@ -57,7 +57,7 @@ impl Crowd {
         self.hear(writer, Submessage::DataFrag(fragment(number, SAMPLE, first, 1)));
     }
 
-    /// What the reader asks for: the writer, a sample, and its fragments.
+    /// The requests of the reader: the writer, a sample, and its fragments.
     fn requests(&mut self) -> Vec<(u8, i64, Vec<i64>)> {
         let mut out = Vec::new();
         self.reader.poll(self.at(), &mut out, &mut Vec::new());
