@@ -2,6 +2,7 @@
 
 #![expect(clippy::expect_used, clippy::indexing_slicing, reason = "a fuzz target stops at the first surprise")]
 
+pub mod dds;
 pub mod files;
 pub mod fleet;
 pub mod messages;

@@ -8,6 +8,7 @@ use ledger::branch::CertifiedBranch;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_base::hash::Hash;
 use ledger_contract::Envelope;
+use ledger_fuzz::dds::conversations;
 use ledger_fuzz::files::File;
 use ledger_fuzz::{BEGINNINGS, bytes, evidence, list, messages, vectors};
 use ledger_light::{Certificate, Statement};
@@ -16,6 +17,8 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use rcgen::{CertificateRevocationListParams, KeyIdMethod, SerialNumber, date_time_ymd};
+use rtps::wire::read::submessages;
+use rtps::wire::submessage::{Data, Payload as Sample, Submessage};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -31,6 +34,8 @@ const STATEMENT: std::ops::Range<usize> = 23..156;
 const SIGNATURE: usize = 160;
 /// Bytes of the hash at the end of evidence.
 const HASH_BYTES: usize = 32;
+/// Most bytes of a sequence of datagrams.
+const SEQUENCE_BYTES_MAX: usize = 12_000;
 /// The configuration of a Fabric organisation, as its tools write it.
 const UNITS: &str = "NodeOUs:\n  Enable: true\n  ClientOUIdentifier:\n    Certificate: cacerts/ca.pem\n    \
     OrganizationalUnitIdentifier: client\n  AdminOUIdentifier:\n    OrganizationalUnitIdentifier: admin\n";
@@ -43,6 +48,7 @@ fn main() -> Done {
     policies(&corpus)?;
     recordings(&corpus)?;
     directories(&corpus)?;
+    dds(&corpus)?;
     for number in 0..u8::try_from(messages::ALL.len())? {
         corpus.seed("protobuf", &[number])?;
         corpus.seed("protobuf", &[number, 0x0a, 2, 0x08, 1, 0x10, 1])?;
@@ -52,6 +58,16 @@ fn main() -> Done {
     corpus.seed("peer-message", &[0x0a, 4, 0x08, 1, 0x10, 2])?;
     corpus.seed("transaction", &[0x0a, 4, 0x08, 1, 0x10, 2, 0x12, 1, 0])
 }
+
+/// Datagrams of other implementations of DDS, as fuzz/capture.py wrote them.
+const CAPTURES: [&str; 6] = [
+    include_str!("../../crates/rtps/src/announcement/captures/cyclonedds-11.0.1.hex"),
+    include_str!("../../crates/rtps/src/announcement/captures/cyclonedds-11.0.1-fragments.hex"),
+    include_str!("../../crates/rtps/src/announcement/captures/fastdds-2.14.5.hex"),
+    include_str!("../../crates/rtps/src/announcement/captures/fastdds-2.14.5-large-data.hex"),
+    include_str!("../../crates/rtps/src/announcement/captures/fastdds-2.14.5-more.hex"),
+    include_str!("../../crates/rtps/src/announcement/captures/rustdds-0.15.1.hex"),
+];
 
 /// A directory with a directory for each target.
 struct Corpus(PathBuf);
@@ -192,4 +208,38 @@ fn directories(corpus: &Corpus) -> Done {
     corpus.seed("revocation-list", list.der())?;
     corpus.seed("msp", &Bytes::from(whole.map(|file| file.to_bytes()).concat()))?;
     corpus.seed("msp", &File(0x80, authority.der()).to_bytes())
+}
+
+/// Each captured datagram as one step, those of a capture as steps of two participants, and the parameter lists in them.
+fn dds(corpus: &Corpus) -> Done {
+    for capture in CAPTURES {
+        let mut all = Vec::new();
+        for line in capture.lines().filter(|line| !line.starts_with('#')) {
+            let datagram = hex::decode(line)?;
+            let sender = u8::from(!all.is_empty());
+            let step = [&[0, sender][..], &u16::try_from(datagram.len())?.to_le_bytes(), &datagram].concat();
+            corpus.seed("rtps-datagrams", &step)?;
+            if all.len() + step.len() < SEQUENCE_BYTES_MAX {
+                all.extend(step);
+            }
+            for message in submessages(&Bytes::from(datagram)) {
+                if let Submessage::Data(Data { payload: Sample::Data(list) | Sample::Key(list), .. }) =
+                    message.submessage
+                    && [&[0, 2][..], &[0, 3]].iter().any(|encapsulation| list.starts_with(encapsulation))
+                {
+                    corpus.seed("rtps-parameters", &list)?;
+                }
+            }
+        }
+        corpus.seed("rtps-datagrams", &all)?;
+    }
+    // Own endpoints write, assert themselves, and time passes.
+    for kind in 5..8 {
+        corpus.seed("rtps-datagrams", &[kind, 2, 0xff, 0x0f, kind, 1, 4, 0])?;
+    }
+    // What they are matched with sends samples, fragments and heartbeats.
+    for steps in conversations() {
+        corpus.seed("rtps-datagrams", &steps)?;
+    }
+    Ok(())
 }

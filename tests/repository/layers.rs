@@ -108,6 +108,7 @@ const LAYERS: [(&str, &[&str]); 25] = [
             "ledger-light",
             "ledger-raft",
             "ledger-storage",
+            "rtps",
         ],
     ),
     (

@@ -9,6 +9,7 @@ mod policies;
 use crate::guid::{EntityId, Guid, GuidPrefix, VendorId};
 use crate::interface::TopicDescription;
 use crate::qos::Qos;
+pub use crate::wire::cursor::ByteOrder;
 use crate::wire::cursor::Malformed;
 use crate::wire::parameters::ParameterReader;
 use crate::wire::pid;
@@ -18,42 +19,54 @@ use std::time::Duration;
 
 /// A participant announces itself (SPDP, `SPDPdiscoveredParticipantData`).
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct ParticipantData {
-    pub(crate) prefix: GuidPrefix,
-    pub(crate) vendor: VendorId,
+pub struct ParticipantData {
+    /// The participant.
+    pub prefix: GuidPrefix,
+    /// Its implementation.
+    pub vendor: VendorId,
     /// None where it is not announced.
-    pub(crate) domain: Option<u32>,
+    pub domain: Option<u32>,
     /// [`Duration::MAX`]: it never ends.
-    pub(crate) lease: Duration,
-    pub(crate) discovery_unicast: Vec<SocketAddrV4>,
-    pub(crate) discovery_multicast: Vec<SocketAddrV4>,
-    pub(crate) data_unicast: Vec<SocketAddrV4>,
-    pub(crate) data_multicast: Vec<SocketAddrV4>,
+    pub lease: Duration,
+    /// The addresses of its builtin endpoints.
+    pub discovery_unicast: Vec<SocketAddrV4>,
+    /// The multicast addresses of its builtin endpoints.
+    pub discovery_multicast: Vec<SocketAddrV4>,
+    /// The addresses of endpoints that announce none of their own.
+    pub data_unicast: Vec<SocketAddrV4>,
+    /// The multicast addresses of endpoints that announce none of their own.
+    pub data_multicast: Vec<SocketAddrV4>,
     /// `PID_BUILTIN_ENDPOINT_SET`.
-    pub(crate) builtin_endpoints: u32,
-    pub(crate) name: String,
-    pub(crate) user_data: Bytes,
+    pub builtin_endpoints: u32,
+    /// As tools show it.
+    pub name: String,
+    /// USER_DATA.
+    pub user_data: Bytes,
 }
 
 /// An endpoint is announced (SEDP, `DiscoveredWriterData` and `DiscoveredReaderData`).
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct EndpointData {
-    pub(crate) guid: Guid,
-    pub(crate) topic: TopicDescription,
-    pub(crate) qos: Qos,
-    pub(crate) user_data: Bytes,
+pub struct EndpointData {
+    /// The endpoint.
+    pub guid: Guid,
+    /// Its topic.
+    pub topic: TopicDescription,
+    /// Offered or requested.
+    pub qos: Qos,
+    /// USER_DATA.
+    pub user_data: Bytes,
     /// Empty: those of its participant.
-    pub(crate) unicast: Vec<SocketAddrV4>,
+    pub unicast: Vec<SocketAddrV4>,
     /// Empty: those of its participant.
-    pub(crate) multicast: Vec<SocketAddrV4>,
+    pub multicast: Vec<SocketAddrV4>,
     /// Does it name locators that are not UDP over IPv4 (shared memory, TCP, IPv6)? Of own endpoints none are written.
-    pub(crate) has_other_locators: bool,
+    pub has_other_locators: bool,
 }
 
 /// Why the data of others are not taken.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub(crate) struct AnnouncementError(pub(crate) &'static str);
+pub struct AnnouncementError(pub(crate) &'static str);
 
 impl From<Malformed> for AnnouncementError {
     fn from(_: Malformed) -> Self {
@@ -68,7 +81,7 @@ pub(crate) fn key_payload(guid: Guid) -> Bytes {
 }
 
 /// The GUID in the key of something that was disposed of.
-pub(crate) fn key_of(payload: &Bytes) -> Option<Guid> {
+pub fn key_of(payload: &Bytes) -> Option<Guid> {
     let mut cursor = payload::open(payload).ok()?;
     let mut list = ParameterReader::new(&mut cursor);
     while let Some((id, mut value)) = list.next().ok()? {

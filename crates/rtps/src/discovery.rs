@@ -4,7 +4,8 @@
 //! over, or the participant says that it leaves, its endpoints are gone with it. It is found again by its next announcement, with
 //! nothing kept from before. An announcement counts for the participant that sends it, and for its own endpoints only.
 //!
-//! Memory: a participant takes 4 KiB, an endpoint 8 KiB, and what waits for missing announcements 128 KiB for each of three kinds.
+//! Memory: a participant takes 48 KiB with its builtin endpoints, an endpoint 8 KiB. Announcements that wait for missing ones take 128 KiB
+//! of a participant and 16 MiB of all, for each of three kinds.
 //! Their numbers are limited by [`PARTICIPANTS_MAX`], [`ENDPOINTS_OF_PARTICIPANT_MAX`] and [`ENDPOINTS_MAX`]; more are
 //! ignored until others go.
 
@@ -13,11 +14,12 @@ mod builtin_endpoints;
 mod liveliness;
 pub(crate) mod locators;
 mod remote;
+mod writer_leases;
 
 use crate::announcement::{EndpointData, ParticipantData, key_of};
 use crate::endpoint::{Delivered, DisposedKey, Outgoing, Peer};
 use crate::guid::{EntityId, Guid, GuidPrefix};
-use crate::interface::{Channel, Config, RemoteEndpoint};
+use crate::interface::{Channel, Config, Counters, RemoteEndpoint, UnreachableParticipant};
 use crate::limits::{ENDPOINTS_MAX, ENDPOINTS_OF_PARTICIPANT_MAX, PARTICIPANTS_MAX};
 use crate::time::Now;
 use crate::timers::Timers;
@@ -27,6 +29,8 @@ use builtin_endpoints::BuiltinEndpoints;
 use remote::RemoteParticipant;
 use std::collections::BTreeMap;
 use std::net::SocketAddrV4;
+pub(crate) use writer_leases::LivelinessChange;
+use writer_leases::WriterLeases;
 
 /// A change of an endpoint of another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,6 +41,14 @@ pub(crate) enum Event {
     Moved(Guid),
     /// It is not there any more.
     Gone(Guid),
+    /// A participant cannot be reached.
+    Unreachable(UnreachableParticipant),
+    /// It can be reached now, or has gone.
+    NotUnreachable(Guid),
+    /// The liveliness of a writer has ended or begun again.
+    Liveliness(LivelinessChange),
+    /// The numbers of a builtin writer began again, or its messages were forged.
+    Resynchronized(Guid),
 }
 
 /// The other participants, their endpoints, and the builtin endpoints of this one.
@@ -50,8 +62,10 @@ pub(crate) struct Discovery {
     endpoint_count: usize,
     /// When participants are given up. Invariant: the same keys as `participants`.
     leases: Timers<GuidPrefix>,
+    writer_leases: WriterLeases,
     /// Answers to participants that are new.
     replies: Vec<Outgoing>,
+    counters: Counters,
 }
 
 impl Discovery {
@@ -62,7 +76,9 @@ impl Discovery {
             participants: BTreeMap::new(),
             endpoint_count: 0,
             leases: Timers::default(),
+            writer_leases: WriterLeases::default(),
             replies: Vec::new(),
+            counters: Counters::default(),
             config,
         }
     }
@@ -78,21 +94,57 @@ impl Discovery {
         Some((&entry.endpoint, participant.endpoint_peer(entry)))
     }
 
+    /// The participants that cannot be reached.
+    pub(crate) fn unreachable(&self) -> impl Iterator<Item = UnreachableParticipant> {
+        self.participants.values().filter_map(RemoteParticipant::unreachable)
+    }
+
     /// All endpoints of others.
     pub(crate) fn endpoints(&self) -> impl Iterator<Item = &RemoteEndpoint> {
         self.participants.values().flat_map(|participant| participant.endpoints.values()).map(|entry| &entry.endpoint)
     }
 
+    /// Counts of rejected and ignored announcements; those of datagrams and samples are zero here.
+    pub(crate) fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// Bytes of announcements that wait for others or for fragments.
+    pub(crate) fn held(&self) -> usize {
+        self.builtin.held()
+    }
+
     /// This process stood still for a time in which others could not be heard: it does not count for their leases.
     pub(crate) fn stood_still(&mut self, time: u64) {
         self.leases.postpone(time);
+        self.writer_leases.postpone(time);
     }
 
     /// Something has come from a participant. Returns whether it is known.
-    pub(crate) fn renew(&mut self, now: Now, prefix: GuidPrefix) -> bool {
+    pub(crate) fn renew(&mut self, now: Now, prefix: GuidPrefix, events: &mut Vec<Event>) -> bool {
         let Some(participant) = self.participants.get(&prefix) else { return false };
         self.leases.set(prefix, Some(now.steady.saturating_add(participant.lease())));
+        let mut changes = Vec::new();
+        self.writer_leases.heard(now, prefix, &mut changes);
+        events.extend(changes.into_iter().map(Event::Liveliness));
         true
+    }
+
+    /// A writer of others has written, or asserts its liveliness.
+    pub(crate) fn wrote(&mut self, now: Now, writer: Guid, events: &mut Vec<Event>) {
+        let mut changes = Vec::new();
+        self.writer_leases.wrote(now, writer, &mut changes);
+        events.extend(changes.into_iter().map(Event::Liveliness));
+    }
+
+    /// Is a writer of others alive, as far as its lease says?
+    pub(crate) fn is_alive(&self, writer: Guid) -> bool {
+        self.writer_leases.is_alive(writer)
+    }
+
+    /// An own writer of kind MANUAL_BY_PARTICIPANT has written, or is asserted.
+    pub(crate) fn assert_manually(&mut self, now: Now) {
+        self.builtin.assert_manually(now);
     }
 
     /// A submessage from or to a builtin endpoint.
@@ -132,8 +184,12 @@ impl Discovery {
                 Ok(announced) if announced.prefix == source => {
                     self.participant_announced(now, from, channel, announced, events);
                 }
-                Ok(_) => tracing::debug!(%source, "a participant was announced by another one"),
+                Ok(_) => {
+                    self.counters.announcements_rejected += 1;
+                    tracing::debug!(%source, "a participant was announced by another one");
+                }
                 Err(error) => {
+                    self.counters.announcements_rejected += 1;
                     tracing::debug!(%source, %error, "a participant was announced in a way that is not understood")
                 }
             },
@@ -164,6 +220,7 @@ impl Discovery {
             return;
         }
         let prefix = data.prefix;
+        let before = self.participants.get(&prefix).and_then(RemoteParticipant::unreachable);
         if let Some(participant) = self.participants.get_mut(&prefix) {
             if let Some(moved) = participant.update(&self.config, now, data, from, channel) {
                 events.extend(moved.into_iter().map(|entity| Event::Moved(Guid::new(prefix, entity))));
@@ -174,8 +231,16 @@ impl Discovery {
             self.announcer.reply(now, prefix, participant.discovery_addresses(), &mut self.replies);
             self.participants.insert(prefix, participant);
             self.connect(now, prefix);
+        } else {
+            self.counters.beyond_limits += 1;
         }
-        self.renew(now, prefix);
+        let after = self.participants.get(&prefix).and_then(RemoteParticipant::unreachable);
+        match (before, after) {
+            (None, Some(unreachable)) => events.push(Event::Unreachable(unreachable)),
+            (Some(before), None) => events.push(Event::NotUnreachable(before.guid)),
+            _ => {}
+        }
+        self.renew(now, prefix, events);
     }
 
     /// Matches the builtin endpoints of a participant with the own ones, or gives them its new addresses.
@@ -197,20 +262,35 @@ impl Discovery {
         let participant = self.participants.remove(&prefix)?;
         self.leases.set(prefix, None);
         self.endpoint_count = self.endpoint_count.saturating_sub(participant.endpoints.len());
-        events.extend(participant.endpoints.keys().map(|entity| Event::Gone(Guid::new(prefix, *entity))));
+        events.extend(participant.unreachable().map(|participant| Event::NotUnreachable(participant.guid)));
+        for entity in participant.endpoints.keys() {
+            self.writer_leases.remove(Guid::new(prefix, *entity));
+            events.push(Event::Gone(Guid::new(prefix, *entity)));
+        }
         Some(participant)
     }
 
     fn receive_announcements(&mut self, now: Now, delivered: Vec<Delivered>, events: &mut Vec<Event>) {
         for delivered in delivered {
             match delivered {
-                Delivered::Sample(sample) if sample.writer.entity == EntityId::LIVELINESS_WRITER => {}
-                Delivered::Sample(sample) => match EndpointData::from_payload(&sample.payload) {
-                    Ok(data) if is_announced_by(data.guid, sample.writer) => self.endpoint_announced(data, events),
-                    Ok(data) => {
-                        tracing::debug!(guid = %data.guid, by = %sample.writer, "an endpoint was announced by another")
+                Delivered::Sample(sample) if sample.writer.entity == EntityId::LIVELINESS_WRITER => {
+                    let prefix = sample.writer.prefix;
+                    if liveliness::is_manual(prefix, &sample.payload) {
+                        let mut changes = Vec::new();
+                        self.writer_leases.asserted(now, prefix, &mut changes);
+                        events.extend(changes.into_iter().map(Event::Liveliness));
                     }
-                    Err(error) => tracing::debug!(by = %sample.writer, %error, "an announcement is not understood"),
+                }
+                Delivered::Sample(sample) => match EndpointData::from_payload(&sample.payload) {
+                    Ok(data) if is_announced_by(data.guid, sample.writer) => self.endpoint_announced(now, data, events),
+                    Ok(data) => {
+                        self.counters.announcements_rejected += 1;
+                        tracing::debug!(guid = %data.guid, by = %sample.writer, "an endpoint was announced by another");
+                    }
+                    Err(error) => {
+                        self.counters.announcements_rejected += 1;
+                        tracing::debug!(by = %sample.writer, %error, "an announcement is not understood");
+                    }
                 },
                 Delivered::Disposed { writer, key } => {
                     let guid = match key {
@@ -222,28 +302,42 @@ impl Discovery {
                         self.endpoint_gone(guid, events);
                     }
                 }
-                Delivered::Lost { .. } => {}
+                Delivered::Lost { .. } | Delivered::DeadlineMissed { .. } => {}
                 // Its numbers began again: it is another one under the same name. All of it is found again.
-                Delivered::Resynchronized { writer } => self.remove_participant(now, writer.prefix, events),
+                Delivered::Resynchronized { writer } => {
+                    events.push(Event::Resynchronized(writer));
+                    self.remove_participant(now, writer.prefix, events);
+                }
             }
         }
     }
 
-    fn endpoint_announced(&mut self, data: EndpointData, events: &mut Vec<Event>) {
+    fn endpoint_announced(&mut self, now: Now, data: EndpointData, events: &mut Vec<Event>) {
         let guid = data.guid;
         let Some(participant) = self.participants.get_mut(&guid.prefix) else { return };
-        let Some(entry) = participant.entry(&self.config, data) else { return };
+        let Some(entry) = participant.entry(&self.config, data) else {
+            self.counters.beyond_limits += 1;
+            return;
+        };
         let known = participant.endpoints.get(&guid.entity);
         if known == Some(&entry) {
             return;
         }
         if known.is_none() {
             if participant.endpoints.len() >= ENDPOINTS_OF_PARTICIPANT_MAX || self.endpoint_count >= ENDPOINTS_MAX {
+                self.counters.beyond_limits += 1;
                 return;
             }
             self.endpoint_count += 1;
         }
+        let was_alive = self.writer_leases.is_alive(guid);
+        if guid.entity.is_writer() {
+            self.writer_leases.add(now, guid, &entry.endpoint.qos);
+        }
         events.push(Event::Found(Box::new(entry.endpoint.clone())));
+        if !was_alive {
+            events.push(Event::Liveliness(LivelinessChange { writer: guid, is_alive: true }));
+        }
         participant.endpoints.insert(guid.entity, entry);
     }
 
@@ -251,6 +345,7 @@ impl Discovery {
         let Some(participant) = self.participants.get_mut(&guid.prefix) else { return };
         if participant.endpoints.remove(&guid.entity).is_some() {
             self.endpoint_count = self.endpoint_count.saturating_sub(1);
+            self.writer_leases.remove(guid);
             events.push(Event::Gone(guid));
         }
     }
@@ -271,6 +366,9 @@ impl Discovery {
             let Some(participant) = self.take_participant(prefix, events) else { continue };
             self.builtin.lose_participant(now, prefix, now.steady.saturating_sub(participant.lease()));
         }
+        let mut changes = Vec::new();
+        self.writer_leases.poll(now, &mut changes);
+        events.extend(changes.into_iter().map(Event::Liveliness));
         out.append(&mut self.replies);
         let unicast = self.participants.values().filter(|participant| !participant.is_heard_by_multicast);
         self.announcer.poll(now, unicast.flat_map(RemoteParticipant::discovery_addresses).copied(), out);
@@ -290,8 +388,9 @@ impl Discovery {
 
     /// When [`Discovery::poll`] has something to do next.
     pub(crate) fn deadline(&self) -> Option<u64> {
-        let timers = [self.leases.next(), self.builtin.deadline(), Some(self.announcer.deadline())];
-        timers.into_iter().flatten().min()
+        let leases = [self.leases.next(), self.writer_leases.deadline()];
+        let timers = leases.into_iter().chain([self.builtin.deadline(), Some(self.announcer.deadline())]);
+        timers.flatten().min()
     }
 }
 

@@ -49,6 +49,8 @@ pub(crate) enum Delivered {
     /// The numbers of a writer stayed below those that it seemed to have passed: its messages were forged. Its samples are delivered
     /// again. Worth a warning.
     Resynchronized { writer: Guid },
+    /// No sample came within the deadline, this many times since this was reported last.
+    DeadlineMissed { count: u64 },
 }
 
 /// Which instance was disposed of.

@@ -100,6 +100,18 @@ pub struct RemoteEndpoint {
     pub is_reachable: bool,
 }
 
+/// A participant of others that announces no address of UDP over IPv4 for discovery: Fast DDS with TCP or shared memory alone
+/// (`LARGE_DATA`), or a host with IPv6 alone. Its endpoints are not found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnreachableParticipant {
+    /// Its identifier.
+    pub guid: Guid,
+    /// Of which implementation.
+    pub vendor: VendorId,
+    /// The host from which it announced itself last.
+    pub host: Ipv4Addr,
+}
+
 /// The socket by which a datagram came, or from which it goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Channel {
@@ -140,6 +152,8 @@ pub enum Input {
         /// The sample.
         sample: OutgoingSample,
     },
+    /// Assert the liveliness of an own writer of kind MANUAL_BY_TOPIC or MANUAL_BY_PARTICIPANT, as writing does.
+    AssertLiveliness(EntityId),
     /// Leave the domain, and announce that to others.
     Leave,
 }
@@ -204,8 +218,36 @@ pub enum Output {
         /// Why.
         reason: LossReason,
     },
+    /// The numbers of a writer stayed below those that it seemed to have passed: they began again, or others were sent in its name. Its
+    /// samples are delivered again. Worth a warning.
+    Resynchronized {
+        /// The own reader, of an application or built in.
+        reader: EntityId,
+        /// The writer.
+        writer: Guid,
+    },
+    /// The liveliness of a matched writer has ended, or begun again.
+    Liveliness {
+        /// The own reader.
+        reader: EntityId,
+        /// The writer.
+        writer: Guid,
+        /// Is it alive now? It is when it matches, unless this is said at once.
+        is_alive: bool,
+    },
+    /// No sample of any writer came within the deadline that a reader requests.
+    DeadlineMissed {
+        /// The own reader.
+        reader: EntityId,
+        /// How many times since this was reported last.
+        count: u64,
+    },
     /// All reliable readers have everything that was written. Said once after each time that this becomes true.
     Acknowledged(EntityId),
+    /// A participant has announced itself that cannot be reached.
+    Unreachable(UnreachableParticipant),
+    /// A participant that could not be reached can be reached now, or has gone.
+    NotUnreachable(Guid),
     /// An endpoint of another participant has come, or has changed.
     Found(Box<RemoteEndpoint>),
     /// An endpoint of another participant has gone.
@@ -215,14 +257,17 @@ pub enum Output {
 /// Why samples are lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LossReason {
-    /// The writer has them no more.
+    /// The writer is reliable and has them no more: a GAP or HEARTBEAT says so.
     Gone,
     /// Larger than [`crate::limits::SAMPLE_BYTES_MAX`].
     TooLarge,
-    /// There was no room for fragments or samples out of order.
+    /// There was no room for fragments.
     NoRoom,
-    /// A best-effort sample did not come, or not whole.
+    /// A best-effort sample did not come.
     BestEffort,
+    /// Fragments of a best-effort sample did not come, before the next sample or within
+    /// [`crate::limits::ASSEMBLY_MICROS_MAX`].
+    Incomplete,
 }
 
 impl LossReason {
@@ -231,8 +276,39 @@ impl LossReason {
         match self {
             Self::Gone => "the writer has dropped them",
             Self::TooLarge => "they are too large",
-            Self::NoRoom => "no room for samples out of order",
+            Self::NoRoom => "no room for fragments",
             Self::BestEffort => "best effort",
+            Self::Incomplete => "best effort, fragments are missing",
         }
     }
+
+    /// May such a loss happen without a fault, because the policies promise no repair?
+    pub fn is_best_effort(self) -> bool {
+        matches!(self, Self::BestEffort | Self::Incomplete)
+    }
+}
+
+/// Samples that left the history of an own writer before all reliable readers had them, or before they were sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriterLosses {
+    /// Newer ones replaced them within the depth of KEEP_LAST, as the policy says.
+    pub replaced: u64,
+    /// [`crate::limits::HISTORY_BYTES_MAX`] or [`crate::limits::HISTORY_SAMPLES_MAX`] left no room for them. KEEP_ALL promises them.
+    pub pushed_out: u64,
+}
+
+/// Counts of what a participant has rejected and ignored since it began.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Datagrams of which the rest, or all, was dropped as malformed.
+    pub malformed: u64,
+    /// Announcements that cannot be read, or that name participants and endpoints of others.
+    pub announcements_rejected: u64,
+    /// Announcements of participants and endpoints beyond the limits of their number or size.
+    pub beyond_limits: u64,
+    /// Samples and fragments that were sent to this participant by writers that no reader matches. A few are usual: a writer may match
+    /// first.
+    pub unknown_writers: u64,
+    /// How often the numbers of writers began again: see [`Output::Resynchronized`].
+    pub resynchronized: u64,
 }

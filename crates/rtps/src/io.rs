@@ -6,6 +6,7 @@
 //! task         receives datagrams, and watches the deadline
 //! sockets      opens sockets; send: sends, or lets datagrams wait for room
 //! filter, sources   only this host and static peers, in the kernel and here
+//! reports      which losses are logged, and how often
 //! ```
 
 mod filter;
@@ -13,6 +14,7 @@ mod matches;
 mod membership;
 mod queue;
 mod reader;
+mod reports;
 mod send;
 mod sockets;
 mod sources;
@@ -24,12 +26,12 @@ mod writer;
 
 pub use matches::Matches;
 pub use membership::Ended;
-pub use queue::{Losses, QueueLimits};
+pub use queue::{Losses, QueueLimits, ReaderCounters};
 pub use reader::DomainReader;
 pub use writer::{DomainWriter, WriteError};
 
 use crate::guid::{Guid, GuidPrefix, PREFIX_BYTES, VendorId};
-use crate::interface::{Config, EndpointSettings, RemoteEndpoint};
+use crate::interface::{Config, Counters, EndpointSettings, RemoteEndpoint, UnreachableParticipant};
 use crate::participant::Participant;
 use bytes::Bytes;
 use membership::Membership;
@@ -160,6 +162,12 @@ impl Domain {
         self.membership.discovered(|endpoint| endpoint.guid.entity.is_reader())
     }
 
+    /// The other participants that announce no address of UDP over IPv4: their endpoints are not found. None after the end. A change
+    /// counts in [`Domain::changes`].
+    pub fn unreachable(&self) -> Vec<UnreachableParticipant> {
+        self.membership.unreachable()
+    }
+
     /// This endpoint of another participant, if it is there now.
     pub fn endpoint(&self, guid: Guid) -> Option<Arc<RemoteEndpoint>> {
         self.membership.endpoint(guid)
@@ -176,6 +184,14 @@ impl Domain {
     /// If the domain has ended.
     pub fn unsent(&self) -> Result<u64, Ended> {
         self.membership.unsent()
+    }
+
+    /// Counts of what was rejected and ignored so far.
+    ///
+    /// # Errors
+    /// If the domain has ended.
+    pub fn counters(&self) -> Result<Counters, Ended> {
+        self.membership.counters()
     }
 
     /// Ends the domain as a fault would: others are not notified, and all handles report it. For tests.

@@ -28,8 +28,21 @@ pub const ENDPOINTS_MAX: usize = 16_384;
 pub const HISTORY_BYTES_MAX: usize = 32 * 1024 * 1024;
 /// Deepest history, samples.
 pub const HISTORY_SAMPLES_MAX: usize = 100_000;
-/// Most bytes of samples in assembly or out of order, for each writer that a reader follows.
-pub const ASSEMBLY_BYTES_MAX: usize = 32 * 1024 * 1024;
+/// Most bytes of samples in assembly or out of order, for each writer that a reader follows. A fragmented sample may take twice its
+/// bytes.
+pub const ASSEMBLY_BYTES_MAX: usize = 2 * SAMPLE_BYTES_MAX;
+/// Most bytes of samples in assembly or out of order of all writers of a reader.
+pub const READER_BYTES_MAX: usize = 64 * 1024 * 1024;
+/// Most bytes of samples in assembly or out of order of all readers of a participant.
+pub const PARTICIPANT_BYTES_MAX: usize = 128 * 1024 * 1024;
+/// Most bytes of announcements that wait, for each participant and kind.
+pub const ANNOUNCEMENTS_OF_PARTICIPANT_BYTES_MAX: usize = 128 * 1024;
+/// Most bytes of announcements of all participants that wait, for each of the three kinds.
+pub const ANNOUNCEMENTS_BYTES_MAX: usize = 16 * 1024 * 1024;
+const _: () = assert!(ASSEMBLY_BYTES_MAX <= READER_BYTES_MAX && READER_BYTES_MAX <= PARTICIPANT_BYTES_MAX);
+/// Time without a new fragment after which a best-effort sample is given up, microseconds: it is not repaired. A sample that a reliable
+/// reader waits for longer gives way first where bytes are short.
+pub const ASSEMBLY_MICROS_MAX: u64 = 10_000_000;
 /// Most samples in assembly or out of order, for each writer that a reader follows.
 pub const ASSEMBLY_SAMPLES_MAX: usize = 8192;
 /// Payload of a fragment for readers on other hosts, bytes: with all headers it fits an Ethernet frame.

@@ -17,8 +17,13 @@ use crate::announcement::EndpointData;
 use crate::discovery::{Discovery, Event};
 use crate::endpoint::{Delivered, Outgoing};
 use crate::guid::{EntityId, Guid};
-use crate::interface::{Config, EndpointSettings, Input, OutgoingSample, Output, RemoteEndpoint};
-use crate::reader::Reader;
+use crate::interface::{
+    Config, Counters, EndpointSettings, Input, OutgoingSample, Output, RemoteEndpoint, UnreachableParticipant,
+    WriterLosses,
+};
+use crate::limits::PARTICIPANT_BYTES_MAX;
+use crate::qos::LivelinessKind;
+use crate::reader::{self, Reader};
 use crate::time::Now;
 use crate::timers::Timers;
 use crate::writer::Writer;
@@ -60,6 +65,9 @@ pub struct Participant {
     matches: BTreeMap<Guid, BTreeMap<EntityId, Fit>>,
     /// Invariant: each own endpoint that has something to do is due.
     timers: Timers<EntityId>,
+    /// Bytes of samples that wait in own readers. Invariant: the sum of what they hold.
+    held: usize,
+    counters: Counters,
     /// The steady clock at the last step.
     last: u64,
     /// When the next step was due after the last one.
@@ -80,6 +88,8 @@ impl Participant {
             key: 0,
             matches: BTreeMap::new(),
             timers: Timers::default(),
+            held: 0,
+            counters: Counters::default(),
             last: now.steady,
             has_left: false,
         }
@@ -100,6 +110,11 @@ impl Participant {
         self.discovery.endpoints().filter(|endpoint| endpoint.guid.entity.is_reader())
     }
 
+    /// The other participants that announce no address by which they can be reached: their endpoints are not found.
+    pub fn unreachable(&self) -> impl Iterator<Item = UnreachableParticipant> {
+        self.discovery.unreachable()
+    }
+
     /// Have all reliable readers everything that this own writer has written? True if it is not open.
     pub fn is_acknowledged(&self, writer: EntityId) -> bool {
         self.writer(writer).is_none_or(Writer::is_acknowledged)
@@ -108,6 +123,23 @@ impl Participant {
     /// Bytes of samples that this own writer keeps and not all reliable readers have.
     pub fn unacknowledged_bytes(&self, writer: EntityId) -> usize {
         self.writer(writer).map_or(0, Writer::unacknowledged_bytes)
+    }
+
+    /// Samples that this own writer has dropped before all reliable readers had them. None if it is not open.
+    pub fn writer_losses(&self, writer: EntityId) -> Option<WriterLosses> {
+        self.writer(writer).map(Writer::losses)
+    }
+
+    /// Counts of what was rejected and ignored so far.
+    pub fn counters(&self) -> Counters {
+        let Counters { announcements_rejected, beyond_limits, .. } = self.discovery.counters();
+        Counters { announcements_rejected, beyond_limits, ..self.counters }
+    }
+
+    /// Bytes of samples and announcements that wait for others or for fragments: at most [`PARTICIPANT_BYTES_MAX`], and three times
+    /// [`ANNOUNCEMENTS_BYTES_MAX`](crate::limits::ANNOUNCEMENTS_BYTES_MAX).
+    pub fn held_bytes(&self) -> usize {
+        self.held.saturating_add(self.discovery.held())
     }
 
     fn writer(&self, entity: EntityId) -> Option<&Writer> {
@@ -137,6 +169,7 @@ impl Participant {
             Input::OpenReader(settings) => self.open(now, settings, false, out),
             Input::Close(entity) => self.close(now, entity),
             Input::Write { writer, sample } => self.write(now, writer, sample, out),
+            Input::AssertLiveliness(entity) => self.assert_liveliness(now, entity),
             Input::Leave => {
                 self.leave(now, out);
                 return;
@@ -193,8 +226,9 @@ impl Participant {
     }
 
     fn close(&mut self, now: Now, entity: EntityId) {
-        if self.own.remove(&entity).is_none() {
-            return;
+        let Some(own) = self.own.remove(&entity) else { return };
+        if let Role::Reader(reader) = own.role {
+            self.held = self.held.saturating_sub(reader.held());
         }
         self.timers.set(entity, None);
         self.unmatch_own(entity);
@@ -202,13 +236,32 @@ impl Participant {
     }
 
     fn write(&mut self, now: Now, entity: EntityId, sample: OutgoingSample, out: &mut Vec<Output>) {
-        let Some(OwnEndpoint { role: Role::Writer { writer, is_awaited }, .. }) = self.own.get_mut(&entity) else {
+        let Some(OwnEndpoint { role: Role::Writer { writer, is_awaited }, settings }) = self.own.get_mut(&entity)
+        else {
             return;
         };
         let sequence = writer.write(now, sample);
+        if settings.qos.liveliness == LivelinessKind::ManualByParticipant {
+            self.discovery.assert_manually(now);
+        }
         *is_awaited = true;
         self.timers.set(entity, Some(now.steady));
         out.push(Output::Written { writer: entity, sequence });
+    }
+
+    fn assert_liveliness(&mut self, now: Now, entity: EntityId) {
+        let Some(OwnEndpoint { role: Role::Writer { writer, .. }, settings }) = self.own.get_mut(&entity) else {
+            return;
+        };
+        match settings.qos.liveliness {
+            // The participant asserts it.
+            LivelinessKind::Automatic => {}
+            LivelinessKind::ManualByParticipant => self.discovery.assert_manually(now),
+            LivelinessKind::ManualByTopic => {
+                writer.assert_liveliness();
+                self.timers.set(entity, Some(now.steady));
+            }
+        }
     }
 
     fn leave(&mut self, now: Now, out: &mut Vec<Output>) {
@@ -245,8 +298,12 @@ impl Participant {
                 writer.deadline()
             }
             Role::Reader(reader) => {
-                reader.poll(now, outgoing);
-                reader.deadline()
+                let (mut delivered, before) = (Vec::new(), reader.held());
+                reader.poll(now, outgoing, &mut delivered);
+                self.held = self.held.saturating_sub(before).saturating_add(reader.held());
+                let deadline = reader.deadline();
+                self.deliver(entity, delivered, out);
+                deadline
             }
         };
         self.timers.set(entity, deadline);
@@ -266,21 +323,56 @@ impl Participant {
                     self.unmatch_other(now, guid, out);
                     out.push(Output::Gone(guid));
                 }
+                Event::Unreachable(participant) => out.push(Output::Unreachable(participant)),
+                Event::NotUnreachable(guid) => out.push(Output::NotUnreachable(guid)),
+                Event::Liveliness(change) => self.report_liveliness(change, out),
+                Event::Resynchronized(writer) => {
+                    self.counters.resynchronized += 1;
+                    // The reader of discovery that reads it: its number says the same, as of the writer.
+                    let EntityId([a, b, c, kind]) = writer.entity;
+                    let reader = EntityId([a, b, c, kind & 0xc0 | 0x07]);
+                    out.push(Output::Resynchronized { reader, writer });
+                }
             }
         }
     }
-}
 
-/// The results of an own reader.
-fn deliver(reader: EntityId, delivered: Vec<Delivered>, out: &mut Vec<Output>) {
-    out.extend(delivered.into_iter().filter_map(|delivered| match delivered {
-        Delivered::Sample(sample) => Some(Output::Sample { reader, sample }),
-        Delivered::Lost { writer, count, reason } => Some(Output::Lost { reader, writer, count, reason }),
-        // Samples are carried, their instances are not followed.
-        Delivered::Disposed { .. } => None,
-        Delivered::Resynchronized { writer } => {
-            tracing::warn!(%writer, "numbers of a writer began again, or somebody sent others in its name");
-            None
+    /// Readers share the limit of the participant.
+    fn keep_limit(&mut self, now: Now, out: &mut Vec<Output>) {
+        if self.held <= PARTICIPANT_BYTES_MAX {
+            return;
         }
-    }));
+        let readers = self.own.iter_mut().filter_map(|(entity, own)| match &mut own.role {
+            Role::Reader(reader) => Some((*entity, reader)),
+            Role::Writer { .. } => None,
+        });
+        let mut readers: Vec<_> = readers.map(|(entity, reader)| (entity, reader, Vec::new())).collect();
+        let mut sharing: Vec<_> = readers.iter_mut().map(|(_, reader, out)| (&mut ***reader, out)).collect();
+        reader::share(now.steady, PARTICIPANT_BYTES_MAX, &mut sharing);
+        self.held = readers.iter().map(|(_, reader, _)| reader.held()).sum();
+        let delivered: Vec<_> = readers.into_iter().map(|(entity, _, delivered)| (entity, delivered)).collect();
+        for (entity, delivered) in delivered {
+            self.timers.set(entity, Some(now.steady));
+            self.deliver(entity, delivered, out);
+        }
+    }
+
+    /// The results of an own reader.
+    fn deliver(&mut self, reader: EntityId, delivered: Vec<Delivered>, out: &mut Vec<Output>) {
+        for delivered in delivered {
+            match delivered {
+                Delivered::Sample(sample) => out.push(Output::Sample { reader, sample }),
+                Delivered::Lost { writer, count, reason } => {
+                    out.push(Output::Lost { reader, writer, count, reason });
+                }
+                // Samples are carried, their instances are not followed.
+                Delivered::Disposed { .. } => {}
+                Delivered::Resynchronized { writer } => {
+                    self.counters.resynchronized += 1;
+                    out.push(Output::Resynchronized { reader, writer });
+                }
+                Delivered::DeadlineMissed { count } => out.push(Output::DeadlineMissed { reader, count }),
+            }
+        }
+    }
 }

@@ -3,14 +3,16 @@
 //! A reliable reader delivers each sample once and in order, asks for what it lacks, and passes over what a writer no longer has. A
 //! best-effort reader delivers what is newer than the last sample.
 //!
-//! Memory: for each matched writer at most [`ASSEMBLY_BYTES_MAX`] and
-//! [`ASSEMBLY_SAMPLES_MAX`](crate::limits::ASSEMBLY_SAMPLES_MAX) of samples that wait, and at most 8 KiB of ranges of numbers.
-//! Submessages with any numbers cost bounded time: ranges are never walked number by number.
+//! Memory: samples that wait take at most [`ASSEMBLY_BYTES_MAX`] and [`ASSEMBLY_SAMPLES_MAX`](crate::limits::ASSEMBLY_SAMPLES_MAX) for
+//! each matched writer, and [`READER_BYTES_MAX`] for all. Writers share that fairly: see `budget`. A matched writer takes at most
+//! [`MATCHED_WRITER_BYTES_MAX`] besides. Submessages with any numbers cost bounded time: ranges are never walked number by number.
 
 mod acknowledgement;
 mod assembly;
 mod best_effort;
+mod budget;
 mod content;
+mod deadline;
 mod ranges;
 mod reliable;
 #[cfg(test)]
@@ -23,31 +25,62 @@ mod timing;
 
 use crate::endpoint::{Delivered, Outgoing, Peer};
 use crate::guid::{EntityId, Guid};
-use crate::limits::ASSEMBLY_BYTES_MAX;
-use crate::qos::{Qos, Reliability};
+use crate::limits::{ASSEMBLY_BYTES_MAX, LOCATORS_MAX, READER_BYTES_MAX};
+use crate::qos::{Durability, Qos, Reliability};
 use crate::time::Now;
 use crate::wire::submessage::{Addressed, Data, Submessage};
 use best_effort::BestEffortProxy;
+use budget::Holding;
+pub(crate) use budget::share;
 use content::Content;
-use reliable::ReliableProxy;
+use deadline::Deadline;
+use reliable::{GAPS_MAX, Options, ReliableProxy};
 use std::collections::BTreeMap;
+use std::net::SocketAddrV4;
+use store::{STORE_BYTES, Store};
 
 /// Numbers above are ignored: no writer gets there, and the arithmetic with those below cannot overflow.
 const NUMBER_MAX: i64 = 1 << 62;
+
+/// Most bytes that a matched writer takes besides the samples that wait: addresses, ranges of numbers, maps.
+pub(crate) const MATCHED_WRITER_BYTES_MAX: usize = 12 * 1024;
+/// A vector of ranges may have twice the room that it needs; there are three sets.
+const RANGES_BYTES: usize = 3 * 2 * (GAPS_MAX + 1) * size_of::<(i64, i64)>();
+const _: () = assert!(
+    MATCHED_WRITER_BYTES_MAX
+        >= size_of::<ReliableProxy>()
+            + size_of::<BestEffortProxy>()
+            + 2 * size_of::<(Guid, Matched)>()
+            + 2 * LOCATORS_MAX * size_of::<SocketAddrV4>()
+            + RANGES_BYTES
+            + STORE_BYTES
+);
 
 /// An own reader.
 #[derive(Debug)]
 pub(crate) struct Reader {
     entity: EntityId,
     is_reliable: bool,
-    without_history: bool,
+    options: Options,
     /// Bytes of samples that may wait for each writer.
+    writer_room: usize,
+    /// And for all.
     room: usize,
-    writers: BTreeMap<Guid, WriterProxy>,
+    writers: BTreeMap<Guid, Matched>,
+    /// Invariant: the sum of what the writers hold.
+    held: usize,
+    deadline: Deadline,
     /// The highest count of the writers that were removed. One that matches again may remember it.
     count: i32,
     /// Not later than anything that is due for a writer.
     due: Option<u64>,
+}
+
+/// A matched writer.
+#[derive(Debug)]
+struct Matched {
+    proxy: WriterProxy,
+    holding: Holding,
 }
 
 /// The state of the reader for one matched writer (§8.4.12.2).
@@ -57,45 +90,71 @@ enum WriterProxy {
     BestEffort(Box<BestEffortProxy>),
 }
 
+impl WriterProxy {
+    fn store(&self) -> &Store {
+        match self {
+            Self::Reliable(proxy) => &proxy.store,
+            Self::BestEffort(proxy) => &proxy.store,
+        }
+    }
+
+    /// When it has something to do next.
+    fn due(&self) -> Option<u64> {
+        match self {
+            Self::Reliable(proxy) => proxy.due(),
+            Self::BestEffort(proxy) => proxy.due(),
+        }
+    }
+}
+
 impl Reader {
     pub(crate) fn new(entity: EntityId, qos: &Qos, without_history: bool) -> Self {
         Self {
             entity,
             is_reliable: qos.reliability == Reliability::Reliable,
-            without_history,
-            room: ASSEMBLY_BYTES_MAX,
+            options: Options { skips_old: without_history, is_durable: qos.durability != Durability::Volatile },
+            writer_room: ASSEMBLY_BYTES_MAX,
+            room: READER_BYTES_MAX,
             writers: BTreeMap::new(),
+            held: 0,
+            deadline: Deadline::new(qos.deadline.to_micros()),
             count: 0,
             due: None,
         }
     }
 
-    /// With less room for samples that wait, for each writer. It must be enough for the largest sample.
-    pub(crate) fn with_room(self, room: usize) -> Self {
-        Self { room, ..self }
+    /// With less room for samples that wait, for each writer and for all. The first must be enough for the largest sample.
+    pub(crate) fn with_room(self, writer_room: usize, room: usize) -> Self {
+        Self { writer_room, room, ..self }
     }
 
     /// A writer matches, or its address has changed.
     pub(crate) fn add_writer(&mut self, now: Now, writer: Peer) {
-        match self.writers.get_mut(&writer.guid) {
+        match self.writers.get_mut(&writer.guid).map(|matched| &mut matched.proxy) {
             Some(WriterProxy::Reliable(proxy)) => proxy.set_peer(writer),
             Some(WriterProxy::BestEffort(_)) => {}
-            None if self.is_reliable && writer.is_reliable => {
-                let guid = writer.guid;
-                let proxy = ReliableProxy::new(now.steady, writer, self.without_history, self.count, self.room);
-                self.writers.insert(guid, WriterProxy::Reliable(Box::new(proxy)));
-                self.due = Some(now.steady);
-            }
             None => {
-                let proxy = BestEffortProxy::new(writer.guid);
-                self.writers.insert(writer.guid, WriterProxy::BestEffort(Box::new(proxy)));
+                let guid = writer.guid;
+                let proxy = if self.is_reliable && writer.is_reliable {
+                    self.due = Some(now.steady);
+                    let proxy = ReliableProxy::new(now.steady, writer, self.options, self.count, self.writer_room);
+                    WriterProxy::Reliable(Box::new(proxy))
+                } else {
+                    WriterProxy::BestEffort(Box::new(BestEffortProxy::new(guid, self.writer_room)))
+                };
+                self.writers.insert(guid, Matched { proxy, holding: Holding::default() });
             }
         }
     }
 
     pub(crate) fn remove_writer(&mut self, writer: Guid) {
-        if let Some(WriterProxy::Reliable(proxy)) = self.writers.remove(&writer) {
+        let Some(Matched { proxy, holding }) = self.writers.remove(&writer) else { return };
+        self.held = self.held.saturating_sub(holding.bytes());
+        if let WriterProxy::Reliable(proxy) = proxy {
             self.count = self.count.max(proxy.count());
+        }
+        if self.writers.is_empty() {
+            self.deadline.stop();
         }
     }
 
@@ -112,33 +171,48 @@ impl Reader {
         if reader != self.entity && reader != EntityId::UNKNOWN {
             return;
         }
-        match self.writers.get_mut(&Guid::new(message.source, writer)) {
-            Some(WriterProxy::Reliable(proxy)) => {
-                proxy.receive(now.steady, message, out);
-                self.due = self.due.into_iter().chain(proxy.due()).min();
-            }
-            Some(WriterProxy::BestEffort(proxy)) => proxy.receive(now.steady, message, out),
-            None => {}
+        let guid = Guid::new(message.source, writer);
+        let Some(matched) = self.writers.get_mut(&guid) else { return };
+        let begin = out.len();
+        match &mut matched.proxy {
+            WriterProxy::Reliable(proxy) => proxy.receive(now.steady, message, out),
+            WriterProxy::BestEffort(proxy) => proxy.receive(now.steady, message, out),
         }
+        self.due = self.due.into_iter().chain(matched.proxy.due()).min();
+        if out.iter().skip(begin).any(|delivered| matches!(delivered, Delivered::Sample(_))) {
+            self.deadline.start(now.steady);
+        }
+        self.account(now.steady, guid);
+        self.keep_limit(now.steady, out);
     }
 
-    /// Puts out what is due: ACKNACK and NACK_FRAG.
-    pub(crate) fn poll(&mut self, now: Now, out: &mut Vec<Outgoing>) {
+    /// Puts out what is due: ACKNACK and NACK_FRAG, and samples that are given up.
+    pub(crate) fn poll(&mut self, now: Now, out: &mut Vec<Outgoing>, delivered: &mut Vec<Delivered>) {
+        if let Some(count) = self.deadline.missed(now.steady) {
+            delivered.push(Delivered::DeadlineMissed { count });
+        }
         if self.due.is_none_or(|due| due > now.steady) {
             return;
         }
         self.due = None;
-        for proxy in self.writers.values_mut() {
-            if let WriterProxy::Reliable(proxy) = proxy {
-                proxy.poll(now.steady, self.entity, out);
-                self.due = self.due.into_iter().chain(proxy.due()).min();
+        let mut changed = Vec::new();
+        for (guid, matched) in &mut self.writers {
+            match &mut matched.proxy {
+                WriterProxy::Reliable(proxy) => proxy.poll(now.steady, self.entity, out),
+                WriterProxy::BestEffort(proxy) => {
+                    if proxy.poll(now.steady, delivered) {
+                        changed.push(*guid);
+                    }
+                }
             }
+            self.due = self.due.into_iter().chain(matched.proxy.due()).min();
         }
+        changed.into_iter().for_each(|guid| self.account(now.steady, guid));
     }
 
     /// When [`Reader::poll`] has something to do next, by the steady clock.
     pub(crate) fn deadline(&self) -> Option<u64> {
-        self.due
+        self.due.into_iter().chain(self.deadline.due()).min()
     }
 }
 

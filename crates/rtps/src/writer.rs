@@ -15,12 +15,12 @@ mod tests;
 
 use crate::endpoint::{Outgoing, Peer};
 use crate::guid::{EntityId, Guid, GuidPrefix, SequenceNumber};
-use crate::interface::OutgoingSample;
+use crate::interface::{OutgoingSample, WriterLosses};
 use crate::limits::{BURST_BYTES, BURST_PAUSE_MICROS, FRAGMENT_BYTES, FRAGMENT_BYTES_LOCAL};
 use crate::qos::{Durability, Qos, Reliability};
-use crate::time::Now;
+use crate::time::{Now, Ticks};
 use crate::wire::submessage::{Heartbeat, InlineQos, Payload, Submessage};
-use history::{History, Sample};
+use history::{Excess, History, Sample};
 use message::Audience;
 use reader_proxy::{ReaderProxy, Replay};
 use std::collections::{BTreeMap, VecDeque};
@@ -56,6 +56,9 @@ pub(crate) struct Writer {
     /// Readers that get an answer, in this order, and when.
     queue: VecDeque<Guid>,
     answer_due: Option<u64>,
+    /// Its liveliness is to be asserted.
+    asserts: bool,
+    losses: WriterLosses,
 }
 
 /// A sample that is being sent for the first time. It is sent to its end, also if newer ones have replaced it: otherwise a writer of
@@ -112,19 +115,48 @@ impl Writer {
             heartbeat_due: None,
             queue: VecDeque::new(),
             answer_due: None,
+            asserts: false,
+            losses: WriterLosses::default(),
         }
     }
 
     /// Writes a sample; it waits for no reader.
     pub(crate) fn write(&mut self, now: Now, sample: OutgoingSample) -> SequenceNumber {
         let inline_qos = InlineQos { related: sample.related, ..InlineQos::default() };
-        SequenceNumber(self.history.push(now.steady, sample.timestamp, inline_qos, Payload::Data(sample.payload)))
+        self.push(now, sample.timestamp, inline_qos, Payload::Data(sample.payload))
+    }
+
+    fn push(&mut self, now: Now, timestamp: Option<Ticks>, inline_qos: InlineQos, payload: Payload) -> SequenceNumber {
+        let sequence = self.history.push(now.steady, timestamp, inline_qos, payload);
+        let mut needed_above = None;
+        while let Some((oldest, excess)) = self.history.pop_excess() {
+            // What is being pushed goes out to its end.
+            let sent = self.push.as_ref().map_or(self.pushed, |push| push.sample.sequence);
+            if oldest > *needed_above.get_or_insert_with(|| self.acknowledged_of(sent)) {
+                let count = match excess {
+                    Excess::Depth => &mut self.losses.replaced,
+                    Excess::Room => &mut self.losses.pushed_out,
+                };
+                *count = count.saturating_add(1);
+            }
+        }
+        SequenceNumber(sequence)
+    }
+
+    /// Samples that it has dropped before all reliable readers had them.
+    pub(crate) fn losses(&self) -> WriterLosses {
+        self.losses
+    }
+
+    /// Asserts that it is alive, by a HEARTBEAT to all readers (§8.4.13.5).
+    pub(crate) fn assert_liveliness(&mut self) {
+        self.asserts = !self.readers.is_empty();
     }
 
     /// Writes the end of an instance: `status` as in PID_STATUS_INFO. Keeps it until its reliable readers have it.
     pub(crate) fn dispose(&mut self, now: Now, key: Payload, key_hash: [u8; 16], status: u32) -> SequenceNumber {
         let inline_qos = InlineQos { related: None, status, key_hash: Some(key_hash) };
-        SequenceNumber(self.history.push(now.steady, None, inline_qos, key))
+        self.push(now, None, inline_qos, key)
     }
 
     /// Forgets a sample: what it announced is over. Readers learn by GAP or HEARTBEAT that it will not come.
@@ -206,6 +238,9 @@ impl Writer {
             self.answer(now, out);
         }
         self.push_new(now, out);
+        if std::mem::take(&mut self.asserts) {
+            self.send_assertion(out);
+        }
         if self.heartbeat_due.is_some_and(|(due, _)| due <= now) {
             self.repeat_heartbeat(now, out);
         }
@@ -216,7 +251,8 @@ impl Writer {
     pub(crate) fn deadline(&self) -> Option<u64> {
         let is_pushing = self.push.is_some() || self.pushed < self.history.last();
         let push = is_pushing.then(|| self.burst.room_at());
-        [push, self.answer_due, self.heartbeat_due.map(|(due, _)| due)].into_iter().flatten().min()
+        let assertion = self.asserts.then_some(0);
+        [push, assertion, self.answer_due, self.heartbeat_due.map(|(due, _)| due)].into_iter().flatten().min()
     }
 
     /// Have all reliable readers everything that was written?
@@ -236,8 +272,13 @@ impl Writer {
 
     /// The newest number up to which everything was pushed and acknowledged by all reliable readers.
     fn acknowledged(&self) -> i64 {
+        self.acknowledged_of(self.pushed)
+    }
+
+    /// The same, of the numbers up to this one.
+    fn acknowledged_of(&self, last: i64) -> i64 {
         let readers = self.readers.values().filter(|proxy| self.serves(proxy));
-        readers.map(|proxy| proxy.acknowledged).fold(self.pushed, i64::min)
+        readers.map(|proxy| proxy.acknowledged).fold(last, i64::min)
     }
 
     /// Forgets what no reader needs: a volatile writer everything that all reliable readers have, a durable one the ends of instances.
@@ -336,6 +377,14 @@ impl Writer {
         out.push(audience.message(None, vec![heartbeat]));
         let next = interval.saturating_mul(2).min(HEARTBEAT_MICROS_MAX);
         self.heartbeat_due = Some((now.saturating_add(interval), next));
+    }
+
+    fn send_assertion(&mut self, out: &mut Vec<Outgoing>) {
+        let audience = Audience::of(self.readers.values().map(|proxy| &proxy.peer));
+        if let Submessage::Heartbeat(heartbeat) = self.heartbeat(audience.reader()) {
+            let heartbeat = Heartbeat { is_alive: true, is_final: true, ..heartbeat };
+            out.push(audience.message(None, vec![Submessage::Heartbeat(heartbeat)]));
+        }
     }
 
     /// Begins to repeat HEARTBEATs, unless they are being repeated.

@@ -6,7 +6,7 @@ use super::{AnnouncementError, ParticipantData};
 use crate::guid::{EntityId, Guid, GuidPrefix, VendorId};
 use crate::time::Ticks;
 use crate::wire::VERSION;
-use crate::wire::cursor::Cursor;
+use crate::wire::cursor::{ByteOrder, Cursor};
 use crate::wire::parameters::{ParameterReader, ParameterWriter};
 use crate::wire::pid;
 use bytes::Bytes;
@@ -17,11 +17,16 @@ const LEASE_DEFAULT: Duration = Duration::from_secs(100);
 
 impl ParticipantData {
     /// As the payload of a sample, with encapsulation header (PL_CDR_LE).
-    pub(crate) fn to_payload(&self) -> Bytes {
-        payload::write(|list| self.write(list))
+    pub fn to_payload(&self) -> Bytes {
+        self.to_payload_in(ByteOrder::Little)
     }
 
-    pub(super) fn write(&self, list: &mut ParameterWriter<'_>) {
+    /// The same in either byte order.
+    pub fn to_payload_in(&self, order: ByteOrder) -> Bytes {
+        payload::write_in_order(order, |list| self.write(list))
+    }
+
+    fn write(&self, list: &mut ParameterWriter<'_>) {
         list.add(pid::PROTOCOL_VERSION, |value| value.slice(&VERSION));
         list.add(pid::VENDOR_ID, |value| value.slice(&self.vendor.0));
         list.add(pid::PARTICIPANT_GUID, |value| value.guid(Guid::new(self.prefix, EntityId::PARTICIPANT)));
@@ -39,7 +44,10 @@ impl ParticipantData {
     }
 
     /// From the payload of a sample, in either byte order.
-    pub(crate) fn from_payload(payload: &Bytes) -> Result<Self, AnnouncementError> {
+    ///
+    /// # Errors
+    /// If it is malformed, lacks what identifies it, or must not be taken without an understanding of all of it.
+    pub fn from_payload(payload: &Bytes) -> Result<Self, AnnouncementError> {
         let mut cursor = payload::open(payload)?;
         let mut draft = Draft::default();
         let mut list = ParameterReader::new(&mut cursor);

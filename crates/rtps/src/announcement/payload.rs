@@ -18,7 +18,7 @@ pub(super) fn write(parameters: impl FnOnce(&mut ParameterWriter<'_>)) -> Bytes 
     write_in_order(ByteOrder::Little, parameters)
 }
 
-/// In either byte order, for tests.
+/// The same in either byte order.
 pub(super) fn write_in_order(order: ByteOrder, parameters: impl FnOnce(&mut ParameterWriter<'_>)) -> Bytes {
     let mut encoder = Encoder::new(order);
     encoder.slice(if order == ByteOrder::Little { &PL_CDR_LE } else { &PL_CDR_BE });

@@ -7,7 +7,8 @@ use crate::announcement::{EndpointData, key_payload};
 use crate::endpoint::{Delivered, Outgoing, Peer};
 use crate::guid::{EntityId, Guid, GuidPrefix, SequenceNumber};
 use crate::interface::OutgoingSample;
-use crate::qos::{Durability, History, LivelinessKind, Qos, Reliability};
+use crate::limits::{ANNOUNCEMENTS_BYTES_MAX, ANNOUNCEMENTS_OF_PARTICIPANT_BYTES_MAX};
+use crate::qos::{Durability, History, Qos, Reliability};
 use crate::reader::Reader;
 use crate::time::{Now, Ticks};
 use crate::timers::Timers;
@@ -19,8 +20,6 @@ use std::collections::{BTreeMap, VecDeque};
 /// Largest announcement of an endpoint that is put together of fragments, bytes. A larger one is passed over. Type information of a
 /// message with many fields, which Fast DDS and CycloneDDS add, is some kilobytes.
 pub(crate) const ANNOUNCEMENT_BYTES_MAX: u32 = 64 * 1024;
-/// Announcements of one kind and participant that wait for others or for fragments, bytes.
-const WAITING_BYTES_MAX: usize = 128 * 1024;
 /// Ends of own endpoints that are kept for participants that have not heard them, or come back. A participant may close this many at
 /// once.
 const ENDS_MAX: usize = 4096;
@@ -106,12 +105,15 @@ impl BuiltinEndpoints {
             ..Qos::default()
         };
         let history = |writer| match writer {
-            // One instance for each participant and kind; one kind is written.
-            EntityId::LIVELINESS_WRITER => History::KeepLast(1),
+            // The newest message of each kind.
+            EntityId::LIVELINESS_WRITER => History::KeepLast(2),
             // What is over is forgotten one by one.
             _ => History::KeepAll,
         };
-        let reader = |entity| Reader::new(entity, &qos(History::KeepAll), false).with_room(WAITING_BYTES_MAX);
+        let reader = |entity| {
+            Reader::new(entity, &qos(History::KeepAll), false)
+                .with_room(ANNOUNCEMENTS_OF_PARTICIPANT_BYTES_MAX, ANNOUNCEMENTS_BYTES_MAX)
+        };
         let writers = PAIRS.iter().map(|pair| (pair.writer, Writer::new(pair.writer, &qos(history(pair.writer)))));
         let readers = PAIRS.iter().map(|pair| (pair.reader, reader(pair.reader)));
         Self {
@@ -247,11 +249,15 @@ impl BuiltinEndpoints {
         self.forget(entity, Some(sequence));
         let qos = &data.qos;
         if entity.is_writer()
-            && qos.liveliness == LivelinessKind::Automatic
             && let Some(lease) = qos.liveliness_lease.to_micros()
         {
-            self.liveliness.add(now, entity, lease);
+            self.liveliness.add(now, entity, qos.liveliness, lease);
         }
+    }
+
+    /// An own writer of kind MANUAL_BY_PARTICIPANT has written, or is asserted.
+    pub(crate) fn assert_manually(&mut self, now: Now) {
+        self.liveliness.assert_manually(now);
     }
 
     /// An own endpoint has been closed: its announcement is replaced by its end.
@@ -290,7 +296,7 @@ impl BuiltinEndpoints {
     /// Puts out what is due.
     pub(crate) fn poll(&mut self, now: Now, out: &mut Vec<Outgoing>) {
         self.repeat_ends(now);
-        if let Some(payload) = self.liveliness.poll(now, self.prefix) {
+        for payload in self.liveliness.poll(now, self.prefix) {
             self.assert_liveliness(now, payload);
         }
         for entity in self.timers.take_due(now.steady) {
@@ -299,7 +305,8 @@ impl BuiltinEndpoints {
                 self.timers.set(entity, writer.deadline());
             }
             if let Some(reader) = self.readers.get_mut(&entity) {
-                reader.poll(now, out);
+                // All are reliable, without a deadline: nothing is delivered by time.
+                reader.poll(now, out, &mut Vec::new());
                 self.timers.set(entity, reader.deadline());
             }
         }
@@ -308,6 +315,11 @@ impl BuiltinEndpoints {
     fn assert_liveliness(&mut self, now: Now, payload: Bytes) {
         let timestamp = Some(Ticks::from_micros(now.wall));
         self.write(now, EntityId::LIVELINESS_WRITER, OutgoingSample { payload, timestamp, related: None });
+    }
+
+    /// Bytes of announcements that wait.
+    pub(crate) fn held(&self) -> usize {
+        self.readers.values().map(Reader::held).sum()
     }
 
     /// When [`BuiltinEndpoints::poll`] has something to do next.

@@ -4,7 +4,7 @@ use super::locators::{Route, route};
 use crate::announcement::{EndpointData, ParticipantData};
 use crate::endpoint::Peer;
 use crate::guid::{EntityId, Guid, VendorId};
-use crate::interface::{Channel, Config, RemoteEndpoint};
+use crate::interface::{Channel, Config, RemoteEndpoint, UnreachableParticipant};
 use crate::limits::{LOCATORS_MAX, PARTITIONS_MAX, REPRESENTATIONS_MAX};
 use crate::qos::{Durability, Reliability, Representation};
 use crate::time::{Now, micros};
@@ -21,7 +21,7 @@ pub(crate) const ENDPOINT_BYTES_MAX: usize = 4096;
 
 /// Most memory that an endpoint takes, bytes.
 const ENDPOINT_MEMORY_MAX: usize = 8 * 1024;
-/// Most memory that a participant takes without its endpoints and the announcements that wait, bytes.
+/// Most memory that a participant takes without its endpoints, bytes. Its three pairs of builtin endpoints take 44 KiB more.
 const PARTICIPANT_MEMORY_MAX: usize = 4 * 1024;
 /// Addresses: those that are announced, and the way.
 const ADDRESSES_BYTES: usize = 2 * LOCATORS_MAX * size_of::<SocketAddrV4>();
@@ -44,6 +44,8 @@ pub(crate) struct RemoteParticipant {
     discovery: Route,
     /// The announced address from which it was heard, and when last.
     source: Option<(Ipv4Addr, u64)>,
+    /// The host from which it announced itself last.
+    host: Ipv4Addr,
     /// Was it ever heard by multicast? Then it probably hears multicast as well.
     pub(crate) is_heard_by_multicast: bool,
     pub(crate) endpoints: BTreeMap<EntityId, RemoteEntry>,
@@ -63,6 +65,7 @@ impl RemoteParticipant {
         let mut participant = Self {
             discovery: Route::default(),
             source: None,
+            host: *from.ip(),
             is_heard_by_multicast: channel == Channel::DiscoveryMulticast,
             endpoints: BTreeMap::new(),
             data: stripped(data),
@@ -87,6 +90,15 @@ impl RemoteParticipant {
         &self.discovery.to
     }
 
+    /// How it is reported if its builtin endpoints cannot be reached.
+    pub(crate) fn unreachable(&self) -> Option<UnreachableParticipant> {
+        self.discovery.to.is_empty().then(|| UnreachableParticipant {
+            guid: Guid::new(self.data.prefix, EntityId::PARTICIPANT),
+            vendor: self.data.vendor,
+            host: self.host,
+        })
+    }
+
     /// It has announced itself again. Returns the endpoints whose ways have changed; `None` if all is as before.
     pub(crate) fn update(
         &mut self,
@@ -97,6 +109,7 @@ impl RemoteParticipant {
         channel: Channel,
     ) -> Option<Vec<EntityId>> {
         self.is_heard_by_multicast |= channel == Channel::DiscoveryMulticast;
+        self.host = *from.ip();
         let data = stripped(data);
         let is_other_source = self.note_source(now, *from.ip());
         if data == self.data && !is_other_source {

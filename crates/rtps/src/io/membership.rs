@@ -6,10 +6,13 @@
 
 use super::matches::Matches;
 use super::queue::SampleSender;
+use super::reports::Reports;
 use super::send::Senders;
 use super::timer::{Timer, now};
 use crate::guid::{EntityId, Guid, SequenceNumber};
-use crate::interface::{Input, OutgoingSample, Output, RemoteEndpoint};
+use crate::interface::{
+    Counters, Input, LossReason, OutgoingSample, Output, RemoteEndpoint, UnreachableParticipant, WriterLosses,
+};
 use crate::participant::Participant;
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -36,6 +39,7 @@ pub(super) struct Membership {
 /// The reports of an own endpoint to its handle.
 #[derive(Debug)]
 pub(super) struct Endpoint {
+    pub(super) topic: String,
     pub(super) matches: watch::Sender<Matches>,
     pub(super) role: Role,
 }
@@ -60,6 +64,21 @@ struct State {
     alarm: Option<u64>,
     /// Empty between steps: its memory is used again.
     outputs: Vec<Output>,
+    reports: Reports<Kind>,
+    /// The counters of the participant when they were looked at last.
+    counters: Counters,
+}
+
+/// Kinds of events that are logged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    Lost(LossReason),
+    Resynchronized,
+    DeadlineMissed,
+    PushedOut,
+    Malformed,
+    BeyondLimits,
+    Unreachable,
 }
 
 /// The answer to a command.
@@ -84,6 +103,8 @@ impl Membership {
             timer: Arc::clone(&timer),
             alarm: None,
             outputs: Vec::new(),
+            reports: Reports::default(),
+            counters: Counters::default(),
         };
         Self { state: Mutex::new(Some(state)), timer, guid, changes: changes_receiver }
     }
@@ -116,6 +137,7 @@ impl Membership {
         self.with(|state| {
             state.step(Input::Close(entity), None);
             state.endpoints.remove(&entity);
+            state.reports.forget(entity);
         });
     }
 
@@ -125,7 +147,10 @@ impl Membership {
             if let Some(Endpoint { role: Role::Writer(is_acknowledged), .. }) = state.endpoints.get(&writer) {
                 is_acknowledged.send_replace(false);
             }
-            state.step(Input::Write { writer, sample }, None).written
+            let before = state.participant.writer_losses(writer);
+            let written = state.step(Input::Write { writer, sample }, None).written;
+            state.report_pushed_out(writer, before);
+            written
         });
         written.flatten().ok_or(Ended)
     }
@@ -135,10 +160,29 @@ impl Membership {
         self.with(|state| state.participant.unacknowledged_bytes(writer)).unwrap_or_default()
     }
 
+    /// Samples that this own writer has dropped too early; none after the end.
+    pub(super) fn writer_losses(&self, writer: EntityId) -> WriterLosses {
+        self.with(|state| state.participant.writer_losses(writer)).flatten().unwrap_or_default()
+    }
+
+    pub(super) fn assert_liveliness(&self, writer: EntityId) -> Result<(), Ended> {
+        self.with(|state| state.step(Input::AssertLiveliness(writer), None)).map(drop).ok_or(Ended)
+    }
+
+    /// Counts of what was rejected and ignored so far.
+    pub(super) fn counters(&self) -> Result<Counters, Ended> {
+        self.with(|state| state.participant.counters()).ok_or(Ended)
+    }
+
     /// The endpoints of other participants that `select` selects; none after the end.
     pub(super) fn discovered(&self, select: impl Fn(&RemoteEndpoint) -> bool) -> Vec<Arc<RemoteEndpoint>> {
         let all = self.with(|state| state.discovered.values().filter(|endpoint| select(endpoint)).cloned().collect());
         all.unwrap_or_default()
+    }
+
+    /// The other participants that cannot be reached; none after the end.
+    pub(super) fn unreachable(&self) -> Vec<UnreachableParticipant> {
+        self.with(|state| state.participant.unreachable().collect()).unwrap_or_default()
     }
 
     /// An endpoint of another participant.
@@ -204,6 +248,7 @@ impl State {
             self.carry_out(output, &mut opening, &mut answer);
         }
         self.outputs = outputs;
+        self.report_counters();
         if answer.has_discovered {
             self.changes.send_modify(|changes| *changes = changes.wrapping_add(1));
         }
@@ -226,10 +271,33 @@ impl State {
                     queue.push(sample);
                 }
             }
-            Output::Lost { reader, count, reason, .. } => {
+            Output::Lost { reader, writer, count, reason } => {
                 if let Some(Role::Reader(queue)) = self.role(reader) {
                     queue.lost(count, reason);
                 }
+                self.report_lost(reader, writer, count, reason);
+            }
+            Output::Resynchronized { reader, writer } => {
+                if let Some(Role::Reader(queue)) = self.role(reader) {
+                    queue.count(|counters| counters.resynchronized += 1);
+                }
+                if let Some(times) = self.admit(reader, Kind::Resynchronized, 1) {
+                    let topic = self.topic(reader);
+                    tracing::warn!(topic, %writer, times, "the numbers of a writer began again, or others were sent in its name");
+                }
+            }
+            Output::DeadlineMissed { reader, count } => {
+                if let Some(Role::Reader(queue)) = self.role(reader) {
+                    queue.count(|counters| {
+                        counters.deadlines_missed = counters.deadlines_missed.saturating_add(count);
+                    });
+                }
+                if let Some(missed) = self.admit(reader, Kind::DeadlineMissed, count) {
+                    tracing::warn!(topic = self.topic(reader), missed, "no sample came within the deadline");
+                }
+            }
+            Output::Liveliness { reader, writer, is_alive } => {
+                self.change_matches(reader, |matches| matches.set_alive(writer, is_alive));
             }
             Output::Acknowledged(writer) => {
                 if let Some(Role::Writer(is_acknowledged)) = self.role(writer) {
@@ -241,6 +309,11 @@ impl State {
             Output::Incompatible { endpoint, other, policy } => {
                 self.change_matches(endpoint, |matches| matches.reject(other, policy));
             }
+            Output::Unreachable(participant) => {
+                answer.has_discovered = true;
+                self.report_unreachable(participant);
+            }
+            Output::NotUnreachable(_) => answer.has_discovered = true,
             Output::Found(endpoint) => {
                 answer.has_discovered = true;
                 self.discovered.insert(endpoint.guid, Arc::from(endpoint));
@@ -252,6 +325,67 @@ impl State {
                     endpoint.matches.send_if_modified(|matches| matches.forget_rejected(guid));
                 }
             }
+        }
+    }
+
+    /// How many events of this kind a log line has to tell of, if one is due.
+    fn admit(&mut self, endpoint: EntityId, kind: Kind, count: u64) -> Option<u64> {
+        self.reports.admit(now().steady, endpoint, kind, count)
+    }
+
+    /// The topic of an own endpoint; of those of discovery there is none.
+    fn topic(&self, endpoint: EntityId) -> &str {
+        self.endpoints.get(&endpoint).map_or("", |endpoint| &endpoint.topic)
+    }
+
+    fn report_lost(&mut self, reader: EntityId, writer: Guid, count: u64, reason: LossReason) {
+        let Some(lost) = self.admit(reader, Kind::Lost(reason), count) else { return };
+        let (topic, reason, is_usual) = (self.topic(reader), reason.name(), reason.is_best_effort());
+        if is_usual {
+            tracing::debug!(topic, %writer, lost, reason, "samples did not arrive");
+        } else {
+            tracing::warn!(topic, %writer, lost, reason, "samples are lost and cannot be repaired");
+        }
+    }
+
+    /// `before`: the losses of the writer before it has written.
+    fn report_pushed_out(&mut self, writer: EntityId, before: Option<WriterLosses>) {
+        let pushed_out = |losses: Option<WriterLosses>| losses.unwrap_or_default().pushed_out;
+        let lost = pushed_out(self.participant.writer_losses(writer)).saturating_sub(pushed_out(before));
+        if lost > 0
+            && let Some(lost) = self.admit(writer, Kind::PushedOut, lost)
+        {
+            tracing::warn!(topic = self.topic(writer), lost, "newer samples pushed out some that not all readers have");
+        }
+    }
+
+    fn report_unreachable(&mut self, participant: UnreachableParticipant) {
+        if let Some(participants) = self.admit(EntityId::PARTICIPANT, Kind::Unreachable, 1) {
+            let UnreachableParticipant { guid, host, .. } = participant;
+            tracing::warn!(participant = %guid, %host, participants, "a participant cannot be reached: it announces no address of UDP over IPv4");
+        }
+    }
+
+    fn report_counters(&mut self) {
+        let (before, after) = (self.counters, self.participant.counters());
+        if before == after {
+            return;
+        }
+        self.counters = after;
+        let malformed = after.malformed.saturating_sub(before.malformed);
+        if malformed > 0
+            && let Some(datagrams) = self.admit(EntityId::PARTICIPANT, Kind::Malformed, malformed)
+        {
+            tracing::warn!(datagrams, "malformed datagrams were dropped");
+        }
+        let beyond = after.beyond_limits.saturating_sub(before.beyond_limits);
+        if beyond > 0
+            && let Some(announcements) = self.admit(EntityId::PARTICIPANT, Kind::BeyondLimits, beyond)
+        {
+            tracing::warn!(
+                announcements,
+                "participants or endpoints were ignored: there are too many, or they are too large"
+            );
         }
     }
 

@@ -30,6 +30,15 @@ pub struct Losses {
     pub dropped: u64,
 }
 
+/// Events of a reader since it was opened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReaderCounters {
+    /// Deadlines within which no sample came.
+    pub deadlines_missed: u64,
+    /// How often the numbers of a writer began again, or were forged.
+    pub resynchronized: u64,
+}
+
 /// The end of a queue from which samples are taken.
 #[derive(Debug)]
 pub(super) struct SampleQueue(Arc<Shared>);
@@ -51,6 +60,7 @@ struct Waiting {
     /// The sum of `cost` of the samples; at most `limits.bytes`.
     bytes: usize,
     losses: Losses,
+    counters: ReaderCounters,
     is_closed: bool,
 }
 
@@ -91,6 +101,11 @@ impl SampleSender {
         let lost = waiting.losses.lost.entry(reason).or_default();
         *lost = lost.saturating_add(count);
     }
+
+    /// Counts an event.
+    pub(super) fn count(&self, change: impl FnOnce(&mut ReaderCounters)) {
+        change(&mut self.0.lock().counters);
+    }
 }
 
 impl Drop for SampleSender {
@@ -121,6 +136,11 @@ impl SampleQueue {
     /// The next sample if one waits.
     pub(super) fn try_next(&mut self) -> Option<IncomingSample> {
         self.0.lock().pop()
+    }
+
+    /// The events so far.
+    pub(super) fn counters(&self) -> ReaderCounters {
+        self.0.lock().counters
     }
 
     /// The samples that did not come through so far.

@@ -2,7 +2,7 @@
 
 use super::matches::Matches;
 use super::membership::{Ended, Endpoint, Membership, Role};
-use super::queue::{Losses, QueueLimits, SampleQueue, queue};
+use super::queue::{Losses, QueueLimits, ReaderCounters, SampleQueue, queue};
 use crate::guid::{EntityId, Guid};
 use crate::interface::{EndpointSettings, IncomingSample, Input};
 use std::sync::Arc;
@@ -25,7 +25,8 @@ impl DomainReader {
     ) -> Result<Self, Ended> {
         let (matches_sender, matches) = watch::channel(Matches::default());
         let (sender, queue) = queue(limits);
-        let endpoint = Endpoint { matches: matches_sender, role: Role::Reader(sender) };
+        let topic = settings.topic.name.clone();
+        let endpoint = Endpoint { topic, matches: matches_sender, role: Role::Reader(sender) };
         let entity = membership.open(Input::OpenReader(settings), endpoint)?;
         Ok(Self { membership, entity, matches, queue })
     }
@@ -54,6 +55,11 @@ impl DomainReader {
     /// The samples so far that did not come through.
     pub fn losses(&self) -> Losses {
         self.queue.losses()
+    }
+
+    /// Deadlines that were missed, and writers whose numbers began again.
+    pub fn counters(&self) -> ReaderCounters {
+        self.queue.counters()
     }
 }
 

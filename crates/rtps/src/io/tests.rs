@@ -1,6 +1,8 @@
 //! Participants over the sockets of this host. Each test has a domain of its own.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+
+mod warnings;
 
 use super::*;
 use crate::guid::SequenceNumber;

@@ -3,7 +3,7 @@
 use super::matches::Matches;
 use super::membership::{Ended, Endpoint, Membership, Role};
 use crate::guid::{EntityId, Guid, SequenceNumber};
-use crate::interface::{EndpointSettings, Input, OutgoingSample};
+use crate::interface::{EndpointSettings, Input, OutgoingSample, WriterLosses};
 use crate::limits::SAMPLE_BYTES_MAX;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -32,7 +32,8 @@ impl DomainWriter {
     pub(super) fn open(membership: Arc<Membership>, settings: EndpointSettings) -> Result<Self, Ended> {
         let (matches_sender, matches) = watch::channel(Matches::default());
         let (acknowledged_sender, acknowledged) = watch::channel(true);
-        let endpoint = Endpoint { matches: matches_sender, role: Role::Writer(acknowledged_sender) };
+        let topic = settings.topic.name.clone();
+        let endpoint = Endpoint { topic, matches: matches_sender, role: Role::Writer(acknowledged_sender) };
         let entity = membership.open(Input::OpenWriter(settings), endpoint)?;
         Ok(Self { membership, entity, matches, acknowledged })
     }
@@ -61,6 +62,19 @@ impl DomainWriter {
     /// Bytes of samples that it keeps and that not all reliable readers have.
     pub fn unacknowledged_bytes(&self) -> usize {
         self.membership.unacknowledged_bytes(self.entity)
+    }
+
+    /// The samples so far that it dropped before all reliable readers had them.
+    pub fn losses(&self) -> WriterLosses {
+        self.membership.writer_losses(self.entity)
+    }
+
+    /// Asserts that it is alive, as writing does. Has an effect where its kind of liveliness is a manual one.
+    ///
+    /// # Errors
+    /// If the domain has ended.
+    pub fn assert_liveliness(&self) -> Result<(), Ended> {
+        self.membership.assert_liveliness(self.entity)
     }
 
     /// Waits until all reliable readers have everything. It waits as long as it takes: put a timeout around it.

@@ -2,6 +2,7 @@
 //! keys does not count: samples are carried as bytes. Own endpoints do not match each other.
 
 use super::{OwnEndpoint, Participant, Role};
+use crate::discovery::LivelinessChange;
 use crate::endpoint::Peer;
 use crate::guid::{EntityId, Guid};
 use crate::interface::{EndpointSettings, Output, RemoteEndpoint};
@@ -40,7 +41,7 @@ impl Participant {
         let before = self.matches.get(&other).and_then(|matches| matches.get(&entity)).copied();
         let after = fit(own, endpoint).filter(|_| peer.is_some());
         if before == Some(Fit::Matched) && after != before {
-            remove(own, other);
+            self.held = self.held.saturating_sub(remove(own, other));
             out.push(Output::Unmatched { endpoint: entity, other });
         }
         match (after, peer) {
@@ -49,6 +50,9 @@ impl Participant {
                     out.push(Output::Matched { endpoint: entity, other });
                 }
                 add(own, now, peer);
+                if before != after && other.entity.is_writer() && !self.discovery.is_alive(other) {
+                    out.push(Output::Liveliness { reader: entity, writer: other, is_alive: false });
+                }
             }
             (Some(Fit::Incompatible(policy)), _) if before != after => {
                 out.push(Output::Incompatible { endpoint: entity, other, policy });
@@ -78,11 +82,18 @@ impl Participant {
     pub(super) fn unmatch_other(&mut self, now: Now, other: Guid, out: &mut Vec<Output>) {
         for (entity, fit) in self.matches.remove(&other).unwrap_or_default() {
             if let Some(own) = self.own.get_mut(&entity).filter(|_| fit == Fit::Matched) {
-                remove(own, other);
+                self.held = self.held.saturating_sub(remove(own, other));
                 self.timers.set(entity, Some(now.steady));
                 out.push(Output::Unmatched { endpoint: entity, other });
             }
         }
+    }
+
+    /// The liveliness of a writer has changed.
+    pub(super) fn report_liveliness(&mut self, change: LivelinessChange, out: &mut Vec<Output>) {
+        let LivelinessChange { writer, is_alive } = change;
+        let readers = self.matches.get(&writer).into_iter().flatten().filter(|(_, fit)| **fit == Fit::Matched);
+        out.extend(readers.map(|(reader, _)| Output::Liveliness { reader: *reader, writer, is_alive }));
     }
 
     /// An own endpoint has been closed.
@@ -113,9 +124,17 @@ fn add(own: &mut OwnEndpoint, now: Now, peer: Peer) {
     }
 }
 
-fn remove(own: &mut OwnEndpoint, other: Guid) {
+/// Returns how many bytes of samples that waited are free now.
+fn remove(own: &mut OwnEndpoint, other: Guid) -> usize {
     match &mut own.role {
-        Role::Writer { writer, .. } => writer.remove_reader(other),
-        Role::Reader(reader) => reader.remove_writer(other),
+        Role::Writer { writer, .. } => {
+            writer.remove_reader(other);
+            0
+        }
+        Role::Reader(reader) => {
+            let before = reader.held();
+            reader.remove_writer(other);
+            before.saturating_sub(reader.held())
+        }
     }
 }

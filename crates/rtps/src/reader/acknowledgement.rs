@@ -45,7 +45,11 @@ impl ReliableProxy {
             return;
         }
         self.notice_stalled(now);
-        let (missing, fragments) = self.missing();
+        self.reopen(now);
+        if now < self.tight_until {
+            self.timing.schedule(self.tight_until);
+        }
+        let (missing, fragments) = self.missing(now);
         let is_missing = !fragments.is_empty() || !missing.is_empty();
         let is_asked = self.timing.is_asked;
         let is_unchanged = |request: &Request| request.next == self.next && request.came == self.timing.came;
@@ -82,14 +86,16 @@ impl ReliableProxy {
     }
 
     /// The samples of which nothing has come, and the fragments of those that came in part.
-    fn missing(&self) -> (NumberSet, Vec<(i64, NumberSet)>) {
+    fn missing(&self, now: u64) -> (NumberSet, Vec<(i64, NumberSet)>) {
         // Never above what the writer has: Fast DDS would ignore it. What was delivered it has, also if an old HEARTBEAT came late.
         let previous = self.next.saturating_sub(1);
         let base =
             if self.delivered.contains(previous) { self.next } else { self.next.min(self.last.saturating_add(1)) };
         let mut missing = NumberSet::new(base);
         let mut fragments = Vec::new();
-        let room_until = self.room_until.saturating_sub(1).max(self.next);
+        // The next one always finds room, unless other writers need it.
+        let least = if now < self.tight_until { 0 } else { self.next };
+        let room_until = self.room_until.saturating_sub(1).max(least);
         let until = self.last.min(room_until).min(base.saturating_add(i64::from(SET_BITS_MAX) - 1));
         for number in self.next..=until {
             if let Some(set) = self.store.missing_fragments(number) {

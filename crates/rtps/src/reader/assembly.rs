@@ -9,8 +9,12 @@ use std::collections::BTreeMap;
 
 /// Most fragments of a sample: a sample of 16 MiB in fragments of 256 bytes, the smallest ones that peers use.
 const FRAGMENTS_MAX: u32 = 65_536;
-/// Bytes that a run of fragments counts beyond its own.
-const RUN_OVERHEAD: usize = 96;
+/// Bytes that a run of fragments counts beyond its own: a map may be half empty.
+const RUN_OVERHEAD: usize = 128;
+const _: () = assert!(RUN_OVERHEAD >= size_of::<(u32, Run)>() * 11 / 5 + 16);
+/// Bytes that a sample in assembly counts beyond its runs: a map may be half empty, and the first run needs a map.
+pub(super) const ASSEMBLY_OVERHEAD: usize = 1024;
+const _: () = assert!(ASSEMBLY_OVERHEAD >= size_of::<(i64, Assembly)>() * 11 / 5 + 12 * size_of::<(u32, Run)>());
 
 /// The fragments of a sample that have come.
 #[derive(Debug)]

@@ -7,8 +7,9 @@ use crate::time::Ticks;
 use crate::wire::submessage::{InlineQos, Payload};
 use bytes::Bytes;
 
-/// Bytes that a sample counts beyond its payload.
-pub(super) const SAMPLE_OVERHEAD: usize = 256;
+/// Bytes that a sample counts beyond its payload: a map may be half empty, and a payload has a head of its own.
+pub(super) const SAMPLE_OVERHEAD: usize = 384;
+const _: () = assert!(SAMPLE_OVERHEAD >= size_of::<(i64, Content)>() * 11 / 5 + 64);
 
 /// A whole sample.
 #[derive(Clone, Debug)]

@@ -3,7 +3,6 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use super::Reader;
-use super::WriterProxy;
 use crate::endpoint::{Delivered, Outgoing, Peer};
 use crate::guid::{EntityId, Guid, GuidPrefix, SequenceNumber};
 use crate::interface::OutgoingSample;
@@ -144,7 +143,7 @@ impl World {
                 let listener = &mut self.listeners[index];
                 let prefix = listener.prefix;
                 if !listener.is_dead {
-                    listener.reader.poll(now, &mut out);
+                    listener.reader.poll(now, &mut out, &mut Vec::new());
                 }
                 self.send(prefix, out);
             }
@@ -175,11 +174,7 @@ impl World {
             }
             let mut out = Vec::new();
             listener.reader.receive(now, &message, &mut out);
-            let bytes = match listener.reader.writers.values().next().unwrap() {
-                WriterProxy::Reliable(proxy) => proxy.bytes(),
-                WriterProxy::BestEffort(proxy) => proxy.bytes(),
-            };
-            assert!(bytes <= ASSEMBLY_BYTES_MAX);
+            assert!(listener.reader.held() <= ASSEMBLY_BYTES_MAX);
             for delivered in out {
                 if let Delivered::Sample(sample) = delivered {
                     listener.heard.push((sample.sequence.0, sample.payload.len()));

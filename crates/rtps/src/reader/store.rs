@@ -1,11 +1,14 @@
 //! Samples of a writer that wait for others or for their own fragments, within a limit of bytes and samples.
 
-use super::assembly::{Assembly, Fit};
-use super::content::{Content, SAMPLE_OVERHEAD};
-use crate::limits::{ASSEMBLY_BYTES_MAX, ASSEMBLY_SAMPLES_MAX};
+use super::assembly::{ASSEMBLY_OVERHEAD, Assembly, Fit};
+use super::content::Content;
+use crate::limits::ASSEMBLY_SAMPLES_MAX;
 use crate::time::Ticks;
 use crate::wire::submessage::{DataFrag, NumberSet};
 use std::collections::BTreeMap;
+
+/// Bytes of the maps of a store that has one sample of each kind.
+pub(super) const STORE_BYTES: usize = 12 * size_of::<(i64, Content, i64, Assembly)>();
 
 /// Whole samples, and samples in assembly, by number. No number is in both.
 #[derive(Debug)]
@@ -16,12 +19,6 @@ pub(super) struct Store {
     assemblies: BTreeMap<i64, Assembly>,
     /// The bytes of both.
     bytes: usize,
-}
-
-impl Default for Store {
-    fn default() -> Self {
-        Self::with_room(ASSEMBLY_BYTES_MAX)
-    }
 }
 
 impl Store {
@@ -53,7 +50,7 @@ impl Store {
             Some(Fit::Replaces) | None => {
                 let Some(assembly) = Assembly::new(fragment) else { return false };
                 self.drop_assembly(number);
-                self.bytes = self.bytes.saturating_add(SAMPLE_OVERHEAD);
+                self.bytes = self.bytes.saturating_add(ASSEMBLY_OVERHEAD);
                 self.assemblies.insert(number, assembly);
             }
         }
@@ -126,31 +123,48 @@ impl Store {
         self.whole.keys().next_back().into_iter().chain(self.assemblies.keys().next_back()).max().copied()
     }
 
+    /// The bytes that it may take at most.
+    pub(super) fn room(&self) -> usize {
+        self.room
+    }
+
     /// Drops the highest numbers until the rest fits: a reliable reader needs the lowest first, and can request the others again.
     /// The lowest number that was dropped.
-    pub(super) fn shrink_from_top(&mut self) -> Option<i64> {
+    pub(super) fn shrink_from_top(&mut self, room: usize) -> Option<i64> {
         let mut dropped = None;
-        while self.is_full() {
+        while self.is_above(room) {
             dropped = self.highest();
             self.drop_one(dropped?);
         }
         dropped
     }
 
-    /// Drops the lowest numbers until the rest fits: a best-effort reader wants the newest. How many were dropped.
-    pub(super) fn shrink_from_bottom(&mut self) -> u64 {
-        let mut dropped: u64 = 0;
-        while self.is_full()
+    /// Drops the lowest numbers until the rest fits: a best-effort reader wants the newest. The numbers that were dropped.
+    pub(super) fn shrink_from_bottom(&mut self, room: usize) -> Vec<i64> {
+        let mut dropped = Vec::new();
+        while self.is_above(room)
             && let Some(lowest) = self.lowest()
         {
             self.drop_one(lowest);
-            dropped = dropped.saturating_add(1);
+            dropped.push(lowest);
         }
         dropped
     }
 
-    fn is_full(&self) -> bool {
-        self.bytes > self.room || self.whole.len().saturating_add(self.assemblies.len()) > ASSEMBLY_SAMPLES_MAX
+    fn is_above(&self, room: usize) -> bool {
+        self.bytes > room || self.whole.len().saturating_add(self.assemblies.len()) > ASSEMBLY_SAMPLES_MAX
+    }
+
+    /// Drops everything. The numbers.
+    pub(super) fn clear(&mut self) -> Vec<i64> {
+        self.bytes = 0;
+        self.whole.clear();
+        std::mem::take(&mut self.assemblies).into_keys().collect()
+    }
+
+    /// How many samples in assembly are below this number.
+    pub(super) fn assemblies_below(&self, number: i64) -> u64 {
+        u64::try_from(self.assemblies.range(..number).count()).unwrap_or(u64::MAX)
     }
 
     /// Is half of the room free?
@@ -166,11 +180,11 @@ impl Store {
 
     fn drop_assembly(&mut self, number: i64) -> Option<Assembly> {
         let assembly = self.assemblies.remove(&number)?;
-        self.bytes = self.bytes.saturating_sub(assembly.bytes()).saturating_sub(SAMPLE_OVERHEAD);
+        self.bytes = self.bytes.saturating_sub(assembly.bytes()).saturating_sub(ASSEMBLY_OVERHEAD);
         Some(assembly)
     }
 
-    #[cfg(test)]
+    /// The bytes of all samples in it.
     pub(super) fn bytes(&self) -> usize {
         self.bytes
     }

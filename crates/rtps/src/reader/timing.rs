@@ -41,6 +41,11 @@ impl Timing {
         Self { count, due: Some(now), is_asked: false, came: 0, fragment_at: 0, interval, request: None }
     }
 
+    /// All begins again. The count goes on.
+    pub(super) fn restart(&mut self, now: u64) {
+        *self = Self::new(now, self.count);
+    }
+
     /// A sample, a fragment or a GAP has come.
     pub(super) fn sample(&mut self, now: u64, is_synchronized: bool) {
         if !is_synchronized && self.came == 0 {

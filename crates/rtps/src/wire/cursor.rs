@@ -11,8 +11,10 @@ pub(crate) struct Malformed;
 
 /// Order of the bytes of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum ByteOrder {
+pub enum ByteOrder {
+    /// The least significant byte first.
     Little,
+    /// The most significant byte first.
     Big,
 }
 

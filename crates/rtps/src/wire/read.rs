@@ -13,14 +13,16 @@ use bytes::Bytes;
 
 /// The submessages of a datagram, as far as it can be read. A malformed submessage ends the datagram (§8.3.4.1); unknown submessages are
 /// skipped. Payloads share the memory of the datagram.
-pub fn submessages(datagram: &Bytes) -> impl Iterator<Item = Addressed> + use<> {
+pub fn submessages(datagram: &Bytes) -> DatagramReader {
     DatagramReader::new(datagram.clone())
 }
 
 /// Reads one submessage after the other, and keeps the state that INFO submessages set (§8.3.4).
-struct DatagramReader {
+#[derive(Debug)]
+pub struct DatagramReader {
     /// None at the end.
     cursor: Option<Cursor>,
+    is_malformed: bool,
     count: usize,
     source: GuidPrefix,
     destination: GuidPrefix,
@@ -38,6 +40,7 @@ impl DatagramReader {
     fn new(datagram: Bytes) -> Self {
         let mut reader = Self {
             cursor: None,
+            is_malformed: true,
             count: 0,
             source: GuidPrefix::UNKNOWN,
             destination: GuidPrefix::UNKNOWN,
@@ -45,9 +48,15 @@ impl DatagramReader {
         };
         if datagram.len() <= DATAGRAM_BYTES_MAX {
             let mut cursor = Cursor::new(datagram, ByteOrder::Little);
-            reader.cursor = reader.read_header(&mut cursor).is_ok().then_some(cursor);
+            reader.is_malformed = reader.read_header(&mut cursor).is_err();
+            reader.cursor = (!reader.is_malformed).then_some(cursor);
         }
         reader
+    }
+
+    /// Did it end before the datagram, because the rest cannot be read or has too many submessages?
+    pub fn is_malformed(&self) -> bool {
+        self.is_malformed
     }
 
     fn read_header(&mut self, cursor: &mut Cursor) -> Result<(), Malformed> {
@@ -82,7 +91,7 @@ impl DatagramReader {
                 return Ok(Some(Addressed { source, destination, timestamp, submessage }));
             }
         }
-        Ok(None)
+        if cursor.remaining() > 0 { Err(Malformed) } else { Ok(None) }
     }
 
     /// Applies an INFO submessage. False: it is another kind.
@@ -107,7 +116,9 @@ impl Iterator for DatagramReader {
 
     fn next(&mut self) -> Option<Addressed> {
         let mut cursor = self.cursor.take()?;
-        let next = self.read_next(&mut cursor).ok().flatten()?;
+        let next = self.read_next(&mut cursor);
+        self.is_malformed = next.is_err();
+        let next = next.ok().flatten()?;
         self.cursor = Some(cursor);
         Some(next)
     }

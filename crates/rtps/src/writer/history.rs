@@ -43,6 +43,15 @@ impl Sample {
     }
 }
 
+/// Why the oldest sample goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Excess {
+    /// The depth of KEEP_LAST.
+    Depth,
+    /// The limits of bytes and samples.
+    Room,
+}
+
 /// The samples that are kept. At most `depth` of them and [`HISTORY_BYTES_MAX`] bytes; the newest one is always kept.
 #[derive(Debug)]
 pub(super) struct History {
@@ -50,6 +59,8 @@ pub(super) struct History {
     /// Which of them end an instance, ascending.
     ends: VecDeque<i64>,
     depth: usize,
+    /// Is it the depth that was asked for?
+    is_keep_last: bool,
     bytes: usize,
     /// The number of the newest sample that was written.
     last: i64,
@@ -59,14 +70,23 @@ pub(super) struct History {
 
 impl History {
     pub(super) fn new(depth: Depth) -> Self {
-        let depth = match depth {
-            Depth::KeepLast(depth) => usize::try_from(depth).unwrap_or(usize::MAX).clamp(1, HISTORY_SAMPLES_MAX),
-            Depth::KeepAll => HISTORY_SAMPLES_MAX,
+        let asked = match depth {
+            Depth::KeepLast(depth) => usize::try_from(depth).unwrap_or(usize::MAX).max(1),
+            Depth::KeepAll => usize::MAX,
         };
-        Self { samples: VecDeque::new(), ends: VecDeque::new(), depth, bytes: 0, last: 0, written: 0 }
+        let depth = asked.min(HISTORY_SAMPLES_MAX);
+        Self {
+            samples: VecDeque::new(),
+            ends: VecDeque::new(),
+            depth,
+            is_keep_last: asked == depth,
+            bytes: 0,
+            last: 0,
+            written: 0,
+        }
     }
 
-    /// Adds a sample under the next number. Beyond depth or bytes the oldest ones go, whoever still lacks them.
+    /// Adds a sample under the next number. Then [`History::pop_excess`] has to be called until nothing goes.
     pub(super) fn push(
         &mut self,
         written: u64,
@@ -83,10 +103,21 @@ impl History {
             self.ends.push_back(sequence);
         }
         self.samples.push_back(sample);
-        while self.samples.len() > 1 && (self.samples.len() > self.depth || self.bytes > HISTORY_BYTES_MAX) {
-            self.pop_oldest();
-        }
         sequence
+    }
+
+    /// Beyond depth or bytes the oldest sample goes, whoever still lacks it.
+    pub(super) fn pop_excess(&mut self) -> Option<(i64, Excess)> {
+        let excess = match self.samples.len() {
+            0 | 1 => return None,
+            _ if self.bytes > HISTORY_BYTES_MAX => Excess::Room,
+            samples if samples > self.depth && self.is_keep_last => Excess::Depth,
+            samples if samples > self.depth => Excess::Room,
+            _ => return None,
+        };
+        let sequence = self.first();
+        self.pop_oldest();
+        Some((sequence, excess))
     }
 
     /// The number of the newest sample that was ever written; 0 if none.

@@ -1,4 +1,3 @@
-use super::super::payload::write_in_order;
 use super::*;
 use crate::qos::{Durability, LivelinessKind, Ownership, Representation};
 use proptest::collection::vec;
@@ -120,14 +119,14 @@ proptest! {
     #[test]
     fn a_participant_is_read_back(data in participants(), is_little: bool) {
         let order = if is_little { ByteOrder::Little } else { ByteOrder::Big };
-        prop_assert_eq!(ParticipantData::from_payload(&write_in_order(order, |list| data.write(list))), Ok(data.clone()));
+        prop_assert_eq!(ParticipantData::from_payload(&data.to_payload_in(order)), Ok(data.clone()));
         prop_assert_eq!(ParticipantData::from_payload(&data.to_payload()), Ok(data));
     }
 
     #[test]
     fn an_endpoint_is_read_back(data in endpoints(), is_little: bool) {
         let order = if is_little { ByteOrder::Little } else { ByteOrder::Big };
-        prop_assert_eq!(EndpointData::from_payload(&write_in_order(order, |list| data.write(list))), Ok(data.clone()));
+        prop_assert_eq!(EndpointData::from_payload(&data.to_payload_in(order)), Ok(data.clone()));
         prop_assert_eq!(EndpointData::from_payload(&data.to_payload()), Ok(data));
     }
 

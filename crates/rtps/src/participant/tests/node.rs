@@ -4,6 +4,7 @@ use super::random::mix;
 use crate::Participant;
 use crate::guid::{EntityId, Guid, GuidPrefix};
 use crate::interface::{Config, EndpointSettings, Input, LossReason, OutgoingSample, Output};
+use crate::limits::{ANNOUNCEMENTS_BYTES_MAX, PARTICIPANT_BYTES_MAX};
 use crate::qos::{Policy, Reliability};
 use crate::time::Now;
 use bytes::Bytes;
@@ -37,6 +38,12 @@ pub(super) struct Node {
     pub(super) gone: u64,
     pub(super) matches: BTreeMap<(EntityId, Guid), Reception>,
     pub(super) incompatible: Vec<(EntityId, Guid, Policy)>,
+    /// Own readers, and matched writers whose liveliness has ended.
+    pub(super) not_alive: BTreeSet<(EntityId, Guid)>,
+    pub(super) deadlines_missed: BTreeMap<EntityId, u64>,
+    pub(super) resynchronized: u64,
+    /// Participants that cannot be reached.
+    pub(super) unreachable: BTreeSet<Guid>,
     /// The wall clock is ahead of the steady one by this.
     pub(super) wall: u64,
     /// Bytes and datagrams that it sent.
@@ -69,6 +76,10 @@ impl Node {
             gone: 0,
             matches: BTreeMap::new(),
             incompatible: Vec::new(),
+            not_alive: BTreeSet::new(),
+            deadlines_missed: BTreeMap::new(),
+            resynchronized: 0,
+            unreachable: BTreeSet::new(),
             wall,
             sent: (0, 0),
             steps: 0,
@@ -85,6 +96,7 @@ impl Node {
         let mut out = Vec::new();
         self.steps += 1;
         self.participant.step(Now { steady, wall: self.wall + steady }, input, &mut out);
+        assert!(self.participant.held_bytes() <= PARTICIPANT_BYTES_MAX + 3 * ANNOUNCEMENTS_BYTES_MAX);
         out.into_iter().filter_map(|output| self.note(output)).collect()
     }
 
@@ -135,11 +147,28 @@ impl Node {
             }
             Output::Unmatched { endpoint, other } => {
                 assert!(self.matches.remove(&(endpoint, other)).is_some(), "{prefix:?}: {other:?} did not match");
+                self.not_alive.remove(&(endpoint, other));
             }
             Output::Incompatible { endpoint, other, policy } => self.incompatible.push((endpoint, other, policy)),
             Output::Lost { reader, writer, count, reason } => {
                 assert!(count > 0);
                 *self.matches.get_mut(&(reader, writer)).unwrap().lost.entry(reason).or_default() += count;
+            }
+            Output::Unreachable(participant) => assert!(self.unreachable.insert(participant.guid)),
+            Output::NotUnreachable(guid) => assert!(self.unreachable.remove(&guid)),
+            Output::Resynchronized { .. } => self.resynchronized += 1,
+            Output::Liveliness { reader, writer, is_alive } => {
+                assert!(self.matches.contains_key(&(reader, writer)), "{prefix:?}: {writer:?} does not match");
+                let is_new = if is_alive {
+                    self.not_alive.remove(&(reader, writer))
+                } else {
+                    self.not_alive.insert((reader, writer))
+                };
+                assert!(is_new, "{prefix:?}: {writer:?} was reported twice");
+            }
+            Output::DeadlineMissed { reader, count } => {
+                assert!(count > 0);
+                *self.deadlines_missed.entry(reader).or_default() += count;
             }
             Output::Acknowledged(writer) => self.own.get_mut(&writer).unwrap().acknowledged += 1,
             Output::Found(endpoint) => {
@@ -181,6 +210,7 @@ impl Node {
         let sent = self.step(steady, Input::Close(entity));
         self.own.remove(&entity);
         self.matches.retain(|(own, _), _| *own != entity);
+        self.not_alive.retain(|(own, _)| *own != entity);
         sent
     }
 }

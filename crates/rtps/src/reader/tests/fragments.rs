@@ -79,7 +79,7 @@ fn what_waits_takes_the_bytes_that_have_come_within_the_limits() {
             let last = DataFrag { sample_bytes: 16 << 20, first: 16_777, ..fragment(number, 1000, 1, 1) };
             ear.hear(Submessage::DataFrag(last));
         }
-        assert!(ear.bytes() <= ASSEMBLY_SAMPLES_MAX * 1400, "{}", ear.bytes());
+        assert!(ear.bytes() <= ASSEMBLY_SAMPLES_MAX * 2200, "{}", ear.bytes());
     }
     // Bytes are bounded, and the lowest number always fits.
     let mut ear = Ear::synchronized();
@@ -110,4 +110,20 @@ fn what_was_dropped_for_want_of_room_is_requested_again() {
     assert_eq!((delivered.len(), ear.bytes()), (ASSEMBLY_SAMPLES_MAX + 1, 0));
     ear.hear(heartbeat(1, many, true));
     assert_eq!(acknack(&ear.next_answers()).map(|(base, missing, _)| (base, missing.len())), Some((next, 256)));
+}
+
+#[test]
+fn the_lifespan_that_a_reader_requests_ends_no_sample_whatever_its_time_is() {
+    for reliability in [Reliability::Reliable, Reliability::BestEffort] {
+        let qos = Qos { reliability, lifespan: Ticks::from_micros(1), ..Qos::default() };
+        let mut ear = Ear { reader: Reader::new(READER, &qos, false), now: 1_000_000_000 };
+        ear.reader.add_writer(ear.at(), peer(false));
+        ear.hear(heartbeat(1, 0, true));
+        for first in 1..=5 {
+            ear.now += 50_000;
+            // The time of these samples is nine ticks after 1970.
+            let delivered = ear.hear(Submessage::DataFrag(fragment(1, 4321, first, 1)));
+            assert_eq!(numbers(&delivered).len(), usize::from(first == 5));
+        }
+    }
 }

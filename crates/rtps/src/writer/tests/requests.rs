@@ -51,3 +51,36 @@ fn repairs_of_many_readers_are_paced_together() {
         assert!(!fragments(&out).is_empty());
     }
 }
+
+#[test]
+fn a_reader_that_requests_what_it_acknowledged_gets_it_again() {
+    let mut writer = durable(10);
+    writer.add_reader(at(0), peer(1, true, true));
+    for _ in 0..3 {
+        writer.write(at(0), sample(10));
+    }
+    poll(&mut writer, 0);
+    receive(&mut writer, 0, acknack(1, 4, &[], 1, true));
+    assert!(writer.is_acknowledged());
+    receive(&mut writer, 20_000, acknack(1, 1, &[1, 2, 3], 2, true));
+    assert!(!writer.is_acknowledged());
+    assert_eq!(numbers(&poll(&mut writer, 30_000)), [1, 2, 3]);
+}
+
+#[test]
+fn a_late_reader_of_a_writer_that_has_written_a_million_samples_costs_one_heartbeat_and_few_bytes() {
+    for is_durable in [false, true] {
+        let mut writer = durable(3);
+        for _ in 0..1_000_000 {
+            writer.write(at(0), sample(0));
+        }
+        run(&mut writer, 0, 1000);
+        writer.add_reader(at(1000), peer(1, true, is_durable));
+        let out = poll(&mut writer, 1000);
+        assert_eq!((numbers(&out), heartbeats(&out)), (vec![], vec![(999_998, 1_000_000)]));
+        assert!(submessages(&out).len() <= 2);
+        receive(&mut writer, 2000, acknack(1, 1, &(1..257).collect::<Vec<_>>(), 1, false));
+        let out = run(&mut writer, 2000, 9000);
+        assert_eq!((numbers(&out), gaps(&out).len(), heartbeats(&out).len()), (vec![], 0, 1));
+    }
+}
