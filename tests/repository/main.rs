@@ -18,6 +18,7 @@ mod keys;
 mod layers;
 mod links;
 mod logs;
+mod pictures;
 mod protos;
 mod routes;
 mod security;
