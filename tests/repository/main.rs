@@ -13,6 +13,7 @@ mod driver;
 mod enums;
 mod events;
 mod hints;
+mod idiom;
 mod invariants;
 mod keys;
 mod layers;

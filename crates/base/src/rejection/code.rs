@@ -154,7 +154,7 @@ codes! {
     ListStale = 2014 "LIST_STALE" Denied;
     /// The clocks of this machine and of a node differ so much that good certificates look expired.
     ClockOff = 2020 "CLOCK_OFF" Failure,
-        "set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator";
+        "set the clock of this machine: timedatectl set-ntp true; if it is right, inform the node's operator";
 
     /// The caller's certificate lacks an attribute that the robot requires.
     MissingAttribute = 3001 "MISSING_ATTRIBUTE" Denied;
@@ -279,7 +279,7 @@ codes! {
     BadConfiguration = 7001 "BAD_CONFIGURATION" Invalid;
     /// A local file cannot be read or written.
     BadFile = 7002 "BAD_FILE" Invalid;
-    /// No context is selected, or there is none of this name.
+    /// No context is selected, or no context has this name.
     NoContext = 7003 "NO_CONTEXT" Invalid;
 }
 
