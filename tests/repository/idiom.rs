@@ -82,7 +82,7 @@ fn phrases_are_found_in_headings_tables_comments_and_texts_but_not_in_code() {
     let phrases = |hits: Vec<Hit>| hits.into_iter().map(|hit| (hit.line, hit.phrase)).collect::<Vec<_>>();
     let page = "# What it says\n\n| a | nobody's |\n|---|---|\n\n```text\nanew\n```\n\nIt is `anew`, so: many are, for\never.\n";
     assert_eq!(phrases(faults(page)), [(10, "for ever".to_owned()), (3, "nobody".to_owned()), (1, "what".to_owned())]);
-    let rust = "//! Anew.\n\n/// A node\n/// knows it.\nlet a = 1; // for ever\nlet b = \"it goes on\";\nlet c = \"a // anew\";\n";
+    let rust = "//! Anew.\n\n/// A node\n/// knows it.\nlet a = 1; // for ever\nlet b = \"it goes on\";\nlet c = \"a // anew\";\nlet d = \"refused\";\n";
     let found = phrases(matching::hits(&prose::of_source("src/a.rs", rust)));
     let wanted = [(1, "anew"), (3, "node knows"), (5, "for ever"), (6, "goes on"), (7, "anew")];
     assert_eq!(found, wanted.map(|(line, phrase)| (line, phrase.to_owned())));

@@ -34,13 +34,20 @@ fn shown(text: &str) -> impl Iterator<Item = (&str, usize)> {
 /// The prose of a source, by the ending of its name; none for other files.
 pub(crate) fn of_source(name: &str, text: &str) -> Vec<Paragraph> {
     match name.rsplit_once('.').map(|(_, ending)| ending) {
-        Some("rs") => [comments(text, &["//"]), if name.contains("tests") { Vec::new() } else { texts(text) }].concat(),
-        Some("js" | "mjs") => [comments(text, &["//", "*", "/**"]), texts(text)].concat(),
+        Some("rs") => {
+            [comments(text, &["//"]), if name.contains("tests") { Vec::new() } else { printed(text) }].concat()
+        }
+        Some("js" | "mjs") => [comments(text, &["//", "*", "/**"]), printed(text)].concat(),
         Some("proto" | "go" | "cpp" | "hpp") => comments(text, &["//"]),
-        Some("py") => [comments(text, &["#"]), docstrings(text), texts(&without_docstrings(text))].concat(),
+        Some("py") => [comments(text, &["#"]), docstrings(text), printed(&without_docstrings(text))].concat(),
         Some("toml" | "yml") => comments(text, &["#"]),
         _ => Vec::new(),
     }
+}
+
+/// The texts of a source that have more than one word: the others are names.
+fn printed(text: &str) -> Vec<Paragraph> {
+    texts(text).into_iter().filter(|text| text.text.contains(' ')).collect()
 }
 
 /// The comments of a source, those behind code, too.
