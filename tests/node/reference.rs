@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::Command;
 
 const PAGE: &str = "docs/commands.md";
-const HEAD: &str = "# Commands\n\nA test makes this page from what `ledgerctl COMMAND --help` and `ledgerd COMMAND --help` print. \
+const HEAD: &str = "# Commands\n\nA test generates this page from the output of `ledgerctl COMMAND --help` and `ledgerd COMMAND --help`. \
                     `ledgerctl` is for people and programs, on any machine; `ledgerd` is the node.\n";
 /// Begins the options that every command has. They are shown with the program alone.
 const EVERYWHERE: &str = "For every command:";

@@ -1,5 +1,5 @@
-//! The book: docs/SUMMARY.md lists every page once, the pictures are readable by day and by night, and what is made from the
-//! sources is up to date. `LEDGERD_REFERENCE=write ./test repository::book` makes it anew.
+//! The book: docs/SUMMARY.md lists every page once, each concept has a picture, and what is made from the sources is up to
+//! date. `LEDGERD_REFERENCE=write ./test repository::book` makes it anew.
 
 use crate::sources::{files, read, root};
 use std::collections::{BTreeMap, BTreeSet};
@@ -64,27 +64,13 @@ fn the_summary_lists_the_decisions_in_their_order_with_their_titles() {
 }
 
 #[test]
-fn each_concept_has_one_picture_that_is_readable_by_day_and_by_night() {
+fn each_concept_has_one_picture() {
     let page = read(&docs().join("concepts.md"));
     let sections: Vec<&str> = page.split("\n## ").skip(1).collect();
-    let picture = |section: &&str| {
-        let mut names = section.split("](pictures/").skip(1).filter_map(|rest| rest.split_once(')'));
-        let (name, _) = names.next().unwrap_or_else(|| panic!("no picture in {section}"));
-        assert!(names.next().is_none(), "two pictures in {section}");
-        name.to_owned()
-    };
-    let used: BTreeSet<String> = sections.iter().map(picture).collect();
-    let drawn = files(&docs().join("pictures"), ".svg");
-    let names = drawn.iter().filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
-    assert_eq!(used, names.collect(), "left: docs/concepts.md; right: docs/pictures");
-    for path in drawn {
-        let text = read(&path);
-        for part in ["<title", "<desc", "class=\"card\"", "@media (prefers-color-scheme:dark)"] {
-            assert!(text.contains(part), "{} lacks {part}", path.display());
-        }
-        for foreign in ["href", "<script", "<image", "@import", "url(http"] {
-            assert!(!text.contains(foreign), "{} needs something from elsewhere: {foreign}", path.display());
-        }
+    assert!(!sections.is_empty(), "docs/concepts.md has no sections");
+    for section in sections {
+        let pictures = section.matches("](pictures/").count();
+        assert_eq!(pictures, 1, "pictures in {section}");
     }
 }
 

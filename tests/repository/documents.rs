@@ -1,5 +1,6 @@
 //! The promises of the documents.
 
+use crate::pictures;
 use crate::sources::{files, read, root};
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -43,6 +44,12 @@ fn the_first_command_of_the_readme_plays_the_experiment() {
     let shown = readme.split_once("```text\n").and_then(|(_, rest)| rest.split_once("\n```")).map(|(shown, _)| shown);
     let printed: Vec<_> = progress.lines().chain(table.lines()).map(without_numbers).collect();
     let shown = shown.unwrap_or_else(|| panic!("README.md shows nothing of the demo"));
+    let drawn = without_numbers(&pictures::texts(&read(&root().join("docs/pictures/demo.svg"))));
+    // The picture ends before the latencies.
+    for line in printed.iter().take_while(|line| !line.starts_with("latency")) {
+        let why = "the demo prints other texts than its picture: draw it again with docs/pictures/draw.py demo";
+        assert!(drawn.contains(line), "{why}: {line:?}\n{drawn}");
+    }
     // The picture is drawn on a terminal only; a test beside it compares it with README.
     for line in
         shown.lines().filter(|line| !line.ends_with(" Hz") || line.contains("both may") || line.contains("holds"))

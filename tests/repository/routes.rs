@@ -60,11 +60,15 @@ fn a_kind_of_route_is_named_in_its_own_file_and_in_the_table_only() {
 #[test]
 fn the_settings_of_bridges_name_every_kind_of_route_and_its_right() {
     let document = read(&root().join("docs/bridge.md"));
-    let row = document.lines().find(|line| line.starts_with("| `direction` |"));
-    let row = row.unwrap_or_else(|| panic!("docs/bridge.md has no row for direction"));
     for module in modules() {
-        for word in [declared(&module, "name"), declared(&module, "right")] {
-            assert!(row.contains(&format!("`{word}`")), "docs/bridge.md, direction: {word} is missing in {row}");
+        let (name, right) = (declared(&module, "name"), declared(&module, "right"));
+        let mut rows = document.lines().filter(|line| line.starts_with(&format!("| `{name}` |"))).peekable();
+        assert!(rows.peek().is_some(), "docs/bridge.md, table of directions: there is no row for {name}");
+        for row in rows {
+            assert!(
+                row.contains(&format!("`{right}`")),
+                "docs/bridge.md, direction {name}: {right} is missing in {row}"
+            );
         }
     }
 }

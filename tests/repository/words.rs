@@ -9,13 +9,14 @@ const WORDS_MAX: usize = 30;
 const BARE: [&str; 6] = ["Who", "What", "Whoever", "Whatever", "Whom", "Whose"];
 
 /// A paragraph or an item of a list: the number of its first line, and its text on one line.
-struct Paragraph {
-    line: usize,
-    text: String,
+#[derive(Clone)]
+pub(crate) struct Paragraph {
+    pub(crate) line: usize,
+    pub(crate) text: String,
 }
 
 /// The part of a line that belongs to a paragraph.
-enum Line<'a> {
+pub(crate) enum Line<'a> {
     /// Neither prose nor part of it: a blank line, a heading, a row of a table.
     Ends,
     /// Prose that begins a new paragraph, such as an item of a list.
@@ -25,7 +26,7 @@ enum Line<'a> {
 }
 
 /// Collects paragraphs from lines, in order.
-fn collect<'a>(lines: impl Iterator<Item = Line<'a>>) -> Vec<Paragraph> {
+pub(crate) fn collect<'a>(lines: impl Iterator<Item = Line<'a>>) -> Vec<Paragraph> {
     let mut found: Vec<Paragraph> = Vec::new();
     let mut open = false;
     for (line, number) in lines.zip(1..) {
@@ -47,7 +48,7 @@ fn collect<'a>(lines: impl Iterator<Item = Line<'a>>) -> Vec<Paragraph> {
 }
 
 /// The paragraphs of a document, without code, tables and headings.
-fn paragraphs(text: &str) -> Vec<Paragraph> {
+pub(crate) fn paragraphs(text: &str) -> Vec<Paragraph> {
     let mut code = false;
     collect(text.lines().map(|line| {
         let line = line.trim();
@@ -70,7 +71,7 @@ fn item(line: &str) -> Option<&str> {
 }
 
 /// The comments of a file of settings; a line that is a setting, even one that is commented out, is none.
-fn comments(text: &str) -> Vec<Paragraph> {
+pub(crate) fn comments(text: &str) -> Vec<Paragraph> {
     collect(text.lines().map(|line| line.strip_prefix("# ").map_or(Line::Ends, Line::Prose)))
 }
 
@@ -83,7 +84,7 @@ fn proto_comments(text: &str) -> Vec<Paragraph> {
 }
 
 /// The words of each sentence, with code as one word, and links and stress without their signs.
-fn sentences(text: &str) -> Vec<Vec<String>> {
+pub(crate) fn sentences(text: &str) -> Vec<Vec<String>> {
     let shown = without_links(&text.split('`').step_by(2).collect::<Vec<_>>().join("`code`")).replace('*', "");
     let words: Vec<&str> = shown.split_whitespace().collect();
     let mut found = vec![Vec::new()];
@@ -141,7 +142,7 @@ fn is_bare(sentence: &[String]) -> bool {
 }
 
 /// A path as the repository names it.
-fn named(path: &std::path::Path) -> String {
+pub(crate) fn named(path: &std::path::Path) -> String {
     path.strip_prefix(root()).unwrap_or(path).to_string_lossy().into_owned()
 }
 
@@ -211,7 +212,7 @@ fn sentences_of_doc_comments_are_short_and_name_their_subject() {
 }
 
 /// The texts of a source in front of its tests: log lines, errors and the rest of what it prints, with their lines.
-fn texts(source: &str) -> Vec<Paragraph> {
+pub(crate) fn texts(source: &str) -> Vec<Paragraph> {
     let product = source.split("#[cfg(test)]").next().unwrap_or_default();
     let mut found = Vec::new();
     for (line, number) in product.lines().zip(1..) {

@@ -156,7 +156,7 @@ def clocks_differ(address: str, here: int, there: int) -> Refusal:
         f"the clock of this machine is {seconds} s {way} that of the node at {address}",
         found=f"{shown[0]} here, {shown[1]} there",
         wanted="clocks that agree: certificates are valid from one moment to another",
-        next="set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator",
+        next="set the clock of this machine: timedatectl set-ntp true; if it is right, inform the node's operator",
     )
 
 

@@ -250,7 +250,7 @@ def _refused(address: str, code: str, what: str, alert: str, advice: str) -> Ref
 def _not_accepted(address: str, error: ssl.SSLCertVerificationError) -> Refusal:
     first = f"the node at {address} is not accepted"
     if error.verify_code == _EXPIRED:
-        advice = "check the clock of this machine; if it is right, tell the node's operator"
+        advice = "check the clock of this machine; if it is right, inform the node's operator"
         return refusal("CERTIFICATE_EXPIRED", f"{first}: its certificate has expired", found=error.verify_message, next=advice)
     if error.verify_code == _NOT_YET_VALID:
         advice = "check the clock of this machine: timedatectl set-ntp true"

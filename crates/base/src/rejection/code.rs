@@ -154,7 +154,7 @@ codes! {
     ListStale = 2014 "LIST_STALE" Denied;
     /// The clocks of this machine and of a node differ so much that good certificates look expired.
     ClockOff = 2020 "CLOCK_OFF" Failure,
-        "set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator";
+        "set the clock of this machine: timedatectl set-ntp true; if it is right, inform the node's operator";
 
     /// The caller's certificate lacks an attribute that the robot requires.
     MissingAttribute = 3001 "MISSING_ATTRIBUTE" Denied;
@@ -193,8 +193,8 @@ codes! {
         "install the version of the nodes on the machine of the bridge, or let the owner set another mode";
     /// A voter does not speak the rules of execution that are to be activated.
     RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid,
-        "install the newer release on the nodes that the message names, and start them; ledgerctl network rules shows what every \
-         node speaks";
+        "install the newer release on the nodes that the message names, and start them; ledgerctl network rules shows the \
+         rules that every node supports";
     /// The function is executed only once enough have agreed to a proposal of this call.
     NeedsApproval = 3018 "NEEDS_APPROVAL" Denied;
     /// The organisation has as many of these as its quota allows.
@@ -207,16 +207,16 @@ codes! {
     NotDelegable = 3022 "NOT_DELEGABLE" Conflict;
     /// Another set of policies is in force than the one that this was made from.
     PoliciesChanged = 3023 "POLICIES_CHANGED" Conflict,
-        "ledgerctl policy history shows what has changed; make it again from the set in force";
+        "ledgerctl policy history shows the changes since; repeat your change from the set in force";
     /// Under these policies nobody could publish to a robot.
     NobodyMayPublish = 3024 "NOBODY_MAY_PUBLISH" Conflict,
-        "ledgerctl can --who-could shows who may; if it is meant, the same command with --i-mean-it";
+        "ledgerctl can --who-could lists the permitted identities; to apply the set anyway, add --i-mean-it to the rejected command";
     /// The readers of a confidential service have changed since its content key was shared.
     ReadersChanged = 3025 "READERS_CHANGED" Conflict,
         "share a new content key and send the message again; ledgerctl and bridges do so by themselves";
     /// A robot has other settings than those that this was made from.
     RobotChanged = 3026 "ROBOT_CHANGED" Conflict,
-        "ledgerctl robot show NAME shows its settings; make it again from these";
+        "ledgerctl robot show NAME shows the current settings; repeat your change from these";
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable,
@@ -279,7 +279,7 @@ codes! {
     BadConfiguration = 7001 "BAD_CONFIGURATION" Invalid;
     /// A local file cannot be read or written.
     BadFile = 7002 "BAD_FILE" Invalid;
-    /// No context is selected, or there is none of this name.
+    /// No context is selected, or no context has this name.
     NoContext = 7003 "NO_CONTEXT" Invalid;
 }
 

@@ -16,9 +16,9 @@ const DDS: [&str; 4] = ["fastrtps", "cyclonedds", "connext", "gurum"];
 pub struct OutOfReach {
     /// The variable and its value.
     pub setting: String,
-    /// What it does.
+    /// Its effect in ROS 2.
     pub effect: &'static str,
-    /// What to set instead.
+    /// The setting of the bridge that replaces it.
     pub remedy: &'static str,
 }
 

@@ -69,7 +69,7 @@ pub(crate) fn judge(runs: &Runs<Figures>) -> Vec<Claim> {
             found: controlled.order_in_words(),
         },
         Claim {
-            claim: "with access control no command of somebody else reaches the robot",
+            claim: "with access control no command of another user reaches the robot",
             held: drives_alone(controlled),
             found: commands_in_words(controlled),
         },
@@ -86,7 +86,7 @@ pub(crate) fn judge(runs: &Runs<Figures>) -> Vec<Claim> {
             ),
         },
         Claim {
-            claim: "with more priority a task goes first, and the other task goes on after it",
+            claim: "with more priority a task goes first, and the other task resumes after it",
             held: in_order(preempted),
             found: preempted.order_in_words(),
         },

@@ -39,8 +39,10 @@ fn side_doors(robots: &[RobotAsset], now: u64) -> Vec<Finding> {
                 door.by,
                 time::relative(door.at, now)
             );
-            let repair =
-                format!("on the robot: ros2 topic info -v {}; docs/bridge.md, \"Closing the door\"", door.topic);
+            let repair = format!(
+                "on the robot: ros2 topic info -v {}; docs/bridge.md, \"Restricting the command topics\"",
+                door.topic
+            );
             Finding::wrong("side doors", message, repair)
         })
         .collect();

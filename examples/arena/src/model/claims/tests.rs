@@ -33,7 +33,7 @@ fn a_waypoint_out_of_order_breaks_the_first_claim() {
 #[test]
 fn one_command_of_the_other_user_breaks_the_second_claim() {
     let broken = broken(|runs| slip_in(&mut runs.controlled, User::Farhad, 3.0));
-    assert_eq!(broken, ["with access control no command of somebody else reaches the robot"]);
+    assert_eq!(broken, ["with access control no command of another user reaches the robot"]);
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn a_calm_run_without_access_control_breaks_the_third_claim() {
 #[test]
 fn a_preemption_that_never_comes_breaks_its_claim() {
     let broken = broken(|runs| runs.preempted.reached.sort_by_key(|reached| reached.waypoint));
-    assert_eq!(broken, ["with more priority a task goes first, and the other task goes on after it"]);
+    assert_eq!(broken, ["with more priority a task goes first, and the other task resumes after it"]);
 }
 
 #[test]
