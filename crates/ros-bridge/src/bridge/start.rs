@@ -16,6 +16,7 @@ use crate::{
     grants::Grants,
     graph::{
         addresses::Addresses,
+        choice::MiddlewareChoice,
         domain::{Domain, ROS_DOMAIN_ID},
         local::LocalGraph,
         reach::Reach,
@@ -58,8 +59,14 @@ impl Bridge {
         }
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
-        let addresses = Addresses::read(&reach).await?;
-        let local = LocalGraph::join(domain.id, &reach, &config.node_name, config.shared_memory).await?;
+        config.middleware.check(&reach)?;
+        let addresses = match config.middleware {
+            MiddlewareChoice::Dds => Some(Addresses::read(&reach).await?),
+            // zenoh connects again by itself.
+            MiddlewareChoice::Zenoh(_) => None,
+        };
+        let (choice, name) = (&config.middleware, &config.node_name);
+        let local = LocalGraph::join(domain.id, (choice, &reach), name, config.shared_memory).await?;
 
         let roster = Arc::new(Roster::traced(config.tracer.clone()));
         let known = checkpoint(&config, context)?;
@@ -83,7 +90,8 @@ impl Bridge {
             Arc::clone(&gateway),
             local.clone(),
             Arc::clone(&roster),
-        );
+        )
+        .await;
         let statuses = reporter.statuses().clone();
         let reporter =
             BackgroundTask::spawn("the reports of the bridge ended too early", |shutdown| reporter.run(shutdown));

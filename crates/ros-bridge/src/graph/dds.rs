@@ -37,5 +37,5 @@ pub use self::{
     reader::Reader,
     writer::Writer,
 };
-pub(crate) use self::{encoding::accepting, participant::LEASE};
+pub(crate) use self::{encoding::accepting, intake::Intake, participant::LEASE, ros_discovery::node_name};
 pub use super::{domain::DOMAIN_MAX, endpoint::Role};

@@ -5,7 +5,11 @@ use std::{
     time::Duration,
 };
 
-use rtps::{guid::Guid, interface::RemoteEndpoint, qos::Qos as Policies};
+use rtps::{
+    guid::{EntityId, Guid},
+    interface::RemoteEndpoint,
+    qos::Qos as Policies,
+};
 use tokio::{sync::watch, time::sleep};
 
 use super::participant::Participant;
@@ -35,6 +39,10 @@ pub struct Neighbour {
     pub qos: Policies,
     /// Set by bridges.
     pub mark: Option<Mark>,
+    /// Its participant: unique in the world.
+    pub participant: [u8; 16],
+    /// Does its middleware keep endpoints apart whose quality of service does not fit? zenoh does not.
+    pub is_strict: bool,
 }
 
 impl Neighbour {
@@ -47,12 +55,14 @@ impl Neighbour {
             type_name: endpoint.topic.type_name.clone(),
             qos: endpoint.qos.clone(),
             mark: Mark::of(&endpoint.qos),
+            participant: Guid::new(endpoint.guid.prefix, EntityId::PARTICIPANT).to_bytes(),
+            is_strict: true,
         }
     }
 
     /// Is its topic declared with keys? The last byte of a GUID says so.
     pub(crate) fn is_keyed(&self) -> bool {
-        matches!(self.guid, [.., WRITER_WITH_KEY | READER_WITH_KEY])
+        self.is_strict && matches!(self.guid, [.., WRITER_WITH_KEY | READER_WITH_KEY])
     }
 }
 

@@ -17,7 +17,7 @@ use tokio::{
 
 use crate::{
     error::Error,
-    graph::dds::{Caller, Request, Server, Writer},
+    graph::local::{Caller, Output, Request, Server},
     routes::{
         actions::{
             frame::{
@@ -53,9 +53,9 @@ impl Call {
 /// Knows who has set which goal.
 pub(super) struct ActionServer {
     pub(super) robot: String,
-    pub(super) servers: Parts<Server>,
-    pub(super) feedback: Writer,
-    pub(super) status: Writer,
+    pub(super) servers: Parts<Box<dyn Server>>,
+    pub(super) feedback: Box<dyn Output>,
+    pub(super) status: Box<dyn Output>,
     pub(super) requests: Submitter,
     pub(super) updates: UnboundedReceiver<SubmitUpdate>,
     pub(super) handed: mpsc::Receiver<Handed>,
@@ -200,7 +200,7 @@ impl ActionServer {
     }
 
     /// Publishes what the robot says to all.
-    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &Writer) {
+    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &Box<dyn Output>) {
         let written = Sample::new(CDR_LE, message).map_err(Error::sample);
         let written = written.and_then(|sample| to(self).write(&sample));
         self.account.handed_over("feedback or a state", written);
