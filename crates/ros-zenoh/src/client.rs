@@ -42,7 +42,7 @@ pub struct Reply {
 /// Calls one service; leaves the graph when dropped.
 pub struct Client {
     node: Node,
-    key: String,
+    subject: Subject,
     announced: Announced,
     last: AtomicI64,
     bytes_max: usize,
@@ -79,7 +79,7 @@ impl Node {
         let (sender, replies) = mpsc::channel(WAITING_MAX);
         Ok(Client {
             node: self.clone(),
-            key: subject.key(self.inner.identity.domain),
+            subject: subject.clone(),
             announced,
             last: AtomicI64::new(0),
             bytes_max,
@@ -118,11 +118,22 @@ impl Client {
                 dropped.fetch_add(1, Ordering::Relaxed);
             }
         };
-        let query = self.node.inner.session.get(&self.key).payload(ZBytes::from(message));
+        let query = self.node.inner.session.get(self.key()).payload(ZBytes::from(message));
         let query = query.attachment(ZBytes::from(attachment.to_vec())).target(QueryTarget::AllComplete);
         let query = query.consolidation(ConsolidationMode::None).timeout(self.timeout);
         query.allowed_destination(Locality::Remote).callback(take).wait().map_err(failed)?;
         Ok(number)
+    }
+
+    /// The key of the request. A server of one hash is not asked by a key of any hash, so a hash that is not known is that of a server.
+    fn key(&self) -> String {
+        let Subject { name, type_name, hash } = &self.subject;
+        let endpoints = self.node.graph().endpoints();
+        let servers = endpoints.iter().map(|endpoint| &endpoint.token).filter(|token| token.kind == Kind::Server);
+        let mut hashes =
+            servers.filter(|server| server.subject.meets(&self.subject)).map(|server| &server.subject.hash);
+        let hash = hash.clone().or_else(|| hashes.find_map(Clone::clone));
+        Subject { name: name.clone(), type_name: type_name.clone(), hash }.key(self.node.identity().domain)
     }
 
     /// The next reply. Cancelling it loses nothing. It waits for ever if the session ends.

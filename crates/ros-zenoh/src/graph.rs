@@ -1,9 +1,9 @@
 //! The endpoints of others that are in the graph, by their tokens.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet, VecDeque},
     sync::{
-        Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
+        Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
         atomic::{AtomicU64, Ordering},
     },
 };
@@ -12,7 +12,7 @@ use tokio::sync::watch;
 
 use crate::{
     gid::{Gid, gid_of},
-    limits::ENDPOINTS_MAX,
+    limits::{ENDPOINTS_MAX, LEFT_MAX},
     token::Token,
 };
 
@@ -36,19 +36,52 @@ struct Inner {
     /// The own session, whose endpoints are left out.
     session: String,
     endpoints: RwLock<BTreeMap<Gid, Arc<RemoteEndpoint>>>,
+    left: Mutex<Left>,
     changes: watch::Sender<u64>,
     ignored: AtomicU64,
 }
 
+/// Those that have left, the oldest first; so many are remembered.
+#[derive(Debug, Default)]
+struct Left {
+    order: VecDeque<Gid>,
+    known: BTreeSet<Gid>,
+}
+
+impl Left {
+    fn add(&mut self, gid: Gid) {
+        if self.known.insert(gid) {
+            self.order.push_back(gid);
+        }
+        if self.order.len() > LEFT_MAX
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.known.remove(&oldest);
+        }
+    }
+}
+
 impl Graph {
     pub(crate) fn new(session: &str) -> Self {
-        let (endpoints, changes) = (RwLock::default(), watch::Sender::new(0));
-        Self { inner: Arc::new(Inner { session: session.to_owned(), endpoints, changes, ignored: AtomicU64::new(0) }) }
+        let inner = Inner {
+            session: session.to_owned(),
+            endpoints: RwLock::default(),
+            left: Mutex::default(),
+            changes: watch::Sender::new(0),
+            ignored: AtomicU64::new(0),
+        };
+        Self { inner: Arc::new(inner) }
     }
 
     /// The endpoint with this identifier.
     pub fn endpoint(&self, gid: &Gid) -> Option<Arc<RemoteEndpoint>> {
         self.read().get(gid).cloned()
+    }
+
+    /// Has an endpoint with this identifier left? False for one that was never announced: not every implementation takes the
+    /// identifier in its messages from its token.
+    pub fn has_left(&self, gid: &Gid) -> bool {
+        self.endpoint(gid).is_none() && self.left().known.contains(gid)
     }
 
     /// All endpoints.
@@ -83,14 +116,20 @@ impl Graph {
 
     /// A token has gone.
     pub(crate) fn remove(&self, key: &str) {
-        let removed = self.write().remove(&gid_of(key));
+        let gid = gid_of(key);
+        let removed = self.write().remove(&gid);
         if removed.is_some() {
+            self.left().add(gid);
             self.changed();
         }
     }
 
     fn changed(&self) {
         self.inner.changes.send_modify(|changes| *changes = changes.wrapping_add(1));
+    }
+
+    fn left(&self) -> MutexGuard<'_, Left> {
+        self.inner.left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn read(&self) -> RwLockReadGuard<'_, BTreeMap<Gid, Arc<RemoteEndpoint>>> {
@@ -128,6 +167,22 @@ mod tests {
         assert!(!changes.has_changed().unwrap(), "it was there");
         graph.remove(&token("b", 1));
         assert!(changes.has_changed().unwrap() && graph.endpoint(&gid).is_none());
+    }
+
+    #[test]
+    fn who_has_left_is_told_from_who_was_never_announced() {
+        let graph = Graph::new("a");
+        let gid = gid_of(&token("b", 1));
+        assert!(!graph.has_left(&gid), "never announced");
+        graph.add(&token("b", 1));
+        assert!(!graph.has_left(&gid));
+        graph.remove(&token("b", 1));
+        assert!(graph.has_left(&gid));
+        for number in 2..LEFT_MAX + 2 {
+            graph.add(&token("b", number));
+            graph.remove(&token("b", number));
+        }
+        assert!(!graph.has_left(&gid), "forgotten");
     }
 
     #[test]

@@ -114,7 +114,7 @@ impl fmt::Debug for Node {
     }
 }
 
-/// The configuration of zenoh for these settings: nobody is looked for by multicast, and every link is named.
+/// The configuration of zenoh for these settings, without scouting by multicast: every link is named.
 fn config(settings: &Settings) -> Result<Config, Error> {
     let mut config = Config::default();
     let mut set = |key: &str, value: String| {

@@ -91,6 +91,26 @@ async fn a_type_with_another_definition_is_not_heard_and_one_whose_hash_is_not_k
     let numbers = |messages: Vec<(bytes::Bytes, _)>| messages.iter().map(|(bytes, _)| bytes[4]).collect::<Vec<_>>();
     assert_eq!(numbers(any.messages(3).await), [1, 2, 3]);
     assert_eq!(numbers(exact.messages(2).await), [1, 3]);
+
+    let kept = one.publisher(&unknown, latched(1)).unwrap();
+    kept.publish(message(4)).unwrap();
+    until("the publisher is seen", || seen(&other, Kind::Publisher, "/cmd_vel").len() == 4).await;
+    let late = Received::open(&other, &topic, latched(1));
+    assert_eq!(numbers(late.messages(1).await), [4], "also for those who come late");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_does_not_know_the_hash_calls_a_server_that_has_one() {
+    let (_router, [one, other]) = graph().await;
+    let service = subject("/reset");
+    let unknown = Subject { hash: None, ..service.clone() };
+    let mut client = other.client(&unknown, TokenQos::default(), BYTES_MAX, DEADLINE).unwrap();
+    let mut server = one.server(&service, TokenQos::default(), BYTES_MAX).unwrap();
+    until("the server is seen", || seen(&other, Kind::Server, "/reset").len() == 1).await;
+    client.call(message(1)).unwrap();
+    let request = tokio::time::timeout(DEADLINE, server.next()).await.unwrap().unwrap();
+    server.reply(&request.id, message(2)).unwrap();
+    assert_eq!(client.next().await.unwrap().message, message(2));
 }
 
 #[tokio::test(flavor = "multi_thread")]

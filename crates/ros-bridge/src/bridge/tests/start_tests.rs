@@ -36,8 +36,10 @@ async fn a_route_that_cannot_start_waits_while_the_others_carry_messages_and_sta
     let network = Network::until(2900);
     let fake = Fake::new("exclusive", &network);
     fake.set_own_epoch(3);
+    beside::prepare().await;
+    let transport = beside::transport();
     let text = format!(
-        "domain_id = {DOMAIN}\nshared_memory = false\n{TWIST_ROUTE}\ndirection = 'to_ledger'\n\
+        "domain_id = {DOMAIN}\n{transport}\nshared_memory = false\n{TWIST_ROUTE}\ndirection = 'to_ledger'\n\
          {WRONG_ROUTE}\ndirection = 'from_ledger'\ntopic = '/watched'"
     );
     let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();

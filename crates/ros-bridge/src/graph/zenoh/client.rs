@@ -19,8 +19,12 @@ use crate::{
     },
 };
 
-/// How long zenoh waits for a reply: longer than any route does, also for the result of a goal.
-const TIMEOUT: Duration = Duration::from_secs(24 * 3600);
+/// How long zenoh waits for a reply: as long as a route may at most. Until then it remembers the call.
+const TIMEOUT: Duration = Duration::from_secs(3600);
+/// The same for the result of a goal.
+const RESULT_TIMEOUT: Duration = Duration::from_secs(24 * 3600);
+/// The end of the name of the service for results.
+const RESULTS: &str = "/_action/get_result";
 
 /// Calls a service; leaves the graph when dropped.
 pub(crate) struct Client {
@@ -36,9 +40,10 @@ impl Session {
     /// Becomes a client of a service. Bridges of the mark's network are not called.
     pub(crate) fn client(&self, exchange: &Exchange, mark: Mark, bytes_max: usize) -> Result<Client> {
         let subject = self.service(exchange);
-        let raw = self.node.client(&subject, token_qos(&Qos::default(), Some(mark)), bytes_max, TIMEOUT);
+        let timeout = if subject.name.ends_with(RESULTS) { RESULT_TIMEOUT } else { TIMEOUT };
+        let raw = self.node.client(&subject, token_qos(&Qos::default(), Some(mark)), bytes_max, timeout);
         let raw = raw.map_err(|error| zenoh_error(&format!("cannot call {exchange}"), &error))?;
-        let matching = Matching::follow(&self.node, (subject.clone(), Kind::Server), || (), || ());
+        let matching = Matching::follow(&self.node, (subject.clone(), Kind::Server), |_| (), || ());
         Ok(Client { raw, node: self.node.clone(), subject, exchange: exchange.clone(), mark, matching })
     }
 }

@@ -1,11 +1,11 @@
-//! Samples of publishers that are not announced yet: a token may come a moment after the first sample. Without IO.
+//! Samples that came before a publisher of their topic was announced: a token may come a moment later. Without IO.
 
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
 };
 
-/// For so long a sample waits for the token of its publisher.
+/// For so long a sample waits for a token.
 const WAIT_MAX: Duration = Duration::from_secs(1);
 /// Most samples that wait.
 const HELD_MAX: usize = 64;

@@ -30,11 +30,11 @@ impl Drop for Matching {
 }
 
 impl Matching {
-    /// Follows those of a kind. `look` is called after each look at them, and `ended` when the session has ended.
+    /// Follows those of a kind. `look` gets their number after each look at them, and `ended` when the session has ended.
     pub(super) fn follow(
         node: &Node,
         (subject, kind): (Subject, Kind),
-        mut look: impl FnMut() + Send + 'static,
+        mut look: impl FnMut(usize) + Send + 'static,
         ended: impl FnOnce() + Send + 'static,
     ) -> Self {
         let sender = watch::Sender::new(found(node, &subject, kind));
@@ -45,12 +45,13 @@ impl Matching {
             while !node.is_ended() {
                 changes.mark_unchanged();
                 let now = found(&node, &subject, kind);
+                let count = now.endpoints.len();
                 sender.send_if_modified(|known| {
                     let is_news = *known != now;
                     *known = now;
                     is_news
                 });
-                look();
+                look(count);
                 sleep(LOOK_PAUSE).await;
                 // A timeout is a look at the session.
                 drop(timeout(LOOK_EVERY, changes.changed()).await);

@@ -1,7 +1,10 @@
 //! Takes the samples of one topic.
 
 use std::{
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
@@ -63,6 +66,7 @@ impl Session {
             bytes_max: limits.sample_bytes_max,
             queue: Arc::clone(&queue),
             filter,
+            publishers: AtomicUsize::new(0),
             state: Mutex::default(),
         });
         let taking = Arc::clone(&pump);
@@ -71,8 +75,12 @@ impl Session {
         let subscriber =
             subscriber.map_err(|error| zenoh_error(&format!("cannot read topic {topic} [{message}]"), &error))?;
         let ending = Arc::clone(&queue);
-        let matching =
-            Matching::follow(&self.node, (subject, Kind::Publisher), move || pump.release(), move || ending.close());
+        let matching = Matching::follow(
+            &self.node,
+            (subject, Kind::Publisher),
+            move |count| pump.announced(count),
+            move || ending.close(),
+        );
         Ok(Reader { queue, matching, _subscriber: subscriber })
     }
 }
@@ -98,13 +106,15 @@ struct Pump {
     queue: Arc<Queue>,
     /// Where samples go to the ledger.
     filter: Option<Arc<LoopFilter>>,
+    /// The announced publishers of the topic.
+    publishers: AtomicUsize,
     state: Mutex<State>,
 }
 
 #[derive(Default)]
 struct State {
     intake: Intake,
-    /// Samples of publishers that are not announced yet.
+    /// Samples for the ledger that came before a publisher of the topic was announced.
     held: Held<Incoming>,
     log_limiter: LogLimiter,
 }
@@ -140,22 +150,28 @@ impl Pump {
         let waited = if self.is_alone { since(time, wall) } else { Duration::ZERO };
         let sequence = u64::try_from(sequence).unwrap_or_default();
         let incoming = Incoming { sample, source: gid, sequence, received, wall, waited };
-        let is_announced = self.filter.is_none() || self.node.graph().endpoint(&gid).is_some();
-        if is_announced && state.held.is_empty() {
+        if self.is_announced(&gid) && state.held.is_empty() {
             self.admit(incoming);
         } else if state.held.push(incoming, received).is_some() {
             self.lose(state, UNANNOUNCED);
         }
     }
 
-    /// Gives out what has waited for the token of its publisher.
-    fn release(&self) {
+    /// May a sample of this source go to the ledger? A publisher of the topic must be announced. Its token need not have that
+    /// identifier: some implementations take it from elsewhere. One with a mark has it.
+    fn is_announced(&self, source: &[u8; 16]) -> bool {
+        let is_known = || self.node.graph().endpoint(source).is_some();
+        self.filter.is_none() || self.publishers.load(Ordering::Relaxed) > 0 || is_known()
+    }
+
+    /// So many publishers are announced now: gives out what has waited for one.
+    fn announced(&self, count: usize) {
+        self.publishers.store(count, Ordering::Relaxed);
         let mut state = self.lock();
         if state.held.is_empty() {
             return;
         }
-        let is_announced = |incoming: &Incoming| self.node.graph().endpoint(&incoming.source).is_some();
-        let (released, late) = state.held.release(Instant::now(), is_announced);
+        let (released, late) = state.held.release(Instant::now(), |incoming| self.is_announced(&incoming.source));
         released.into_iter().for_each(|incoming| self.admit(incoming));
         late.iter().for_each(|_| self.lose(&mut state, UNANNOUNCED));
     }
@@ -184,7 +200,7 @@ impl Pump {
 }
 
 /// Why a sample of an unknown publisher is lost.
-const UNANNOUNCED: &str = "its publisher is not announced in the graph";
+const UNANNOUNCED: &str = "no publisher of this topic is announced in the graph";
 
 /// How long ago that was by the clock of this host, in nanoseconds since 1970; zero if it is no time. If it lies ahead, the clock was
 /// set back since then, and the age is unknown.

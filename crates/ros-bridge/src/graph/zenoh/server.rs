@@ -43,7 +43,7 @@ impl Session {
         let subject = self.service(exchange);
         let raw = self.node.server(&subject, token_qos(&Qos::default(), Some(mark)), bytes_max);
         let raw = raw.map_err(|error| zenoh_error(&format!("cannot serve {exchange}"), &error))?;
-        let matching = Matching::follow(&self.node, (subject, Kind::Client), || (), || ());
+        let matching = Matching::follow(&self.node, (subject, Kind::Client), |_| (), || ());
         let (node, exchange, log_limiter) = (self.node.clone(), exchange.clone(), LogLimiter::default());
         Ok(Server { raw, node, exchange, mark, matching, lost: 0, log_limiter })
     }
@@ -76,9 +76,9 @@ impl Server {
         }
     }
 
-    /// Is the client that has called still there?
+    /// Is the client that has called still there, as far as its token tells?
     pub(crate) fn is_there(&self, (client, _): &RequestId) -> bool {
-        self.node.graph().endpoint(client).is_some()
+        !self.node.graph().has_left(client)
     }
 
     /// The clients of others.

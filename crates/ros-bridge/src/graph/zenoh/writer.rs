@@ -41,7 +41,7 @@ impl Session {
         let subject = self.topic(topic, message);
         let publisher = self.node.publisher(&subject, token_qos(qos, mark));
         let publisher = publisher.map_err(|error| zenoh_error(&format!("cannot write topic {topic}"), &error))?;
-        let matching = Matching::follow(&self.node, (subject, Kind::Subscriber), || (), || ());
+        let matching = Matching::follow(&self.node, (subject, Kind::Subscriber), |_| (), || ());
         Ok(Writer { topic: topic.clone(), publisher, matching })
     }
 }
