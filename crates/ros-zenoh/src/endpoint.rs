@@ -1,4 +1,4 @@
-//! What all endpoints have: a token, an identifier and a time.
+//! The token, the identifier and the time of each endpoint.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 

@@ -1,4 +1,4 @@
-//! What can go wrong with a session.
+//! Failures of a session.
 
 /// A failure of zenoh, or of a peer that does not keep up.
 #[derive(Debug, Clone, thiserror::Error)]

@@ -23,7 +23,7 @@ use crate::{
 /// Most bytes of an attachment that are looked at: later versions may put more behind what is known.
 const ATTACHMENT_BYTES_MAX: usize = 4 * ATTACHMENT_BYTES;
 
-/// What has come in on a topic.
+/// An arrival on a topic.
 #[derive(Debug)]
 pub enum Incoming {
     /// A message: CDR with its encapsulation header.
@@ -109,7 +109,7 @@ pub(crate) fn attachment(bytes: &ZBytes) -> Option<Attachment> {
     Attachment::parse(&bytes.to_bytes())
 }
 
-/// A copy of a payload. What came with it in one buffer is not kept.
+/// A copy of a payload, so that the rest of its buffer is not kept.
 pub(crate) fn bytes_of(payload: &ZBytes) -> Bytes {
     Bytes::from(payload.to_bytes().into_owned())
 }

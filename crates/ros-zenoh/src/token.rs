@@ -92,7 +92,7 @@ pub struct Token {
     pub kind: Kind,
     /// Its topic or service.
     pub subject: Subject,
-    /// What it offers or requests.
+    /// The quality of service that it offers or requests.
     pub qos: TokenQos,
 }
 

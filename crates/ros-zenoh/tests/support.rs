@@ -78,7 +78,7 @@ pub(crate) fn seen(node: &Node, kind: Kind, name: &str) -> Vec<Gid> {
     found.map(|one| one.gid).collect()
 }
 
-/// What a subscriber has received.
+/// A subscriber, and everything that it has received.
 pub(crate) struct Received {
     _subscriber: Subscriber,
     taken: Arc<Mutex<Vec<Incoming>>>,

@@ -38,9 +38,12 @@ def serve():
     goals, asked = {}, []
     said = time.monotonic()
 
-    def publish(part, of, latched, payload):
-        if part not in publishers and node.there("MS", f"{name}/_action/{part}", of):
-            publishers[part] = node.publisher(f"{name}/_action/{part}", of, latched)
+    def offer():
+        for part, of, latched in [("feedback", FEEDBACK, False), ("status", STATUS, True)]:
+            if part not in publishers and node.there("MS", f"{name}/_action/{part}", of):
+                publishers[part] = node.publisher(f"{name}/_action/{part}", of, latched)
+
+    def publish(part, payload):
         if part in publishers:
             publishers[part](payload)
 
@@ -48,7 +51,7 @@ def serve():
         writer = Writer().put("I", len(goals))
         for goal, known in goals.items():
             info(writer, goal, known["stamp"]).put("b", known["status"])
-        publish("status", STATUS, True, writer.done())
+        publish("status", writer.done())
 
     def end(goal, state):
         goals[goal]["status"] = state
@@ -57,6 +60,7 @@ def serve():
 
     print("ready", flush=True)
     while True:
+        offer()
         for query in taken(goals_in):
             request = body(query)
             goal, order = request.raw(16), request.get("i")
@@ -100,7 +104,7 @@ def serve():
                 known["numbers"] = known["numbers"][-100:]
                 known["order"] -= 1
                 numbers = known["numbers"]
-                publish("feedback", FEEDBACK, False, Writer().raw(goal).put("I", len(numbers)).put("i", *numbers).done())
+                publish("feedback", Writer().raw(goal).put("I", len(numbers)).put("i", *numbers).done())
                 if known["order"] <= 0:
                     end(goal, SUCCEEDED)
         time.sleep(0.002)

@@ -79,7 +79,7 @@ class Node:
         self.count += 1
         token = f"{self.key(kind, self.count)}/{mangle(name)}/{type_name}/{hash}/{qos}"
         self.held.append(self.session.liveliness().declare_token(token))
-        return xxhash.xxh3_128(token).intdigest().to_bytes(16, "little")
+        return xxhash.xxh3_128(token.encode()).intdigest().to_bytes(16, "little")
 
     def topic(self, name, type_name, hash):
         return f"{self.domain}/{name.strip('/')}/{type_name}/{hash}"

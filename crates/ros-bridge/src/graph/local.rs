@@ -66,7 +66,7 @@ impl LocalGraph {
         Ok(Self { middleware, beside, delivered: Arc::default() })
     }
 
-    /// What carries the whole graph.
+    /// The middleware, which carries the whole graph.
     pub(crate) fn middleware(&self) -> &Arc<dyn Middleware> {
         &self.middleware
     }

@@ -28,7 +28,7 @@ fn is_zenoh() -> bool {
     std::env::var(TRANSPORT).is_ok_and(|transport| transport == "zenoh")
 }
 
-/// What a bridge needs beside it before it starts: zenoh has a router.
+/// Starts the router that zenoh needs.
 pub(super) async fn prepare() {
     #[cfg(feature = "zenoh")]
     if is_zenoh() {

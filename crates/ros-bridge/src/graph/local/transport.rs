@@ -1,4 +1,4 @@
-//! What a bridge asks of a transport of the local graph. Routes do not know which one they use.
+//! The transports of the local graph, as routes use them. A route does not know which one it has.
 //!
 //! A [`Transport`] carries topics: DDS, zenoh, shared memory. A [`Middleware`] is one that carries the whole graph, with services and
 //! discovery: DDS or zenoh.

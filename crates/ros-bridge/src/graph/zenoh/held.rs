@@ -10,7 +10,7 @@ const WAIT_MAX: Duration = Duration::from_secs(1);
 /// Most samples that wait.
 const HELD_MAX: usize = 64;
 
-/// What waits, the oldest first.
+/// The samples that wait, the oldest first.
 #[derive(Debug)]
 pub(super) struct Held<T>(VecDeque<(Instant, T)>);
 

@@ -97,7 +97,7 @@ impl Reader {
     }
 }
 
-/// What stands between zenoh and the queue of the route.
+/// The stage between zenoh and the queue of the route.
 struct Pump {
     topic: TopicName,
     node: Node,
