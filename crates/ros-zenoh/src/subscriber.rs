@@ -42,8 +42,8 @@ pub struct Subscriber {
 
 #[expect(dead_code, reason = "they are held, so that messages come")]
 enum Input {
-    Plain(Plain<()>),
-    Latched(AdvancedSubscriber<()>),
+    Plain(Box<Plain<()>>),
+    Latched(Box<AdvancedSubscriber<()>>),
 }
 
 impl Node {
@@ -74,9 +74,9 @@ impl Node {
             if qos.is_reliable {
                 latched = latched.recovery(RecoveryConfig::default().heartbeat());
             }
-            Input::Latched(latched.wait().map_err(failed)?)
+            Input::Latched(Box::new(latched.wait().map_err(failed)?))
         } else {
-            Input::Plain(subscriber.wait().map_err(failed)?)
+            Input::Plain(Box::new(subscriber.wait().map_err(failed)?))
         };
         let announced = self.announce(Kind::Subscriber, subject, qos)?;
         Ok(Subscriber { _input: input, announced })

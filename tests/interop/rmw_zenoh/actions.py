@@ -172,3 +172,4 @@ def send():
 
 
 serve() if role == "serve" else send()
+node.leave()

@@ -43,3 +43,4 @@ for value in words[1:]:
             success = bool(answer.get("B"))
             line = f"{success} {answer.text()}".replace("\n", " | ")
     print(line, flush=True)
+node.leave()

@@ -1,6 +1,7 @@
 """A node in a graph of rmw_zenoh, over plain zenoh: keys, tokens, attachments, and CDR. Services and topics are bytes here."""
 
 import json
+import os
 import queue
 import struct
 import sys
@@ -55,6 +56,12 @@ class Node:
             self.session.liveliness().declare_subscriber(f"@ros2_lv/{domain}/**", self.note, history=True)
         )
         self.held.append(self.session.liveliness().declare_token(self.key("NN", 0)))
+
+    def leave(self, code=0):
+        """Ends the process: threads of zenoh would keep it."""
+        self.session.close()
+        sys.stdout.flush()
+        os._exit(code)
 
     def key(self, kind, number):
         return f"@ros2_lv/{self.domain}/{self.zid}/0/{number}/{kind}/%/%/{self.name}"

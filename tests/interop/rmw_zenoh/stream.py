@@ -33,7 +33,7 @@ def subscribe(node, topic, count, seconds):
     deadline, received, matched = time.monotonic() + float(seconds), 0, False
     while int(count) == 0 or received < int(count):
         if time.monotonic() > deadline:
-            sys.exit(3)
+            node.leave(3)
         if not matched and node.there("MP", name, kind):
             matched = True
             print("matched", flush=True)
@@ -50,4 +50,6 @@ def subscribe(node, topic, count, seconds):
 
 role, domain, topic, count, rate, size = sys.argv[1:7]
 assert size == "0", "only a Twist"
-(publish if role == "pub" else subscribe)(Node(int(domain), f"stream_{role}"), topic, count, rate)
+node = Node(int(domain), f"stream_{role}")
+(publish if role == "pub" else subscribe)(node, topic, count, rate)
+node.leave()

@@ -21,4 +21,4 @@ for index in range(count):
     print(sample.hex(), flush=True)
     publish(sample)
 # Nothing tells a publisher that its messages have come, and a session that closes sends what it has.
-node.session.close()
+node.leave()

@@ -19,7 +19,7 @@ stop = bytes([0, 1] + 50 * [0])
 stands = True
 while count == 0 or received < count:
     if time.monotonic() > deadline:
-        sys.exit(0 if count == 0 else 3)
+        node.leave(0 if count == 0 else 3)
     if not matched and node.there("MP", name, kind):
         matched = True
         print("matched", flush=True)
@@ -30,3 +30,4 @@ while count == 0 or received < count:
         received += 1
         print(sample.hex(), flush=True)
     time.sleep(0.001)
+node.leave()

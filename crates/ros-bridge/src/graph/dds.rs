@@ -37,5 +37,7 @@ pub use self::{
     reader::Reader,
     writer::Writer,
 };
-pub(crate) use self::{encoding::accepting, intake::Intake, participant::LEASE, ros_discovery::node_name};
+pub(crate) use self::{encoding::accepting, participant::LEASE};
+#[cfg(feature = "zenoh")]
+pub(crate) use self::{intake::Intake, ros_discovery::node_name};
 pub use super::{domain::DOMAIN_MAX, endpoint::Role};

@@ -179,14 +179,14 @@ impl ActionServer {
             match id {
                 FEEDBACK => {
                     if goal_of(&message).is_some_and(|goal| self.goals.has(&goal)) {
-                        self.tell(&message, |desk| &desk.feedback);
+                        self.tell(&message, |desk| &*desk.feedback);
                     }
                 }
                 STATUS => {
                     for stated in goals_in(&message).iter().filter(|stated| stated.is_over()) {
                         self.goals.ended(&stated.goal);
                     }
-                    self.tell(&message, |desk| &desk.status);
+                    self.tell(&message, |desk| &*desk.status);
                 }
                 LOST => ids_in(&message).for_each(|goal| self.lose(&goal)),
                 id => {
@@ -200,7 +200,7 @@ impl ActionServer {
     }
 
     /// Publishes what the robot says to all.
-    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &Box<dyn Output>) {
+    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &dyn Output) {
         let written = Sample::new(CDR_LE, message).map_err(Error::sample);
         let written = written.and_then(|sample| to(self).write(&sample));
         self.account.handed_over("feedback or a state", written);
@@ -235,7 +235,7 @@ impl ActionServer {
                 goal = hex::encode(goal),
                 "the robot has lost a goal: it counts as aborted"
             );
-            self.tell(&Bytes::copy_from_slice(&aborted(*goal)), |desk| &desk.status);
+            self.tell(&Bytes::copy_from_slice(&aborted(*goal)), |desk| &*desk.status);
         }
     }
 
