@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Builds the tests and runs all of them in one pool: tests/pool.py [--long] [-p PACKAGE]... [NAME]...
+"""Builds the tests and runs all of them in one pool: tests/pool.py [--long | --zenoh] [-p PACKAGE]... [NAME]...
 
 Each test is a process of its own, in one of the classes below: a test that waits has many slots, a test that computes has one for each
 processor, and gives way to those that wait. NAME is a part of a test's name, as it is printed. `--long` runs what is left out
-otherwise. `./test` calls this after it has installed what the tests need.
+otherwise. `--zenoh` builds what no default build contains, and runs the tests of the bridge over zenoh. `./test` calls this after it has
+installed what the tests need.
 """
 
 import argparse
@@ -31,7 +32,7 @@ CLASSES = {
     # They wait for nodes, leases and elections.
     "waiting": (3 * PROCESSORS, {"cli", "client", "clients", "cluster", "hostile", "inventory", "node"}),
     # They wait for graphs of ROS 2, whose many processes lose messages where processors are short.
-    "graphs": (PROCESSORS, {"bridge", "interop", "ros_bridge"}),
+    "graphs": (PROCESSORS, {"bridge", "interop", "ros_bridge", "ros_zenoh"}),
     "computing": (PROCESSORS, set()),
 }
 # Test binaries that start programs of this workspace.
@@ -52,6 +53,29 @@ ALONE = [
     "repository::documents::the_first_command_of_the_readme_plays_the_experiment",
     # Bursts of large samples overflow the buffers of sockets where processors are short.
     "bridge::peers::images_of_",
+]
+# What --zenoh builds, each with its features for zenoh.
+ZENOH = {"ledgerd-bridge-zenoh": "zenoh", "ros-bridge": "zenoh", "ros-zenoh": "session", "ros-zenoh-tests": "zenoh"}
+# What it runs: the tests of zenoh, and those of routes and of whole networks whose subject is not DDS.
+ZENOH_TESTS = [
+    "ros_zenoh::",
+    "ros_bridge::graph::choice::",
+    "ros_bridge::graph::zenoh::",
+    "ros_bridge::bridge::tests::",
+    "interop::actions::the_holder_alone",
+    "interop::calls::the_holder_alone",
+    "interop::passing::a_command_above_the_limit",
+    "interop::sharing::who_drives_changes",
+    "interop::side_door::a_stranger_on_the_robots_topic",
+    # Where a ROS 2 with rmw_zenoh_cpp is sourced.
+    "interop::real_ros::",
+]
+# Not these: they wait for acknowledgements, or for endpoints that quality of service keeps apart, and zenoh has neither. Or they name DDS.
+NO_ZENOH = [
+    "ros_bridge::bridge::tests::a_ledger_that_is_slower",
+    "ros_bridge::bridge::tests::latched_tests::a_route_hears_a_best_effort",
+    "ros_bridge::bridge::tests::latched_tests::what_a_reader_has_heard",
+    "ros_bridge::bridge::tests::shm_tests::",
 ]
 # So many tests at most that have failed beside others are run once more, alone, if they are of a class that waits: real processes that
 # share the processors with a hundred others lose races which people never see. The summary names them; each is a fault of a test, to be
@@ -144,6 +168,14 @@ def build(packages):
     return messages
 
 
+def build_zenoh():
+    """Builds the tests that need zenoh, with the whole network that they start; the messages of cargo."""
+    features = ",".join(f"{package}/{feature}" for package, feature in ZENOH.items())
+    # In one build, so that nothing is built twice.
+    words = [word for package in [*ZENOH, "ledgerctl", "ledgerd-interop"] for word in ("--package", package)]
+    return cargo("build", *words, "--features", features, "--bins", "--tests")
+
+
 def listed(message):
     """The tests of a binary."""
     binary, directory = message["target"]["name"], Path(message["manifest_path"]).parent
@@ -173,17 +205,24 @@ def main():
         signal.signal(number, interrupted)
     parser = argparse.ArgumentParser(prog="./test", description="Builds the tests and runs them in one pool.")
     parser.add_argument("--long", action="store_true", help="what is left out otherwise, and searches for new cases")
+    parser.add_argument("--zenoh", action="store_true", help="the tests of the bridge over zenoh")
     parser.add_argument("-p", "--package", action="append", default=[], help="only a package, and the one with its tests")
     parser.add_argument("names", nargs="*", metavar="NAME", help="only tests with this in their names")
     asked = parser.parse_args()
     begun = time.monotonic()
 
-    binaries = [message for message in build(asked.package) if message.get("executable") and message["profile"]["test"]]
+    messages = build_zenoh() if asked.zenoh else build(asked.package)
+    binaries = [message for message in messages if message.get("executable") and message["profile"]["test"]]
     print(f"test: built in {time.monotonic() - begun:.0f} s", flush=True)
     with ThreadPoolExecutor(PROCESSORS) as pool:
         tests = [test for found in pool.map(listed, binaries) for test in found]
     is_in = lambda test, prefixes: any(test.name.startswith(prefix) for prefix in prefixes)
-    if not asked.package:
+    if asked.zenoh:
+        os.environ["LEDGERD_TEST_TRANSPORT"] = "zenoh"
+        if gone := [prefix for prefix in ZENOH_TESTS + NO_ZENOH if not any(is_in(test, [prefix]) for test in tests)]:
+            sys.exit(f"error: tests/pool.py names tests that are not there: {' '.join(gone)}")
+        tests = [test for test in tests if is_in(test, ZENOH_TESTS) and not is_in(test, NO_ZENOH)]
+    elif not asked.package:
         tests.append(examples())
         there = {test.name.split("::")[0] for test in tests}
         gone = set.union(WITH_PROGRAMS, *(binaries for _, binaries in CLASSES.values())) - there

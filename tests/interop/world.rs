@@ -1,6 +1,7 @@
 //! A real network for the tests of this folder: a `ledgerd` process, two users, a robot called Rover, and bridges as
 //! processes of their own.
 
+use crate::python::{Python, is_zenoh};
 use crate::support::programs;
 use bytes::Bytes;
 use ledger_api::{Client, Context, Enrolment};
@@ -95,6 +96,8 @@ pub(crate) struct World {
     pub(crate) farhad: Client,
     nodes: Vec<Process>,
     directory: TempDir,
+    /// Where the graphs are those of rmw_zenoh.
+    _router: Option<Python>,
 }
 
 fn ledgerd() -> Command {
@@ -126,7 +129,7 @@ impl World {
         let farhad = enrol(&admin, &home, ("Farhad", Role::Member), "Rover", ADDRESS, fingerprint).await;
         enrol(&owner, &home, ("Rover", Role::Robot), "robot", ADDRESS, fingerprint).await;
         register_rover(&owner, topic, kind, mode).await;
-        Self { salma, farhad, nodes: vec![node], directory }
+        Self { salma, farhad, nodes: vec![node], directory, _router: router() }
     }
 
     /// The same with two nodes: the users' one orders, the robot's one follows and carries the robot's bridge.
@@ -157,7 +160,7 @@ impl World {
         let height = register_rover(&owner, topic, kind, "exclusive").await;
         // The owner asked the other node: Salma's may be a moment behind it.
         salma.query_at(height, "abac", "robots", Vec::new()).await.unwrap();
-        Self { salma, farhad, nodes, directory }
+        Self { salma, farhad, nodes, directory, _router: router() }
     }
 
     /// Changes the configuration of a node with a bridge inside, or beside it, and sends it SIGHUP.
@@ -224,7 +227,7 @@ impl World {
     pub(crate) fn config_of(&self, name: &str, settings: &str) -> PathBuf {
         let context = self.directory.path().join("home/contexts").join(name);
         let config = self.directory.path().join(format!("{name}.toml"));
-        fs::write(&config, format!("context_dir = {context:?}\n{settings}")).unwrap();
+        fs::write(&config, format!("context_dir = {context:?}\n{}{settings}", transport())).unwrap();
         config
     }
 
@@ -295,8 +298,8 @@ impl World {
         let context = self.directory.path().join("home/contexts").join(name);
         let config = self.directory.path().join(format!("{name}.toml"));
         let route = route(direction, topic, kind);
-        fs::write(&config, format!("context_dir = {context:?}\ndomain_id = {domain}\nshared_memory = false\n{route}"))
-            .unwrap();
+        let settings = format!("domain_id = {domain}\nshared_memory = false\n{route}");
+        fs::write(&config, format!("context_dir = {context:?}\n{}{settings}", transport())).unwrap();
         config
     }
 
@@ -323,6 +326,20 @@ impl World {
         let logs = logs.filter(|path| path.extension().is_some_and(|extension| extension == "log"));
         logs.map(|path| format!("--- {}\n{}", path.display(), fs::read_to_string(&path).unwrap())).collect()
     }
+}
+
+/// The middleware of a bridge, as a line of its configuration.
+fn transport() -> &'static str {
+    if is_zenoh() { "transport = 'zenoh'\n" } else { "" }
+}
+
+/// The router of the graphs, which a graph of DDS does not have.
+fn router() -> Option<Python> {
+    is_zenoh().then(|| {
+        let mut router = Python::start("router.py", &[]);
+        assert_eq!(router.line().unwrap(), "ready");
+        router
+    })
 }
 
 /// A route that stops the robot for no silence of a busy machine.

@@ -7,7 +7,7 @@ use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing. A package of tests alone, which stands
 /// in a folder `tests`, may use all of them, and none may use it.
-const LAYERS: [(&str, &[&str]); 25] = [
+const LAYERS: [(&str, &[&str]); 27] = [
     // The foundation: no cryptography beyond a hash, no network, no chain.
     ("ledger-base", &[]),
     // The paper's experiment with a robot that moves.
@@ -57,6 +57,8 @@ const LAYERS: [(&str, &[&str]); 25] = [
     ("ros-message", &["ledger-base"]),
     // DDS: nothing of a ledger, nor of ROS 2.
     ("rtps", &[]),
+    // Graphs of rmw_zenoh: nothing of a ledger, and messages are bytes.
+    ("ros-zenoh", &[]),
     (
         "ros-bridge",
         &[
@@ -70,10 +72,13 @@ const LAYERS: [(&str, &[&str]); 25] = [
             "ledger-light",
             "ledger-traces",
             "ros-message",
+            "ros-zenoh",
             "rtps",
             "testkit",
         ],
     ),
+    // The node with zenoh for its bridge.
+    ("ledgerd-bridge-zenoh", &["ledgerd", "ros-bridge"]),
     // Never abac: whoever only talks to nodes needs neither Cedar nor a world state.
     (
         "ledgerctl",

@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
-/// The node, built for this test.
+/// The node, built for this test. Where tests run over zenoh, it is the program that has it.
 pub fn ledgerd() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| testkit::program("ledgerd"))
+    let name = if testkit::python::is_zenoh() { "ledgerd-bridge-zenoh" } else { "ledgerd" };
+    PROGRAM.get_or_init(|| testkit::program(name))
 }
 
 /// A command of the node, whose log is text although no terminal is there, at the configured level.

@@ -6,12 +6,21 @@
 //! discovery_range = "localhost" # "subnet": other hosts too; by default ROS_AUTOMATIC_DISCOVERY_RANGE, else "localhost"
 //! static_peers = "10.0.0.5;nuc.local" # hosts beyond that range; by default ROS_STATIC_PEERS
 //! interfaces = "10.0.0.4"      # addresses of the interfaces that are used; by default all
+//! transport = "dds"            # "zenoh": a graph of rmw_zenoh, in ledgerd-bridge-zenoh
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
 //! checkpoint = "fleet.checkpoint" # where to begin to follow who governs; by default at the genesis
 //! grant_services = false       # /<robot>/acquire, release and stop as services of the local graph
 //! diagnostics = true           # the state of every route on /diagnostics, once a second
 //! report_s = 60                # between two lines with counters, while something is refused
+//!
+//! [zenoh]                      # with transport = "zenoh"
+//! mode = "client"              # "peer": with links to other peers
+//! endpoint = "tcp/127.0.0.1:7447" # the router; off this host only with discovery_range = "subnet"
+//! listen = "tcp/127.0.0.1:0"   # peers only
+//! ca = "ca.pem"                # with an endpoint tls/HOST:PORT: who certifies routers
+//! certificate = "bridge.pem"   # the bridge's own, for mutual TLS
+//! key = "bridge.key"           # its key
 //!
 //! [[route]]
 //! service = "Turtlebot4/cmd_vel"
@@ -62,7 +71,7 @@ use ledger_traces::Tracer;
 pub use self::{guarded::Guarded, identity::IdentitySource};
 
 use crate::{
-    graph::{domain::DOMAIN_MAX, reach},
+    graph::{choice::MiddlewareChoice, domain::DOMAIN_MAX, reach},
     routes::{discovery, kind::RouteConfig},
 };
 
@@ -83,6 +92,8 @@ pub struct Config {
     pub domain_id: Option<u16>,
     /// With which hosts it shares that domain.
     pub reach: reach::Settings,
+    /// The middleware of that graph.
+    pub middleware: MiddlewareChoice,
     /// Name of the bridge in that graph.
     pub node_name: String,
     /// Whether local processes are served over iceoryx2 as well.
@@ -167,6 +178,7 @@ impl Config {
         section.integer("domain_id", 0..=u64::from(DOMAIN_MAX), &mut domain_id);
         self.domain_id = domain_id.and_then(|id: u64| u16::try_from(id).ok());
         self.reach.read(section);
+        self.middleware.read(section, directory);
         section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
         section.boolean("shared_memory", &mut self.shared_memory);
         section.boolean("diagnostics", &mut self.diagnostics);
@@ -197,6 +209,7 @@ impl Default for Config {
             identity: IdentitySource::Selected,
             domain_id: None,
             reach: reach::Settings::default(),
+            middleware: MiddlewareChoice::default(),
             node_name: "ledgerd_bridge".to_owned(),
             shared_memory: true,
             grant_services: false,

@@ -34,6 +34,9 @@ pub enum Error {
     /// The DDS side refused or broke. Often a port or interface of this machine.
     #[error("{0}")]
     Dds(Explained),
+    /// The zenoh side refused or broke. Often there is no router.
+    #[error("{0}")]
+    Zenoh(Explained),
     /// The shared memory side refused or broke.
     #[error("{0}")]
     Shm(Explained),
@@ -53,7 +56,7 @@ impl Error {
             Self::Name(_) | Self::Type(_) => Code::BadName,
             Self::Setting(_) => Code::BadConfiguration,
             Self::Sample(_) => Code::BadArgument,
-            Self::Slow(_) | Self::Unserved(_) | Self::Dds(_) | Self::Shm(_) => Code::MiddlewareFailed,
+            Self::Slow(_) | Self::Unserved(_) | Self::Dds(_) | Self::Zenoh(_) | Self::Shm(_) => Code::MiddlewareFailed,
         }
     }
 }
@@ -68,6 +71,7 @@ impl From<Error> for Rejection {
         | Error::Slow(explained)
         | Error::Unserved(explained)
         | Error::Dds(explained)
+        | Error::Zenoh(explained)
         | Error::Shm(explained)) = error;
         let Explained { what, found, wanted, hint } = explained;
         Self::new(code, what).found(found).wanted(wanted).next(hint)

@@ -18,8 +18,8 @@ use self::{answer::Answer, robot::RobotGrants};
 use crate::{
     error::Result,
     graph::{
-        dds::{Exchange, Server},
-        local::LocalGraph,
+        dds::Exchange,
+        local::{LocalGraph, Server},
         mark::Mark,
         names::{TopicName, TypeName},
     },
@@ -95,7 +95,7 @@ impl Grants {
         let mut tasks = JoinSet::new();
         for (act, does) in ACTS {
             let exchange = Exchange::new(&TopicName::parse(&format!("{name}/{act}"))?, &of);
-            let server = self.local.participant().server(&exchange, mark, REQUEST_BYTES_MAX)?;
+            let server = self.local.middleware().server(&exchange, mark, REQUEST_BYTES_MAX)?;
             tasks.spawn(serve(server, Arc::clone(&robot_grants), does));
         }
         tasks.spawn(async move { robot_grants.keep().await });
@@ -104,7 +104,7 @@ impl Grants {
 }
 
 /// Answers one request after the other: a stop never waits for an acquisition, which has a server of its own.
-async fn serve(mut server: Server, robot_grants: Arc<RobotGrants>, act: Act) {
+async fn serve(mut server: Box<dyn Server>, robot_grants: Arc<RobotGrants>, act: Act) {
     while let Some(request) = server.next().await {
         let answer = act(Arc::clone(&robot_grants)).await;
         if let Err(error) = server.reply(&request.caller, &answer.encode()) {

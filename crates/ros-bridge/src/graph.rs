@@ -1,8 +1,10 @@
-//! The local graph: topics, services and actions of ROS 2 over DDS, and beside it over shared memory.
+//! The local graph: topics, services and actions of ROS 2 over DDS or zenoh, and beside it over shared memory.
 //!
-//! [`dds`] and [`shm`] are the transports, [`local`] is the bridge's presence on both of them. The rest is what they share.
+//! [`dds`], `zenoh` and [`shm`] are the transports, [`local`] is the bridge's presence on them, behind one trait. The rest is what they
+//! share.
 
 pub(crate) mod addresses;
+pub mod choice;
 pub mod dds;
 pub mod domain;
 pub(crate) mod endpoint;
@@ -16,3 +18,5 @@ pub mod qos;
 pub mod queue;
 pub mod reach;
 pub mod shm;
+#[cfg(feature = "zenoh")]
+pub(crate) mod zenoh;

@@ -18,7 +18,7 @@
 //! | `grants` | a robot's grant from ROS: `/<robot>/acquire`, `release`, `stop` |
 //! | `routes` | one topic, service or action each: `kind` says what a kind is, `kinds` is their table, a file or folder for each; `table` and `discovery` say which routes there are; `counters` |
 //! | `ledger` | `gateway`, what is asked of the ledger; `robot_state`, the certified state of a robot |
-//! | `graph` | ROS 2: [`dds`] and [`shm`], the transports; `local`, both of them for a route; [`names`], [`qos`], [`domain`], [`reach`], [`queue`]; [`mark`] and [`loop_filter`], which keep messages from going in circles; `messages` |
+//! | `graph` | ROS 2: [`dds`], `zenoh` and [`shm`], the transports; `local`, the trait that they have for a route; [`choice`]; [`names`], [`qos`], [`domain`], [`reach`], [`queue`]; [`mark`] and [`loop_filter`], which keep messages from going in circles; `messages` |
 //! | [`error`], `log`, `shutdown` | what can go wrong, and what to do then; limited log messages; the end of tasks |
 //!
 //! # Example
@@ -51,6 +51,6 @@ mod shutdown;
 
 pub use bridge::{Bridge, Summary, keep_renewed, run};
 pub use config::{Config, Guarded, IdentitySource, context_of};
-pub use graph::{dds, domain, environment, loop_filter, mark, messages::stop, names, qos, queue, reach, shm};
+pub use graph::{choice, dds, domain, environment, loop_filter, mark, messages::stop, names, qos, queue, reach, shm};
 pub use monitor::{BridgeMonitor, BridgeStatus, BridgeView, Level, RouteView, Status};
 pub use routes::counters::{BOUNDS_US, Latency, RouteSummary, Spread, Tally};

@@ -1,6 +1,6 @@
 //! The software on the other side that we did not write: CycloneDDS or Fast DDS, with the same words on the command line.
 
-use crate::python::{CYCLONE, Python, source};
+use crate::python::{CYCLONE, Python, is_zenoh, source};
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -31,7 +31,7 @@ impl Peer {
 
     fn start(self, args: [&str; 6], words: &[&str]) -> Python {
         let args = args.into_iter().chain(words.iter().copied());
-        if self == Self::Cyclone {
+        if self == Self::Cyclone || is_zenoh() {
             return Python::start_within(&[], CYCLONE, "stream.py", &args.collect::<Vec<_>>());
         }
         let mut command = Command::new(fast_dds());

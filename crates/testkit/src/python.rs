@@ -1,4 +1,4 @@
-//! Python processes with CycloneDDS, the software on the other side that we did not write.
+//! Python processes with CycloneDDS or zenoh, the software on the other side that we did not write.
 
 use std::{
     env,
@@ -15,7 +15,15 @@ pub const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInte
     <MaxAutoParticipantIndex>11</MaxAutoParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery>\
     </Domain></CycloneDDS>";
 
-/// A Python process with CycloneDDS; ends with the test.
+/// Set to `zenoh`, it runs tests of a bridge over zenoh: scripts and programs are others, the tests are the same.
+pub const TRANSPORT: &str = "LEDGERD_TEST_TRANSPORT";
+
+/// Do the tests of a bridge run over zenoh?
+pub fn is_zenoh() -> bool {
+    env::var(TRANSPORT).is_ok_and(|transport| transport == "zenoh")
+}
+
+/// A Python process with CycloneDDS, or with zenoh; ends with the test.
 pub struct Python {
     /// The running interpreter.
     pub child: Child,
@@ -34,7 +42,7 @@ impl Python {
         let python = env::var_os("LEDGERD_TEST_PYTHON").unwrap_or_else(|| "python3".into());
         // `env` alone runs the interpreter.
         let mut command = Command::new(by.first().unwrap_or(&"env"));
-        command.args(by.get(1..).unwrap_or_default()).arg(&python).arg(source(script)).args(args);
+        command.args(by.get(1..).unwrap_or_default()).arg(&python).arg(peer(script)).args(args);
         command.env("CYCLONEDDS_URI", cyclone);
         Self::run(command)
     }
@@ -65,6 +73,11 @@ impl Python {
     pub fn finish(mut self) -> bool {
         self.child.wait().expect("the script ends").success()
     }
+}
+
+/// The script of this name: that in `rmw_zenoh` where tests run over zenoh.
+fn peer(script: &str) -> PathBuf {
+    if is_zenoh() { source(&format!("rmw_zenoh/{script}")) } else { source(script) }
 }
 
 /// A file of this directory, for a test of any package.

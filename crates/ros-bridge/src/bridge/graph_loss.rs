@@ -16,12 +16,16 @@ pub(super) struct GraphLoss {
 }
 
 impl GraphLoss {
-    /// Looks for it from now on. `ended` tells of a route that nobody stopped.
-    pub(super) fn watch(ended: watch::Receiver<bool>, addresses: Addresses) -> Self {
+    /// Looks for it from now on. `ended` tells of a route that nobody stopped; `addresses` are looked at if there are some.
+    pub(super) fn watch(ended: watch::Receiver<bool>, addresses: Option<Addresses>) -> Self {
         let (tell, outdated) = watch::channel(None);
         let mut looking = JoinSet::new();
         looking.spawn(async move {
-            tell.send_replace(Some(addresses.outdated().await));
+            match addresses {
+                Some(addresses) => drop(tell.send_replace(Some(addresses.outdated().await))),
+                // Addresses do not matter. The sender is kept, so that none is waited for.
+                None => drop((std::future::pending::<()>().await, tell)),
+            }
         });
         Self { ended, outdated, _looking: looking }
     }
@@ -32,8 +36,8 @@ impl GraphLoss {
         tokio::select! {
             // An error means that every route has ended.
             _ = ended.wait_for(|ended| *ended) => Rejection::new(Code::MiddlewareFailed, "the local ROS 2 graph is lost")
-                .found("DDS has ended: one of its threads is gone")
-                .wanted("a running DDS")
+                .found("the middleware has ended: one of its threads is gone")
+                .wanted("a running middleware")
                 .next("it is joined again by itself; look at the interfaces of this machine if that does not help"),
             Ok(found) = outdated.wait_for(Option::is_some) => {
                 let found = found.clone().unwrap_or_default();

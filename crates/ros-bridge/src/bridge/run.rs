@@ -12,6 +12,7 @@ use super::{
 };
 use crate::{
     config::{Config, context_of},
+    graph::choice::MiddlewareChoice,
     log::one_line,
     monitor::BridgeMonitor,
     routes::table::is_to_come,
@@ -78,7 +79,7 @@ pub(super) async fn keep_running(
                     last = Some(summary);
                     lost
                 }
-                Err(refused) if last.is_some() || is_to_come(&refused) => refused,
+                Err(refused) if last.is_some() || is_to_come(&refused) || has_no_router(&config, &refused) => refused,
                 Err(refused) => return Err(refused),
             },
         };
@@ -95,6 +96,11 @@ pub(super) async fn keep_running(
             () = tokio::time::sleep(RETRY_PAUSE) => {}
         }
     }
+}
+
+/// Has the middleware refused, and may the router still come? Without one no session of zenoh opens.
+fn has_no_router(config: &Config, refused: &Rejection) -> bool {
+    matches!(config.middleware, MiddlewareChoice::Zenoh(_)) && refused.code == Code::MiddlewareFailed
 }
 
 async fn start(config: &Config) -> Result<Started, Rejection> {

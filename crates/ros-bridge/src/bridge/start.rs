@@ -16,6 +16,7 @@ use crate::{
     grants::Grants,
     graph::{
         addresses::Addresses,
+        choice::MiddlewareChoice,
         domain::{Domain, ROS_DOMAIN_ID},
         environment::OutOfReach,
         local::LocalGraph,
@@ -59,11 +60,19 @@ impl Bridge {
         }
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
-        for found in OutOfReach::find(|name| std::env::var(name).ok()) {
-            tracing::warn!(remedy = found.remedy, "{found}");
-        }
-        let addresses = Addresses::read(&reach).await?;
-        let local = LocalGraph::join(domain.id, &reach, &config.node_name, config.shared_memory).await?;
+        config.middleware.check(&reach)?;
+        let addresses = match config.middleware {
+            MiddlewareChoice::Dds => {
+                for found in OutOfReach::find(|name| std::env::var(name).ok()) {
+                    tracing::warn!(remedy = found.remedy, "{found}");
+                }
+                Some(Addresses::read(&reach).await?)
+            }
+            // zenoh connects again by itself.
+            MiddlewareChoice::Zenoh(_) => None,
+        };
+        let (choice, name) = (&config.middleware, &config.node_name);
+        let local = LocalGraph::join(domain.id, (choice, &reach), name, config.shared_memory).await?;
 
         let roster = Arc::new(Roster::traced(config.tracer.clone()));
         let known = checkpoint(&config, context)?;
@@ -87,7 +96,8 @@ impl Bridge {
             Arc::clone(&gateway),
             local.clone(),
             Arc::clone(&roster),
-        );
+        )
+        .await;
         let statuses = reporter.statuses().clone();
         let reporter =
             BackgroundTask::spawn("the reports of the bridge ended too early", |shutdown| reporter.run(shutdown));

@@ -1,6 +1,7 @@
 //! Whole routes, between a real local graph and a ledger that answers what the test says.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+mod beside;
 mod latched_tests;
 mod limit_tests;
 mod lost_tests;
@@ -25,11 +26,12 @@ use ledger_gate::{
 use serde_json::json;
 use testkit::own_network as network;
 
+use self::beside::{Beside, Reader, Writer};
 use super::{Bridge, run::keep_running};
 use crate::{
     config::Config,
     graph::{
-        dds::{Matched, Participant, Reader, Writer},
+        dds::Matched,
         messages::stop::stop_message,
         names::{TopicName, TypeName},
         qos::Qos,
@@ -46,7 +48,7 @@ struct Bench {
     fake: Arc<Fake>,
     network: Network,
     bridge: Bridge,
-    graph: Participant,
+    graph: Beside,
 }
 
 /// A bridge with one route, and another ROS 2 node beside it.
@@ -66,13 +68,15 @@ async fn bench_with(settings: &str, mode: &str, more: &str, prepare: impl FnOnce
             more += &format!("\n{key} = {patient}");
         }
     }
+    beside::prepare().await;
+    let transport = beside::transport();
     let text = format!(
-        "domain_id = {DOMAIN}\n{settings}\n[[route]]\nservice = 'T/cmd_vel'\n\
+        "domain_id = {DOMAIN}\n{transport}\n{settings}\n[[route]]\nservice = 'T/cmd_vel'\n\
          type = 'geometry_msgs/msg/Twist'\n{more}"
     );
     let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
     let bridge = Bridge::start_with(config, fake.clone(), &context(&network)).await.unwrap();
-    let graph = Participant::open(DOMAIN, "beside").await.unwrap();
+    let graph = Beside::open("beside").await;
     Bench { fake, network, bridge, graph }
 }
 
@@ -98,14 +102,14 @@ fn names() -> (TopicName, TypeName) {
 impl Bench {
     async fn reader(&self) -> Robot {
         let (topic, message) = names();
-        let reader = self.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+        let reader = self.graph.reader(&topic, &message, &Qos::default(), Limits::default()).await.unwrap();
         self.matched(reader.matched()).await;
         Robot { reader, stands: true }
     }
 
     async fn writer(&self) -> Writer {
         let (topic, message) = names();
-        let writer = self.graph.writer(&topic, &message, &Qos::default()).unwrap();
+        let writer = self.graph.writer(&topic, &message, &Qos::default()).await.unwrap();
         self.matched(writer.matched()).await;
         writer
     }
@@ -188,7 +192,7 @@ fn stops(mut summary: RouteSummary) -> Vec<(&'static str, u64)> {
     summary.stops.into_iter().collect()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
     if !network::isolated(&|| ()) {
         return;
@@ -225,7 +229,7 @@ async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
     assert!(summary.commit_us.max >= summary.commit_us.p50);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_submitted() {
     if !network::isolated(&|| ()) {
         return;
@@ -244,7 +248,7 @@ async fn a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_sub
     assert_eq!((summary.samples_in, summary.submitted), (4, 1));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
     if !network::isolated(&|| ()) {
         return;
@@ -271,7 +275,7 @@ async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
     assert!(refused + 1 >= count as u64 && summary.committed == 0, "{refused} of {count}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples() {
     if !network::isolated(&|| ()) {
         return;
@@ -293,7 +297,7 @@ async fn a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples() {
     assert_eq!((summary.submitted, summary.committed), (256, 0));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
     if !network::isolated(&|| ()) {
         return;
@@ -321,7 +325,7 @@ async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
     assert_eq!(summary.gate["stale_sequence"], 1);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_silent_ledger_stops_the_robot() {
     if !network::isolated(&|| ()) {
         return;
@@ -338,7 +342,7 @@ async fn a_silent_ledger_stops_the_robot() {
     assert_eq!(stops(summary), [("stale", 1)], "it stands already when the bridge ends");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life() {
     if !network::isolated(&|| ()) {
         return;
@@ -361,7 +365,7 @@ async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_
     assert_eq!(stops(summary), [("lease", 1)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_robot_stops_when_no_majority_of_the_voters_answers_while_its_node_still_gives_signs_of_life() {
     if !network::isolated(&|| ()) {
         return;
@@ -396,7 +400,7 @@ async fn a_robot_stops_when_no_majority_of_the_voters_answers_while_its_node_sti
     assert_eq!(stops(summary), [("uncertified", 1)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_node_that_makes_up_a_grant_moves_no_robot() {
     if !network::isolated(&|| ()) {
         return;
@@ -416,7 +420,7 @@ async fn a_node_that_makes_up_a_grant_moves_no_robot() {
     assert_eq!(bench.bridge.stop().await.routes.pop().unwrap().published, 1);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn events_that_never_end_do_not_put_off_a_stop() {
     if !network::isolated(&|| ()) {
         return;
@@ -434,7 +438,7 @@ async fn events_that_never_end_do_not_put_off_a_stop() {
     assert_eq!(stops(summary), [("lease", 1)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_revocation_stops_the_robot_that_the_revoked_moved() {
     if !network::isolated(&|| ()) {
         return;
@@ -455,7 +459,7 @@ async fn a_revocation_stops_the_robot_that_the_revoked_moved() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_change_of_mode_counts_from_its_block_on() {
     if !network::isolated(&|| ()) {
         return;
@@ -472,7 +476,7 @@ async fn a_change_of_mode_counts_from_its_block_on() {
     assert_eq!((summary.published, summary.gate["stale_epoch"]), (1, 1));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_robot_whose_rule_this_version_does_not_know_is_not_driven() {
     if !network::isolated(&|| ()) {
         return;

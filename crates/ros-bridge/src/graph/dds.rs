@@ -38,4 +38,6 @@ pub use self::{
     writer::Writer,
 };
 pub(crate) use self::{encoding::accepting, neighbours::UNREACHABLE, participant::LEASE};
+#[cfg(feature = "zenoh")]
+pub(crate) use self::{intake::Intake, ros_discovery::node_name};
 pub use super::{domain::DOMAIN_MAX, endpoint::Role};

@@ -1,14 +1,27 @@
-//! The presence of a bridge in the local graph: every topic over DDS, and beside it in shared memory.
+//! The presence of a bridge in the local graph: every topic over the middleware, and beside it in shared memory.
 
+mod iceoryx2;
 mod input;
 mod output;
+mod rtps;
+mod transport;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 use std::sync::Arc;
 
 use tokio::sync::watch;
 
-pub(crate) use self::{input::TopicInput, output::TopicOutput};
+pub(crate) use self::{
+    input::TopicInput,
+    output::TopicOutput,
+    transport::{
+        Caller, Client, Input, InputSettings, Middleware, Number, Output, OutputSettings, Reply, Request, Server,
+        Transport,
+    },
+};
 use super::{
+    choice::MiddlewareChoice,
     dds::Participant,
     loop_filter::{Delivered, LoopFilter},
     mark::Mark,
@@ -20,12 +33,13 @@ use super::{
 };
 use crate::error::{Error, Result};
 
-/// Our presence in the local graph: one participant and one origin for all routes, so that nothing a bridge
-/// publishes is taken in by it again.
+/// Our presence in the local graph: one identity and one origin for all routes, so that nothing a bridge publishes is taken in by it
+/// again.
 #[derive(Clone)]
 pub(crate) struct LocalGraph {
-    participant: Participant,
-    shm: Option<shm::Node>,
+    middleware: Arc<dyn Middleware>,
+    /// Shared memory, if it is used.
+    beside: Option<Arc<dyn Transport>>,
     delivered: Arc<Delivered>,
 }
 
@@ -33,20 +47,28 @@ impl LocalGraph {
     /// Joins a ROS domain.
     ///
     /// # Errors
-    /// As [`Participant::join`]; without shared memory only DDS is used.
-    pub(crate) async fn join(domain: u16, reach: &Reach, node_name: &str, shared_memory: bool) -> Result<Self> {
-        let participant = Participant::join(domain, node_name, reach).await?;
-        let (origin, name) = (participant.guid(), shm::bridge_name(node_name, participant.guid()));
-        let shm = match shared_memory {
-            true => or_dds_only("any topic", shm::Node::open(domain, &name, origin).await),
+    /// As [`Participant::join`], or as the middleware refuses; without shared memory only the middleware is used.
+    pub(crate) async fn join(
+        domain: u16,
+        (choice, reach): (&MiddlewareChoice, &Reach),
+        node_name: &str,
+        shared_memory: bool,
+    ) -> Result<Self> {
+        let middleware = joined(domain, choice, reach, node_name).await?;
+        let beside = match shared_memory {
+            true => {
+                let (origin, name) = (middleware.identity(), shm::bridge_name(node_name, middleware.identity()));
+                let node = or_without("any topic", &*middleware, shm::Node::open(domain, &name, origin).await);
+                node.map(|node| -> Arc<dyn Transport> { Arc::new(node) })
+            }
             false => None,
         };
-        Ok(Self { participant, shm, delivered: Arc::default() })
+        Ok(Self { middleware, beside, delivered: Arc::default() })
     }
 
-    /// The participant of DDS.
-    pub(crate) fn participant(&self) -> &Participant {
-        &self.participant
+    /// The middleware, which carries the whole graph.
+    pub(crate) fn middleware(&self) -> &Arc<dyn Middleware> {
+        &self.middleware
     }
 
     /// The known deliveries of bridges to this graph.
@@ -57,7 +79,7 @@ impl LocalGraph {
     /// Reads a topic behind a filter. It follows the quality of service.
     ///
     /// # Errors
-    /// As [`Participant::reader_behind`].
+    /// As [`Transport::input`] of the middleware.
     pub(crate) async fn input(
         &self,
         topic: &TopicName,
@@ -66,14 +88,11 @@ impl LocalGraph {
         limits: Limits,
         filter: Arc<LoopFilter>,
     ) -> Result<TopicInput> {
-        let open = {
-            let (participant, topic, message, filter) =
-                (self.participant.clone(), topic.clone(), message.clone(), Arc::clone(&filter));
-            move |qos: &Qos| participant.reader_behind(&topic, &message, qos, limits, Arc::clone(&filter))
-        };
-        let mut input = TopicInput::open(topic.clone(), Box::new(open), qos, self.participant.clone())?;
-        if let Some(node) = &self.shm {
-            input.add(or_dds_only(topic.as_str(), node.subscriber_behind(topic, limits, filter).await));
+        let settings = InputSettings { topic: topic.clone(), message: message.clone(), limits, filter: Some(filter) };
+        let first = *qos.borrow();
+        let mut input = TopicInput::open(&self.middleware, settings.clone(), qos).await?;
+        if let Some(beside) = &self.beside {
+            input.add(or_without(topic.as_str(), &*self.middleware, beside.input(&settings, &first).await));
         }
         Ok(input)
     }
@@ -81,7 +100,7 @@ impl LocalGraph {
     /// Writes on a topic, with the mark of a service.
     ///
     /// # Errors
-    /// As [`Participant::marked_writer`].
+    /// As [`Transport::output`] of the middleware.
     pub(crate) async fn output(
         &self,
         topic: &TopicName,
@@ -90,22 +109,34 @@ impl LocalGraph {
         mark: Mark,
     ) -> Result<TopicOutput> {
         self.delivered.begins(mark);
-        let open = {
-            let (participant, topic, message) = (self.participant.clone(), topic.clone(), message.clone());
-            move |qos: &Qos| participant.marked_writer(&topic, &message, qos, mark)
-        };
-        let mut output = TopicOutput::open(Box::new(open), qos, mark, Arc::clone(&self.delivered))?;
-        if let Some(node) = &self.shm {
-            output.add(or_dds_only(topic.as_str(), node.marked_publisher(topic, mark).await));
+        let settings = OutputSettings { topic: topic.clone(), message: message.clone(), mark: Some(mark) };
+        let delivered = Arc::clone(&self.delivered);
+        let mut output = TopicOutput::open(&self.middleware, (settings.clone(), mark), qos, delivered).await?;
+        if let Some(beside) = &self.beside {
+            output.add(or_without(topic.as_str(), &*self.middleware, beside.output(&settings, qos).await));
         }
         Ok(output)
     }
 }
 
-/// Shared memory that cannot be used does not keep a topic from DDS.
-fn or_dds_only<T>(topic: &str, opened: Result<T>) -> Option<T> {
+/// Joins the domain over the chosen middleware.
+async fn joined(domain: u16, choice: &MiddlewareChoice, reach: &Reach, node_name: &str) -> Result<Arc<dyn Middleware>> {
+    match choice {
+        MiddlewareChoice::Dds => Ok(Arc::new(Participant::join(domain, node_name, reach).await?)),
+        #[cfg(feature = "zenoh")]
+        MiddlewareChoice::Zenoh(settings) => {
+            Ok(Arc::new(super::zenoh::Session::join(domain, node_name, settings, reach).await?))
+        }
+        #[cfg(not(feature = "zenoh"))]
+        MiddlewareChoice::Zenoh(_) => Err(Error::Setting(super::choice::without_zenoh())),
+    }
+}
+
+/// Shared memory that cannot be used does not keep a topic from the middleware.
+fn or_without<T>(topic: &str, middleware: &dyn Middleware, opened: Result<T>) -> Option<T> {
     let warn = |error: &Error| {
-        tracing::warn!(topic, %error, "shared memory is not used for {topic}, only DDS, until this bridge starts again");
+        let only = middleware.name();
+        tracing::warn!(topic, %error, "shared memory is not used for {topic}, only {only}, until this bridge starts again");
     };
     opened.inspect_err(warn).ok()
 }

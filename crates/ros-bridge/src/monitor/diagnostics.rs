@@ -9,7 +9,9 @@ use serde_json::{Value, json};
 
 use crate::{
     graph::{
-        dds::{Participant, Role, UNREACHABLE, Writer},
+        dds::UNREACHABLE,
+        endpoint::Role,
+        local::{Middleware, Output, OutputSettings},
         messages::builtin,
         names::{TopicName, TypeName},
         qos::Qos,
@@ -111,7 +113,7 @@ fn values(summary: &RouteSummary) -> Vec<(String, String)> {
 
 /// Publishes them.
 pub(crate) struct Diagnostics {
-    writer: Writer,
+    output: Box<dyn Output>,
     message: Message,
     node_name: String,
     /// The identity of the bridge, `Org2/Rover`.
@@ -119,17 +121,18 @@ pub(crate) struct Diagnostics {
 }
 
 impl Diagnostics {
-    pub(crate) fn open(participant: &Participant, node_name: &str, identity: &str) -> Result<Self, Rejection> {
+    pub(crate) async fn open(middleware: &dyn Middleware, node_name: &str, identity: &str) -> Result<Self, Rejection> {
         let qos = Qos { depth: DEPTH, ..Qos::default() };
-        let writer = participant.writer(&TopicName::parse(TOPIC)?, &TypeName::parse(TYPE)?, &qos)?;
+        let settings = OutputSettings { topic: TopicName::parse(TOPIC)?, message: TypeName::parse(TYPE)?, mark: None };
+        let output = middleware.output(&settings, &qos).await?;
         let (node_name, identity) = (node_name.to_owned(), identity.to_owned());
-        Ok(Self { writer, message: builtin::of(TYPE)?, node_name, identity })
+        Ok(Self { output, message: builtin::of(TYPE)?, node_name, identity })
     }
 
     pub(crate) fn publish(&self, statuses: &[Status], now: SystemTime) {
         let array = array(&self.node_name, &self.identity, statuses, now);
         let sample = builtin::sample(&self.message, &array).map_err(|refused| refused.to_string());
-        if let Err(error) = sample.and_then(|sample| self.writer.write(&sample).map_err(|error| error.to_string())) {
+        if let Err(error) = sample.and_then(|sample| self.output.write(&sample).map_err(|error| error.to_string())) {
             tracing::debug!(error, "nothing was published on {TOPIC}");
         }
     }

@@ -21,7 +21,7 @@ use crate::{
     graph::{
         dds::{Change, Neighbour},
         endpoint::Role,
-        local::LocalGraph,
+        local::{InputSettings, LocalGraph},
         names::{Interface, TopicName, quoted},
         qos::{Qos, Reliability},
         queue::Limits,
@@ -258,27 +258,28 @@ impl Neighbourhood {
         let reliability = if is_reliable { Reliability::Reliable } else { Reliability::BestEffort };
         let qos = Qos { reliability, ..Qos::default() };
         let limits = Limits { sample_bytes_max: open.slot.route.sample_bytes_max, ..Limits::default() };
-        match self.local.participant().reader(&topic, &open.slot.route.message, &qos, limits) {
-            Ok(mut reader) => {
-                let delivered = Arc::clone(self.local.delivered());
-                let listener = tokio::spawn(async move {
-                    while let Some(incoming) = reader.next().await {
+        let service = &open.slot.route.service;
+        tracing::info!(
+            service,
+            topic = topic.as_str(),
+            "another bridge delivers {service} on {topic}: samples from there are not taken in"
+        );
+        let settings = InputSettings { topic, message: open.slot.route.message.clone(), limits, filter: None };
+        let (middleware, delivered) = (Arc::clone(self.local.middleware()), Arc::clone(self.local.delivered()));
+        let listener = tokio::spawn(async move {
+            match middleware.input(&settings, &qos).await {
+                Ok(mut input) => {
+                    while let Some(incoming) = input.next().await {
                         delivered.note(mark, incoming.sample.wire(), incoming.received);
                     }
-                });
-                self.listened.insert(neighbour.guid, listener.abort_handle());
-                let service = &open.slot.route.service;
-                tracing::info!(
-                    service,
-                    topic = topic.as_str(),
-                    "another bridge delivers {service} on {topic}: samples from there are not taken in"
-                );
+                }
+                // At most so often as bridges come: their number is limited.
+                Err(error) => {
+                    tracing::warn!(topic = settings.topic.as_str(), %error, "cannot read what another bridge delivers here");
+                }
             }
-            Err(error) if self.warnings.spend(Instant::now()) => {
-                tracing::warn!(%topic, %error, "cannot hear what another bridge delivers here");
-            }
-            Err(_) => {}
-        }
+        });
+        self.listened.insert(neighbour.guid, listener.abort_handle());
     }
 }
 

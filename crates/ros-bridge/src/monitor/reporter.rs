@@ -80,7 +80,7 @@ pub(crate) struct Reporter {
 
 impl Reporter {
     /// Says that the bridge is ready, and what it carries.
-    pub(crate) fn ready(
+    pub(crate) async fn ready(
         config: &Config,
         context: &Context,
         (domain, reach): (Domain, &Reach),
@@ -114,7 +114,7 @@ impl Reporter {
         let counted = roster.slots().iter().map(|slot| (slot.number, slot.summary())).collect();
         let (heard, every) = (Instant::now(), config.report_every);
         let diagnostics = if config.diagnostics {
-            let opened = Diagnostics::open(local.participant(), &config.node_name, &identity);
+            let opened = Diagnostics::open(&**local.middleware(), &config.node_name, &identity).await;
             opened
                 .inspect_err(|refused| {
                     tracing::warn!(code = refused.code.name(), reason = one_line(refused), "there are no diagnostics")
@@ -146,10 +146,9 @@ impl Reporter {
     /// Runs until it is told to end.
     pub(crate) async fn run(mut self, mut shutdown: Shutdown) {
         let (tell, mut changes) = mpsc::unbounded_channel();
-        let participant = self.local.participant().clone();
         // Nobody hears it only when this task ends.
-        let follow = participant.follow(self.roster.topics(), |change| drop(tell.send(change)));
-        let mut follow = std::pin::pin!(follow);
+        let report = Box::new(move |change| drop(tell.send(change)));
+        let mut follow = self.local.middleware().follow(self.roster.topics(), report);
         let mut neighbourhood = Neighbourhood::new(self.local.clone(), Arc::clone(&self.roster));
         let mut rogue_publishers = RoguePublisherReports::new(Arc::clone(&self.gateway));
         let mut look = interval(LOOK_EVERY);

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::graph::{
+    choice::MiddlewareChoice,
     local::LocalGraph,
     loop_filter::LoopFilter,
     mark::Mark,
@@ -30,7 +31,7 @@ fn payloads(set: &[Bytes]) -> Vec<Bytes> {
     set[3..].to_vec()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_route_hears_a_best_effort_publisher_unless_it_is_set_to_be_reliable() {
     if !network::isolated(&|| ()) {
         return;
@@ -38,7 +39,7 @@ async fn a_route_hears_a_best_effort_publisher_unless_it_is_set_to_be_reliable()
     let best_effort = qos(Reliability::BestEffort, Durability::Volatile);
     let (topic, message) = names();
     let route = bench("open", "direction = 'to_ledger'", |_| ()).await;
-    let writer = route.graph.writer(&topic, &message, &best_effort).unwrap();
+    let writer = route.graph.writer(&topic, &message, &best_effort).await.unwrap();
     assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
     // The writer knows the reader; what it sends before the reader knows it is lost.
     let writes = async {
@@ -55,7 +56,7 @@ async fn a_route_hears_a_best_effort_publisher_unless_it_is_set_to_be_reliable()
     drop((writer, route));
 
     let set = bench("open", "direction = 'to_ledger'\nqos = { reliability = 'reliable' }", |_| ()).await;
-    let writer = set.graph.writer(&topic, &message, &best_effort).unwrap();
+    let writer = set.graph.writer(&topic, &message, &best_effort).await.unwrap();
     let refused = async {
         while writer.matched().now().incompatible == 0 {
             tokio::time::sleep(Duration::from_millis(10)).await;
@@ -65,20 +66,20 @@ async fn a_route_hears_a_best_effort_publisher_unless_it_is_set_to_be_reliable()
     assert_eq!(writer.matched().now().matched, 0);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn what_a_reader_has_heard_comes_first_from_the_one_that_takes_its_place() {
     if !network::isolated(&|| ()) {
         return;
     }
     let (topic, message) = names();
-    let local = LocalGraph::join(DOMAIN, &Reach::default(), "bridge", false).await.unwrap();
+    let local = LocalGraph::join(DOMAIN, (&MiddlewareChoice::Dds, &Reach::default()), "bridge", false).await.unwrap();
     let mark = Mark::new(&Hash([1; 32]), "T/cmd_vel");
     let filter = Arc::new(LoopFilter::new(mark, "T/cmd_vel", DEADLINE, Arc::clone(local.delivered())));
     let limits = Limits { queue_samples_max: 1, ..Limits::default() };
     let (tell, follows) = watch::channel(Qos::default());
     let mut input = local.input(&topic, &message, follows, limits, filter).await.unwrap();
-    let graph = Participant::open(DOMAIN, "beside").await.unwrap();
-    let writer = graph.writer(&topic, &message, &Qos::default()).unwrap();
+    let graph = Beside::open("beside").await;
+    let writer = graph.writer(&topic, &message, &Qos::default()).await.unwrap();
     for end in [input.matched(), writer.matched()] {
         assert!(tokio::time::timeout(DEADLINE, end.at_least(1)).await.unwrap());
     }
@@ -92,19 +93,21 @@ async fn what_a_reader_has_heard_comes_first_from_the_one_that_takes_its_place()
     };
     tokio::time::timeout(DEADLINE, waits).await.unwrap();
     tell.send_replace(qos(Reliability::BestEffort, Durability::Volatile));
-    input.follow();
+    input.follow().await;
     assert_eq!(input.try_next().unwrap().sample, twist(2));
     assert_eq!(input.dropped(), 1);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn what_several_latched_publishers_said_before_the_bridge_came_goes_to_the_ledger_in_one_call() {
     if !network::isolated(&|| ()) {
         return;
     }
     let (topic, message) = names();
-    let graphs = [Participant::open(DOMAIN, "one").await.unwrap(), Participant::open(DOMAIN, "two").await.unwrap()];
-    let writers = graphs.each_ref().map(|graph| graph.writer(&topic, &message, &latched()).unwrap());
+    let graphs = [Beside::open("one").await, Beside::open("two").await];
+    let kept = latched();
+    let writers = graphs.iter().map(|graph| graph.writer(&topic, &message, &kept));
+    let writers: Vec<Writer> = futures::future::try_join_all(writers).await.unwrap();
     for (number, writer) in (1..).zip(&writers) {
         writer.write(&twist(number)).unwrap();
     }
@@ -126,7 +129,7 @@ async fn what_several_latched_publishers_said_before_the_bridge_came_goes_to_the
     both([7, 2]).await;
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn samples_of_a_latched_topic_for_which_a_call_has_no_room_are_counted() {
     if !network::isolated(&|| ()) {
         return;
@@ -134,7 +137,10 @@ async fn samples_of_a_latched_topic_for_which_a_call_has_no_room_are_counted() {
     let bench = bench("open", "direction = 'to_ledger'\nlatched_depth = 100", feed).await;
     let (topic, message) = names();
     // A hundred of each are more than the 512 of a call.
-    let writers = [1_u64, 2, 3, 4, 5, 6].map(|own| (own, bench.graph.writer(&topic, &message, &latched()).unwrap()));
+    let mut writers = Vec::new();
+    for own in 1_u64..=6 {
+        writers.push((own, bench.graph.writer(&topic, &message, &latched()).await.unwrap()));
+    }
     let counted = async {
         let mut due = tokio::time::interval(Duration::from_millis(10));
         for number in 1_u64.. {
@@ -152,7 +158,7 @@ async fn samples_of_a_latched_topic_for_which_a_call_has_no_room_are_counted() {
     tokio::time::timeout(DEADLINE, counted).await.unwrap();
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn commands_of_latched_publishers_go_to_the_ledger_one_by_one_and_are_never_said_again() {
     if !network::isolated(&|| ()) {
         return;
@@ -160,7 +166,7 @@ async fn commands_of_latched_publishers_go_to_the_ledger_one_by_one_and_are_neve
     let bench = bench("open", "direction = 'to_ledger'", |_| ()).await;
     let (topic, message) = names();
     for number in 1..4 {
-        let writer = bench.graph.writer(&topic, &message, &latched()).unwrap();
+        let writer = bench.graph.writer(&topic, &message, &latched()).await.unwrap();
         assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
         writer.write(&twist(number)).unwrap();
         let sets = bench.sets(usize::from(number)).await;
@@ -168,7 +174,7 @@ async fn commands_of_latched_publishers_go_to_the_ledger_one_by_one_and_are_neve
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn who_comes_late_to_a_latched_feed_hears_what_was_said_last_and_no_made_up_message() {
     if !network::isolated(&|| ()) {
         return;
@@ -188,7 +194,7 @@ async fn who_comes_late_to_a_latched_feed_hears_what_was_said_last_and_no_made_u
     let (topic, message) = names();
     let mut heard = Vec::new();
     for _ in 0..2 {
-        let mut reader = bench.graph.reader(&topic, &message, &latched(), Limits::default()).unwrap();
+        let mut reader = bench.graph.reader(&topic, &message, &latched(), Limits::default()).await.unwrap();
         heard.push(tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap().sample);
     }
     assert_eq!(heard, [twist(3), twist(3)]);

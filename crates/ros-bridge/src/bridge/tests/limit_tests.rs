@@ -13,7 +13,7 @@ fn speed_of(sample: &Sample) -> f64 {
     f64::from_le_bytes(sample.body()[..8].try_into().unwrap())
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_robot_hears_no_faster_command_than_the_grant_allows_and_the_bridge_counts_what_it_slowed_down_and_dropped() {
     if !network::isolated(&|| ()) {
         return;
@@ -40,7 +40,7 @@ async fn a_robot_hears_no_faster_command_than_the_grant_allows_and_the_bridge_co
     assert!(summary.gate["too_fast"] > 0, "{summary:?}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_speed_that_is_no_number_does_not_reach_the_robot_and_brings_the_stop_message_without_any_limit() {
     if !network::isolated(&|| ()) {
         return;
@@ -66,7 +66,7 @@ async fn a_speed_that_is_no_number_does_not_reach_the_robot_and_brings_the_stop_
     assert_eq!(stops(summary), [("bad_speed", 3), ("shutdown", 1)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_robot_that_is_handed_over_hears_no_stop_between_its_drivers() {
     if !network::isolated(&|| ()) {
         return;
@@ -89,7 +89,7 @@ async fn a_robot_that_is_handed_over_hears_no_stop_between_its_drivers() {
     assert_eq!(stops(summary), [("shutdown", 1)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_route_with_a_highest_rate_submits_the_newest_samples_and_always_the_last_one() {
     if !network::isolated(&|| ()) {
         return;
@@ -107,7 +107,7 @@ async fn a_route_with_a_highest_rate_submits_the_newest_samples_and_always_the_l
     assert_eq!(summary.samples_in, 20);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_feed_with_a_highest_rate_is_delivered_no_faster_and_its_newest_message_always() {
     if !network::isolated(&|| ()) {
         return;
@@ -129,7 +129,7 @@ async fn a_feed_with_a_highest_rate_is_delivered_no_faster_and_its_newest_messag
     assert!(summary.thinned > 0, "a hundred at once are more than two a second");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_highest_rate_for_commands_is_refused_where_they_would_reach_the_robot() {
     if !network::isolated(&|| ()) {
         return;

@@ -1,4 +1,4 @@
-//! A bridge that loses its DDS.
+//! A bridge that loses its middleware.
 
 use super::*;
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 use futures::FutureExt;
 use tokio::sync::{mpsc, oneshot};
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_bridge_that_loses_the_local_graph_joins_it_again_and_carries_messages() {
     if !network::isolated(&|| ()) {
         return;
@@ -16,8 +16,10 @@ async fn a_bridge_that_loses_the_local_graph_joins_it_again_and_carries_messages
     let network = Network::until(2900);
     let fake = Fake::new("exclusive", &network);
     fake.set_holder("Org1/Salma", 3, 60_000);
+    beside::prepare().await;
+    let transport = beside::transport();
     let text = format!(
-        "domain_id = {DOMAIN}\nshared_memory = false\n[[route]]\nservice = 'T/cmd_vel'\n\
+        "domain_id = {DOMAIN}\n{transport}\nshared_memory = false\n[[route]]\nservice = 'T/cmd_vel'\n\
          type = 'geometry_msgs/msg/Twist'\ndirection = 'from_ledger'\ncommand_timeout_ms = 0"
     );
     let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
@@ -27,19 +29,19 @@ async fn a_bridge_that_loses_the_local_graph_joins_it_again_and_carries_messages
     let start = async move |config: &Config| {
         let bridge = Bridge::start_with(config.clone(), beside.clone(), &at).await?;
         let own = bridge.roster.slots()[0].counters.matched();
-        tell.send((bridge.local.participant().clone(), own.unwrap())).unwrap();
+        tell.send((bridge.local.middleware().clone(), own.unwrap())).unwrap();
         Ok::<Started, _>((bridge, std::future::pending().boxed()))
     };
     let monitor = BridgeMonitor::default();
     assert!(matches!(monitor.look(), BridgeView::Waits(None)));
     let running = keep_running(config, futures::stream::pending(), async { drop(ended.await) }, start, &monitor);
-    let graph = Participant::open(DOMAIN, "beside").await.unwrap();
+    let graph = Beside::open("beside").await;
     let (topic, message) = names();
-    let reader = graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let reader = graph.reader(&topic, &message, &Qos::default(), Limits::default()).await.unwrap();
     let mut robot = Robot { reader, stands: true };
     let test = async {
         for seq in 1..=3 {
-            let (participant, own) = tokio::time::timeout(DEADLINE, started.recv()).await.unwrap().unwrap();
+            let (middleware, own) = tokio::time::timeout(DEADLINE, started.recv()).await.unwrap().unwrap();
             assert!(tokio::time::timeout(DEADLINE, own.at_least(1)).await.unwrap());
             let now = micros();
             let signed = sign(&network.salma, 3, seq, &twist(7), now);
@@ -50,7 +52,7 @@ async fn a_bridge_that_loses_the_local_graph_joins_it_again_and_carries_messages
             assert_eq!((standing.domain, route.is_open, route.is_held, route.takes_in), (DOMAIN, true, true, false));
             assert_eq!((route.age.count(), route.commit.count()), (1, 0), "{route:?}");
             if seq < 3 {
-                participant.break_down();
+                middleware.break_down();
             }
         }
         end.send(()).unwrap();

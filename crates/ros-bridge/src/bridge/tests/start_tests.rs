@@ -5,7 +5,7 @@ use super::*;
 const TWIST_ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'";
 const WRONG_ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'";
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() {
     let network = Network::until(2900);
     let fake = Fake::new("limited", &network);
@@ -17,7 +17,7 @@ async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() 
     assert_eq!(refused.found, "capability \"places\" with the value \"2\"");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_route_of_another_type_is_refused_at_the_start() {
     let network = Network::until(2900);
     let fake = Fake::new("exclusive", &network);
@@ -28,7 +28,7 @@ async fn a_route_of_another_type_is_refused_at_the_start() {
     assert_eq!((&refused.found[..], &refused.wanted[..]), ("std_msgs/msg/String", "geometry_msgs/msg/Twist"));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_route_that_cannot_start_waits_while_the_others_carry_messages_and_starts_when_it_can() {
     if !network::isolated(&|| ()) {
         return;
@@ -36,13 +36,15 @@ async fn a_route_that_cannot_start_waits_while_the_others_carry_messages_and_sta
     let network = Network::until(2900);
     let fake = Fake::new("exclusive", &network);
     fake.set_own_epoch(3);
+    beside::prepare().await;
+    let transport = beside::transport();
     let text = format!(
-        "domain_id = {DOMAIN}\nshared_memory = false\n{TWIST_ROUTE}\ndirection = 'to_ledger'\n\
+        "domain_id = {DOMAIN}\n{transport}\nshared_memory = false\n{TWIST_ROUTE}\ndirection = 'to_ledger'\n\
          {WRONG_ROUTE}\ndirection = 'from_ledger'\ntopic = '/watched'"
     );
     let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
     let bridge = Bridge::start_with(config, fake.clone(), &context(&network)).await.unwrap();
-    let graph = Participant::open(DOMAIN, "beside").await.unwrap();
+    let graph = Beside::open("beside").await;
     let bench = Bench { fake, network, bridge, graph };
     let waiting = |bench: &Bench| bench.bridge.summary().routes[1].waiting.clone();
     let reason = waiting(&bench).unwrap();
@@ -59,12 +61,12 @@ async fn a_route_that_cannot_start_waits_while_the_others_carry_messages_and_sta
     tokio::time::timeout(DEADLINE, opened).await.unwrap();
     let text = TypeName::parse("std_msgs/msg/String").unwrap();
     let watched = TopicName::parse("/watched").unwrap();
-    let reader = bench.graph.reader(&watched, &text, &Qos::default(), Limits::default()).unwrap();
+    let reader = bench.graph.reader(&watched, &text, &Qos::default(), Limits::default()).await.unwrap();
     assert!(tokio::time::timeout(DEADLINE, reader.matched().at_least(1)).await.unwrap());
     assert_eq!(bench.bridge.stop().await.routes[0].submitted, 1);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn of_two_routes_that_close_a_circle_by_the_topic_of_their_service_the_second_waits() {
     if !network::isolated(&|| ()) {
         return;
@@ -91,7 +93,7 @@ async fn diagnosis(bench: &Bench, words: &str) -> String {
 async fn diagnosis_with(bench: &Bench, holds: impl Fn(&str) -> bool) -> String {
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
     let (topic, message) = (TopicName::parse("/diagnostics").unwrap(), TypeName::parse(kind).unwrap());
-    let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).await.unwrap();
     let array = crate::graph::messages::builtin::of(kind).unwrap();
     let heard = async {
         loop {
@@ -104,14 +106,14 @@ async fn diagnosis_with(bench: &Bench, holds: impl Fn(&str) -> bool) -> String {
     tokio::time::timeout(DEADLINE, heard).await.unwrap()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn diagnostics_warn_of_a_publisher_beside_the_bridge() {
     if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'from_ledger'", |_| ()).await;
     let (topic, message) = names();
-    let _stranger = bench.graph.writer(&topic, &message, &Qos::default()).unwrap();
+    let _stranger = bench.graph.writer(&topic, &message, &Qos::default()).await.unwrap();
     let alive = async {
         loop {
             bench.fake.heartbeat(micros());
@@ -124,7 +126,7 @@ async fn diagnostics_warn_of_a_publisher_beside_the_bridge() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn diagnostics_show_each_route_and_why_it_is_silent() {
     if !network::isolated(&|| ()) {
         return;
@@ -141,7 +143,7 @@ async fn diagnostics_show_each_route_and_why_it_is_silent() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn diagnostics_name_the_holder_on_the_robots_side_and_on_a_users() {
     if !network::isolated(&|| ()) {
         return;
@@ -166,14 +168,14 @@ fn released(holder: &str, epoch: u64) -> serde_json::Value {
     json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "reason": "released" })
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_program_that_comes_late_hears_who_holds_the_service_and_then_that_nobody_does() {
     if network::isolated(&|| ()) {
         shows_the_holder("from_ledger").await;
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_program_on_a_users_side_hears_who_holds_the_service_too() {
     if network::isolated(&|| ()) {
         shows_the_holder("to_ledger").await;
@@ -185,7 +187,7 @@ async fn shows_the_holder(direction: &str) {
     let bench = bench("exclusive", &more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
     let (topic, kind) = (TopicName::parse("/t/holder").unwrap(), TypeName::parse("std_msgs/msg/String").unwrap());
     let latched = Qos { durability: crate::graph::qos::Durability::TransientLocal, ..Qos::default() };
-    let mut reader = bench.graph.reader(&topic, &kind, &latched, Limits::default()).unwrap();
+    let mut reader = bench.graph.reader(&topic, &kind, &latched, Limits::default()).await.unwrap();
     let text = crate::graph::messages::builtin::of("std_msgs/msg/String").unwrap();
     let hear = async |reader: &mut Reader| {
         let heard = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
@@ -199,7 +201,7 @@ async fn shows_the_holder(direction: &str) {
     assert!(second.contains(r#""holders":[]"#), "{second}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn the_topic_of_the_holder_is_not_that_of_the_route() {
     if !network::isolated(&|| ()) {
         return;

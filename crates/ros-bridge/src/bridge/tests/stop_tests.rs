@@ -3,7 +3,7 @@
 use super::*;
 use crate::graph::shm;
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_bridge_that_comes_back_stops_the_robot_that_the_one_before_it_left_moving() {
     if !network::isolated(&|| ()) {
         return;
@@ -22,7 +22,7 @@ async fn a_bridge_that_comes_back_stops_the_robot_that_the_one_before_it_left_mo
     assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("shutdown", 1), ("start", 1)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_bridge_that_comes_back_stops_the_robot_before_the_voters_have_answered() {
     if !network::isolated(&|| ()) {
         return;
@@ -35,7 +35,7 @@ async fn a_bridge_that_comes_back_stops_the_robot_before_the_voters_have_answere
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_driver_that_falls_silent_stands_still_long_before_its_lease_ends_and_drives_on_with_its_next_command() {
     if !network::isolated(&|| ()) {
         return;
@@ -64,7 +64,7 @@ async fn a_driver_that_falls_silent_stands_still_long_before_its_lease_ends_and_
     assert_eq!(stops(summary), [("silent", 2)]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn while_somebody_publishes_beside_the_bridge_the_robot_stands_if_its_owner_wants_that() {
     if !network::isolated(&|| ()) {
         return;
@@ -75,8 +75,8 @@ async fn while_somebody_publishes_beside_the_bridge_the_robot_stands_if_its_owne
     let (sent, _) = bench.message(&bench.network.salma, 3, 1);
     assert_eq!(next(&mut robot).await, sent);
     let (topic, message) = names();
-    let stranger = Participant::open(DOMAIN, "stranger").await.unwrap();
-    let writer = stranger.writer(&topic, &message, &Qos::default()).unwrap();
+    let stranger = Beside::open("stranger").await;
+    let writer = stranger.writer(&topic, &message, &Qos::default()).await.unwrap();
     bench.fake.heartbeat(micros());
     let stopped = async { while next(&mut robot).await != stop() {} };
     let alive = async {
@@ -121,7 +121,7 @@ async fn sees(bench: &Bench, publishers: usize) {
     tokio::time::timeout(DEADLINE, seen).await.unwrap();
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_publisher_in_shared_memory_is_beside_the_bridge_as_one_on_dds_is() {
     if !network::isolated(&|| ()) {
         return;
@@ -155,7 +155,7 @@ async fn a_publisher_in_shared_memory_is_beside_the_bridge_as_one_on_dds_is() {
 const CHILD_TOPIC: &str = "LEDGERD_TEST_BESIDE";
 
 /// Not a test of its own: a stranger in shared memory.
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn child_publishes_beside_a_bridge_until_it_is_killed() {
     let Ok(topic) = std::env::var(CHILD_TOPIC) else { return };
     let stranger = shm::Node::open(DOMAIN, "stranger", [3; 16]).await.unwrap();
@@ -166,7 +166,7 @@ async fn child_publishes_beside_a_bridge_until_it_is_killed() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_publisher_in_shared_memory_whose_process_was_killed_is_beside_nobody() {
     if !network::isolated(&|| ()) {
         return;
@@ -183,7 +183,7 @@ async fn a_publisher_in_shared_memory_whose_process_was_killed_is_beside_nobody(
     sees(&bench, 0).await;
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn another_bridge_of_the_service_in_shared_memory_is_no_side_door() {
     if !network::isolated(&|| ()) {
         return;

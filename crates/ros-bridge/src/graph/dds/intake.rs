@@ -10,13 +10,19 @@ const WRITERS_MAX: usize = 4096;
 
 /// The last sequence number of each writer.
 #[derive(Debug, Default)]
-pub(super) struct Intake {
+pub(crate) struct Intake {
     last: BTreeMap<Guid, SequenceNumber>,
 }
 
 impl Intake {
+    /// The same for a writer of which nothing says whether it is still there: any may be forgotten.
+    #[cfg(feature = "zenoh")]
+    pub(crate) fn admits_any(&mut self, writer: Guid, sequence: SequenceNumber) -> bool {
+        self.admits(writer, sequence, &BTreeSet::new())
+    }
+
     /// Is this sample new, and not overtaken by a later one of its writer? `present` are the writers matched now.
-    pub(super) fn admits(&mut self, writer: Guid, sequence: SequenceNumber, present: &BTreeSet<Guid>) -> bool {
+    pub(crate) fn admits(&mut self, writer: Guid, sequence: SequenceNumber, present: &BTreeSet<Guid>) -> bool {
         if self.last.get(&writer).is_some_and(|last| sequence <= *last) {
             return false;
         }

@@ -28,7 +28,7 @@ pub struct Matching {
 pub struct Matched(watch::Receiver<Matches>);
 
 impl Matched {
-    pub(super) fn of(matches: &watch::Receiver<Matches>) -> Self {
+    pub(in crate::graph) fn of(matches: &watch::Receiver<Matches>) -> Self {
         Self(matches.clone())
     }
 

@@ -5,7 +5,11 @@ use std::{
     time::Duration,
 };
 
-use rtps::{guid::Guid, interface::RemoteEndpoint, qos::Qos as Policies};
+use rtps::{
+    guid::{EntityId, Guid},
+    interface::RemoteEndpoint,
+    qos::Qos as Policies,
+};
 use tokio::{sync::watch, time::sleep};
 
 use super::participant::Participant;
@@ -40,6 +44,10 @@ pub struct Neighbour {
     pub mark: Option<Mark>,
     /// Does it take messages by UDP over IPv4? Fast DDS with shared memory or TCP alone does not.
     pub is_reachable: bool,
+    /// Its participant: unique in the world.
+    pub participant: [u8; 16],
+    /// Does its middleware keep endpoints apart whose quality of service does not fit? zenoh does not.
+    pub is_strict: bool,
 }
 
 impl Neighbour {
@@ -53,12 +61,14 @@ impl Neighbour {
             qos: endpoint.qos.clone(),
             mark: Mark::of(&endpoint.qos),
             is_reachable: endpoint.is_reachable,
+            participant: Guid::new(endpoint.guid.prefix, EntityId::PARTICIPANT).to_bytes(),
+            is_strict: true,
         }
     }
 
     /// Is its topic declared with keys? The last byte of a GUID says so.
     pub(crate) fn is_keyed(&self) -> bool {
-        matches!(self.guid, [.., WRITER_WITH_KEY | READER_WITH_KEY])
+        self.is_strict && matches!(self.guid, [.., WRITER_WITH_KEY | READER_WITH_KEY])
     }
 }
 

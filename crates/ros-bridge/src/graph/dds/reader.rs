@@ -140,6 +140,11 @@ impl Reader {
         &self.matched
     }
 
+    /// The samples that wait.
+    pub(crate) fn queue(&self) -> &Queue {
+        &self.queue
+    }
+
     /// Samples dropped so far: too large, or pushed out of a full queue.
     pub fn dropped(&self) -> u64 {
         self.queue.dropped()

@@ -45,7 +45,7 @@ pub(super) struct RosDiscovery {
 }
 
 /// Checks the name of a node and puts it into the root namespace.
-pub(super) fn node_name(name: &str) -> Result<NodeName> {
+pub(crate) fn node_name(name: &str) -> Result<NodeName> {
     let fault = if name.len() > TYPE_NAME_BYTES_MAX {
         Some(format!("{} bytes", name.len()))
     } else {

@@ -1,4 +1,4 @@
-//! A topic on which the bridge delivers, over both transports.
+//! A topic on which the bridge delivers, over the middleware and over shared memory.
 
 use std::{
     sync::Arc,
@@ -7,44 +7,48 @@ use std::{
 
 use ledger_gate::sample::Sample;
 
+use super::{
+    input::unmatched,
+    transport::{Middleware, Output, OutputSettings},
+};
 use crate::{
     error::Result,
-    graph::{
-        dds::{Matched, Writer},
-        loop_filter::Delivered,
-        mark::Mark,
-        qos::Qos,
-        shm,
-    },
+    graph::{dds::Matched, loop_filter::Delivered, mark::Mark, qos::Qos, shm},
 };
-
-/// Opens a writer with a quality of service.
-type Open = Box<dyn Fn(&Qos) -> Result<Writer> + Send + Sync>;
 
 /// Where samples of a topic go out.
 pub(crate) struct TopicOutput {
-    writer: Writer,
-    /// Opens a writer in the place of the one before.
-    open: Open,
-    shm: Option<shm::Publisher>,
+    settings: OutputSettings,
+    middleware: Arc<dyn Middleware>,
+    output: Box<dyn Output>,
+    /// The subscribers of others.
+    matched: Matched,
+    /// Shared memory, if it is used.
+    beside: Option<Box<dyn Output>>,
     mark: Mark,
     delivered: Arc<Delivered>,
 }
 
 impl TopicOutput {
-    pub(super) fn open(open: Open, qos: &Qos, mark: Mark, delivered: Arc<Delivered>) -> Result<Self> {
-        Ok(Self { writer: open(qos)?, open, shm: None, mark, delivered })
+    pub(super) async fn open(
+        middleware: &Arc<dyn Middleware>,
+        (settings, mark): (OutputSettings, Mark),
+        qos: &Qos,
+        delivered: Arc<Delivered>,
+    ) -> Result<Self> {
+        let (output, matched) = opened(&**middleware, &settings, qos).await?;
+        Ok(Self { settings, middleware: Arc::clone(middleware), output, matched, beside: None, mark, delivered })
     }
 
     /// Writes into shared memory too.
-    pub(super) fn add(&mut self, shm: Option<shm::Publisher>) {
-        self.shm = shm;
+    pub(super) fn add(&mut self, beside: Option<Box<dyn Output>>) {
+        self.beside = beside;
     }
 
     /// Offers the topic with another quality of service.
-    pub(crate) fn follow(&mut self, qos: &Qos) {
-        match (self.open)(qos) {
-            Ok(opened) => self.writer = opened,
+    pub(crate) async fn follow(&mut self, qos: &Qos) {
+        match opened(&*self.middleware, &self.settings, qos).await {
+            Ok((output, matched)) => (self.output, self.matched) = (output, matched),
             Err(error) => tracing::warn!(%error, "the topic is offered as before"),
         }
     }
@@ -53,23 +57,34 @@ impl TopicOutput {
     pub(crate) fn write(&self, sample: &Sample) -> Result<()> {
         // Before it is written: an echo must not be quicker.
         self.delivered.note(self.mark, sample.wire(), Instant::now());
-        let shm = self.shm.as_ref().map_or(Ok(0), |shm| shm.write(sample));
-        self.writer.write(sample)?;
-        shm.map(drop)
+        let beside = self.beside.as_ref().map_or(Ok(()), |beside| beside.write(sample));
+        self.output.write(sample)?;
+        beside
     }
 
-    /// The subscribers of others over DDS.
+    /// The subscribers of others over the middleware.
     pub(crate) fn matched(&self) -> &Matched {
-        self.writer.matched()
+        &self.matched
     }
 
     /// Subscribers in shared memory.
     pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
-        self.shm.as_ref().map(shm::Publisher::peers)
+        self.beside.as_ref()?.in_memory()
     }
 
     /// Waits until reliable readers have everything; false after `at_most`.
     pub(crate) async fn flush(&self, at_most: Duration) -> bool {
-        self.writer.flush(at_most).await
+        self.output.flush(at_most).await
     }
+}
+
+/// An output of the middleware, with the subscribers of others.
+async fn opened(
+    middleware: &dyn Middleware,
+    settings: &OutputSettings,
+    qos: &Qos,
+) -> Result<(Box<dyn Output>, Matched)> {
+    let output = middleware.output(settings, qos).await?;
+    let matched = output.matched().cloned().ok_or_else(|| unmatched(middleware.name()))?;
+    Ok((output, matched))
 }

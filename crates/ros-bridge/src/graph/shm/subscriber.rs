@@ -126,10 +126,9 @@ impl Subscriber {
         self.queue.dropped()
     }
 
-    /// Ends as a fault would end it.
-    #[cfg(test)]
-    pub(crate) fn break_down(&self) {
-        self.queue.close();
+    /// The samples that wait.
+    pub(crate) fn queue(&self) -> &Queue {
+        &self.queue
     }
 }
 

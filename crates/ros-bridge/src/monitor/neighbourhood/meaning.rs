@@ -56,6 +56,9 @@ pub(super) fn misfit(open: &OpenRoute, neighbour: &Neighbour) -> Option<String> 
     if qos.keyed != neighbour.is_keyed() {
         return Some("keys".to_owned());
     }
+    if !neighbour.is_strict {
+        return None;
+    }
     let ours = qos.policies();
     let accepts = accepting(ours.clone());
     let mismatches = match neighbour.role {

@@ -86,7 +86,7 @@ impl NearbyPublishers {
 
 /// Has one of these endpoints the participant with this GUID?
 fn is_of(endpoints: &[&Neighbour], participant: [u8; 16]) -> bool {
-    endpoints.iter().any(|endpoint| endpoint.guid.first_chunk::<12>() == participant.first_chunk::<12>())
+    endpoints.iter().any(|endpoint| endpoint.participant == participant)
 }
 
 #[cfg(test)]
@@ -102,8 +102,17 @@ mod tests {
 
     fn publisher(number: u8, mark: Option<Mark>) -> Neighbour {
         let (topic, type_name) = ("rt/cmd_vel".to_owned(), "geometry_msgs::msg::dds_::Twist_".to_owned());
-        let (guid, qos) = ([number; 16], Policies::default());
-        Neighbour { guid, role: Role::Publisher, topic, type_name, qos, mark, is_reachable: true }
+        Neighbour {
+            guid: [number; 16],
+            role: Role::Publisher,
+            topic,
+            type_name,
+            qos: Policies::default(),
+            mark,
+            participant: [number; 16],
+            is_strict: true,
+            is_reachable: true,
+        }
     }
 
     #[test]

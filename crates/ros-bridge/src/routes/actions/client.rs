@@ -26,7 +26,9 @@ use super::{
     topics::{ActionTopic, feedback, status},
 };
 use crate::{
-    graph::{dds::Exchange, endpoint::Role, loop_filter::LoopFilter, names::Interface, queue::Limits},
+    graph::{
+        dds::Exchange, endpoint::Role, local::InputSettings, loop_filter::LoopFilter, names::Interface, queue::Limits,
+    },
     ledger::robot_state::RobotStateQuery,
     routes::{
         calls::{Account, ClientHalves, PATIENCE, Waiting, patience},
@@ -112,16 +114,17 @@ impl Settings {
         let Opening { route, local, service, topic, mark, counters, shutdown, query, .. } = &opening;
         let (came, clocks) = (Instant::now(), Clocks::start());
         let earlier = EarlierGoals::new(Some(clocks.now().wall));
-        let participant = local.participant();
-        let open = |exchange: Exchange| participant.client(&exchange, *mark, route.sample_bytes_max);
+        let middleware = local.middleware();
+        let open = |exchange: Exchange| middleware.client(&exchange, *mark, route.sample_bytes_max);
         let clients = Parts::open(topic, &route.message, open)?;
         let max_age = Duration::from_millis(service.max_age_ms);
-        let reader = |told: ActionTopic| {
+        let input = async |told: ActionTopic| {
             let limits = Limits { queue_samples_max: CALLS_MAX, ..route.limits() };
             let filter = Arc::new(LoopFilter::new(*mark, &route.service, max_age, Arc::clone(local.delivered())));
-            participant.reader_behind(&told.topic, &told.message, &told.qos, limits, filter)
+            let ActionTopic { topic, message, qos } = told;
+            middleware.input(&InputSettings { topic, message, limits, filter: Some(filter) }, &qos).await
         };
-        let (feedback, status) = (reader(feedback(topic, &route.message)?)?, reader(status(topic)?)?);
+        let (feedback, status) = (input(feedback(topic, &route.message)?).await?, input(status(topic)?).await?);
         let (hand, handed, rests) = Hand::until_rest(clients.matched().clone(), self.stale_after);
         let ClientHalves { answers, carry } = ClientHalves::open(&opening, hand, ANSWERS_MAX).await?;
         let is_used = may_be_used(service.clone(), Arc::clone(query), came);

@@ -4,7 +4,8 @@ use super::frame::Part;
 use crate::{
     error::Result,
     graph::{
-        dds::{Client, Exchange, Matched, Reply, Request, Server},
+        dds::{Exchange, Matched},
+        local::{Client, Reply, Request, Server},
         names::{TopicName, TypeName},
     },
 };
@@ -28,27 +29,27 @@ pub(super) trait Receive: Send {
     fn matched(&self) -> &Matched;
 }
 
-impl Receive for Client {
+impl Receive for Box<dyn Client + '_> {
     type Message = Reply;
 
     async fn receive(&mut self) -> Option<Reply> {
-        self.next().await
+        self.as_mut().next().await
     }
 
     fn matched(&self) -> &Matched {
-        self.matched()
+        self.as_ref().matched()
     }
 }
 
-impl Receive for Server {
+impl Receive for Box<dyn Server + '_> {
     type Message = Request;
 
     async fn receive(&mut self) -> Option<Request> {
-        self.next().await
+        self.as_mut().next().await
     }
 
     fn matched(&self) -> &Matched {
-        self.matched()
+        self.as_ref().matched()
     }
 }
 

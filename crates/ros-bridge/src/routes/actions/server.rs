@@ -18,7 +18,7 @@ use super::{
     topics::{ActionTopic, feedback, status},
 };
 use crate::{
-    graph::{dds::Exchange, endpoint::Role, names::Interface},
+    graph::{dds::Exchange, endpoint::Role, local::OutputSettings, names::Interface},
     routes::{
         calls::{Account, PATIENCE, PendingRequests, ServerHalves, answers_of, patience},
         kind::{Kind, NearbyEndpoint, Opening, Plan, RouteTask},
@@ -69,11 +69,14 @@ impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<RouteTask, Rejection> {
         let answers = answers_of(&opening, "action").await?;
         let Opening { route, local, service, topic, mark, counters, shutdown, .. } = &opening;
-        let participant = local.participant();
-        let open = |exchange: Exchange| participant.server(&exchange, *mark, route.sample_bytes_max);
+        let middleware = local.middleware();
+        let open = |exchange: Exchange| middleware.server(&exchange, *mark, route.sample_bytes_max);
         let servers = Parts::open(topic, &route.message, open)?;
-        let writer = |told: ActionTopic| participant.marked_writer(&told.topic, &told.message, &told.qos, *mark);
-        let (feedback, status) = (writer(feedback(topic, &route.message)?)?, writer(status(topic)?)?);
+        let output = async |told: ActionTopic| {
+            let ActionTopic { topic, message, qos } = told;
+            middleware.output(&OutputSettings { topic, message, mark: Some(*mark) }, &qos).await
+        };
+        let (feedback, status) = (output(feedback(topic, &route.message)?).await?, output(status(topic)?).await?);
         let halves = ServerHalves::open(&opening, answers, servers.matched()).await?;
         let ServerHalves { requests, updates, handed, carry } = halves;
         let lease = Duration::from_millis(service.lease_ms);

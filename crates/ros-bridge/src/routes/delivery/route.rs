@@ -193,7 +193,7 @@ impl FromLedger {
                 Some(()) = OptionFuture::from(rests), if self.guard.gate().is_moving() => self.guard.rested(),
                 () = follow => {
                     let qos = *self.outputs.qos.borrow_and_update();
-                    self.outputs.outlet.follow(&qos);
+                    self.outputs.outlet.follow(&qos).await;
                     self.counters.opened_again(self.outputs.outlet.matched());
                     graph_ended = Box::pin(self.outputs.outlet.matched().clone().ended());
                     late = self.fetch_late().into();

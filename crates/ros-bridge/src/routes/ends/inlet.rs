@@ -56,9 +56,9 @@ impl Inlet {
 
     /// Reads with the quality of service that meets the others; returns who they are now. Samples that the reader before has
     /// received come first.
-    pub(in crate::routes) fn follow(&mut self) -> Option<Matched> {
+    pub(in crate::routes) async fn follow(&mut self) -> Option<Matched> {
         let Self::Topic(topic) = self else { return None };
-        topic.follow();
+        topic.follow().await;
         Some(topic.matched().clone())
     }
 

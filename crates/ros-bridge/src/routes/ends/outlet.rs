@@ -20,9 +20,9 @@ pub(in crate::routes) enum Outlet {
 
 impl Outlet {
     /// Offers the topic with another quality of service.
-    pub(in crate::routes) fn follow(&mut self, qos: &Qos) {
+    pub(in crate::routes) async fn follow(&mut self, qos: &Qos) {
         if let Self::Topic(topic) = self {
-            topic.follow(qos);
+            topic.follow(qos).await;
         }
     }
 

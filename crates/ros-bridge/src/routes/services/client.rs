@@ -14,8 +14,9 @@ use tokio::{sync::mpsc, time::sleep_until};
 
 use crate::{
     graph::{
-        dds::{Client, Exchange, Number, Reply},
+        dds::Exchange,
         endpoint::Role,
+        local::{Client, Number, Reply},
         names::Interface,
     },
     routes::{
@@ -60,7 +61,7 @@ impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<RouteTask, Rejection> {
         let Opening { route, local, topic, mark, counters, shutdown, .. } = &opening;
         let exchange = Exchange::new(topic, &route.message);
-        let client = local.participant().client(&exchange, *mark, route.sample_bytes_max)?;
+        let client = local.middleware().client(&exchange, *mark, route.sample_bytes_max)?;
         let (hand, handed) = Hand::new(client.matched().clone());
         let ClientHalves { answers, carry } = ClientHalves::open(&opening, hand, CALLS_MAX).await?;
         let client = ServiceClient {
@@ -97,7 +98,7 @@ fn nearby(NearbyEndpoint { topic, is_same_service, .. }: &NearbyEndpoint<'_>) ->
 
 /// Knows which request each call of the server is for.
 struct ServiceClient {
-    client: Client,
+    client: Box<dyn Client>,
     handed: mpsc::Receiver<Handed>,
     answers: Submitter,
     /// The ids of the requests' transactions.

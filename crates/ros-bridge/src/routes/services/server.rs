@@ -23,8 +23,9 @@ use tokio::{
 
 use crate::{
     graph::{
-        dds::{Caller, Exchange, Request, Server},
+        dds::Exchange,
         endpoint::Role,
+        local::{Caller, Request, Server},
         names::Interface,
     },
     routes::{
@@ -70,7 +71,7 @@ impl Settings {
         let answers = answers_of(&opening, "service").await?;
         let Opening { route, local, service, topic, mark, counters, shutdown, .. } = &opening;
         let exchange = Exchange::new(topic, &route.message);
-        let server = local.participant().server(&exchange, *mark, route.sample_bytes_max)?;
+        let server = local.middleware().server(&exchange, *mark, route.sample_bytes_max)?;
         let halves = ServerHalves::open(&opening, answers, server.matched()).await?;
         let ServerHalves { requests, updates, handed, carry } = halves;
         let server = ServiceServer {
@@ -102,7 +103,7 @@ fn nearby(NearbyEndpoint { topic, .. }: &NearbyEndpoint<'_>) -> Option<String> {
 /// Knows who has called.
 struct ServiceServer {
     robot: String,
-    server: Server,
+    server: Box<dyn Server>,
     requests: Submitter,
     updates: UnboundedReceiver<SubmitUpdate>,
     handed: mpsc::Receiver<Handed>,

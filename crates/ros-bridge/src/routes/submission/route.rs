@@ -223,7 +223,7 @@ impl ToLedger {
                     under_way.extend(self.say_latched());
                 }
                 () = follow => {
-                    if let Some(matched) = self.inlet.follow() {
+                    if let Some(matched) = self.inlet.follow().await {
                         self.counters.opened_again(&matched);
                     }
                 }

@@ -42,6 +42,18 @@ impl Exchange {
         Ok(Self { name: action.below("/_action/cancel_goal")?, of: TypeName::parse("action_msgs/srv/CancelGoal")? })
     }
 
+    /// The name of the service, `/reset`.
+    #[cfg(feature = "zenoh")]
+    pub(crate) fn name(&self) -> &TopicName {
+        &self.name
+    }
+
+    /// Its type, `std_srvs/srv/Trigger`.
+    #[cfg(feature = "zenoh")]
+    pub(crate) fn service_type(&self) -> &TypeName {
+        &self.of
+    }
+
     /// The name of the DDS topic of the requests, `rq/resetRequest`.
     pub fn requests(&self) -> String {
         format!("rq{}Request", self.name)

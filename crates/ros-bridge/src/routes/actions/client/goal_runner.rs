@@ -13,7 +13,7 @@ use tokio::{
 use super::{earlier::EarlierGoals, feedback::FeedbackBuffer};
 use crate::{
     graph::{
-        dds::{Client, Number, Reader, Reply},
+        local::{Client, Input, Number, Reply},
         queue::Incoming,
     },
     routes::{
@@ -49,9 +49,9 @@ pub(super) enum Call {
 
 /// Knows which goals run, and which request each call of the server is for.
 pub(super) struct ActionClient {
-    pub(super) clients: Parts<Client>,
-    pub(super) feedback: Reader,
-    pub(super) status: Reader,
+    pub(super) clients: Parts<Box<dyn Client>>,
+    pub(super) feedback: Box<dyn Input>,
+    pub(super) status: Box<dyn Input>,
     pub(super) handed: mpsc::Receiver<Handed>,
     /// Tells the gate when the robot rests, by the number of messages that are known here.
     pub(super) rests: watch::Sender<u64>,

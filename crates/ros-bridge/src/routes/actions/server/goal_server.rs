@@ -17,7 +17,7 @@ use tokio::{
 
 use crate::{
     error::Error,
-    graph::dds::{Caller, Request, Server, Writer},
+    graph::local::{Caller, Output, Request, Server},
     routes::{
         actions::{
             frame::{
@@ -53,9 +53,9 @@ impl Call {
 /// Knows who has set which goal.
 pub(super) struct ActionServer {
     pub(super) robot: String,
-    pub(super) servers: Parts<Server>,
-    pub(super) feedback: Writer,
-    pub(super) status: Writer,
+    pub(super) servers: Parts<Box<dyn Server>>,
+    pub(super) feedback: Box<dyn Output>,
+    pub(super) status: Box<dyn Output>,
     pub(super) requests: Submitter,
     pub(super) updates: UnboundedReceiver<SubmitUpdate>,
     pub(super) handed: mpsc::Receiver<Handed>,
@@ -179,14 +179,14 @@ impl ActionServer {
             match id {
                 FEEDBACK => {
                     if goal_of(&message).is_some_and(|goal| self.goals.has(&goal)) {
-                        self.tell(&message, |desk| &desk.feedback);
+                        self.tell(&message, |desk| &*desk.feedback);
                     }
                 }
                 STATUS => {
                     for stated in goals_in(&message).iter().filter(|stated| stated.is_over()) {
                         self.goals.ended(&stated.goal);
                     }
-                    self.tell(&message, |desk| &desk.status);
+                    self.tell(&message, |desk| &*desk.status);
                 }
                 LOST => ids_in(&message).for_each(|goal| self.lose(&goal)),
                 id => {
@@ -200,7 +200,7 @@ impl ActionServer {
     }
 
     /// Publishes what the robot says to all.
-    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &Writer) {
+    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &dyn Output) {
         let written = Sample::new(CDR_LE, message).map_err(Error::sample);
         let written = written.and_then(|sample| to(self).write(&sample));
         self.account.handed_over("feedback or a state", written);
@@ -235,7 +235,7 @@ impl ActionServer {
                 goal = hex::encode(goal),
                 "the robot has lost a goal: it counts as aborted"
             );
-            self.tell(&Bytes::copy_from_slice(&aborted(*goal)), |desk| &desk.status);
+            self.tell(&Bytes::copy_from_slice(&aborted(*goal)), |desk| &*desk.status);
         }
     }
 
