@@ -4,7 +4,7 @@ use crate::clients::monitoring::{Admin, PageCredentials};
 use crate::node::NodeBuilder;
 use crate::node::supervise::until_stopped;
 use crate::process::config::{Config, Fault, OfBridge};
-use crate::process::terminal::{eprint_line, print_line, stop_signal};
+use crate::process::terminal::{eprint_line, print_line, stop_signal, written};
 use crate::process::{memory, telemetry};
 use crate::tools::ca_commands;
 use crate::tools::{backup, demo, dev, join, lab, prove, recover, setup, verify};
@@ -12,6 +12,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use futures::{Stream, stream};
 use ledger_api::report;
 use ledger_base::rejection::{Class, Code, Rejection};
+use ledger_base::shell;
 use ledger_traces::Tracer;
 use ros_bridge::BridgeMonitor;
 use std::ffi::OsString;
@@ -128,12 +129,31 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
     ledger_base::invariant::end_process();
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
-        Err(error) => {
-            let _closed = error.print();
-            return if error.use_stderr() { ExitCode::from(64) } else { ExitCode::SUCCESS };
+        Err(error) if error.use_stderr() => {
+            let _closed = with_config_tip(error).print();
+            return ExitCode::from(64);
         }
+        Err(help) => return exit_code(written(help.print()).map(|()| ExitCode::SUCCESS)),
     };
     exit_code(execute(arguments.command, &builder))
+}
+
+/// `ledgerd bridge salma.toml`: the file needs an option. clap's own tips are `'-- …'`, which helps nobody here.
+fn with_config_tip(mut error: clap::Error) -> clap::Error {
+    use clap::error::{ContextKind, ContextValue, ErrorKind};
+    if error.kind() != ErrorKind::UnknownArgument {
+        return error;
+    }
+    let _misleading = error.remove(ContextKind::Suggested);
+    let wants_file = error.get(ContextKind::Usage).is_some_and(|usage| usage.to_string().contains("--config <FILE>"));
+    if let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidArg)
+        && wants_file
+        && !word.starts_with('-')
+    {
+        let tip = format!("did you mean '--config {}'?", shell::word(word));
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
+    error
 }
 
 /// Runs a program of its own beside the command line, such as an experiment on [`crate::demo`]: a rejection goes to
@@ -179,12 +199,11 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
                 path.display(),
                 config.data.display(),
                 config.listen
-            ));
-            Ok(())
+            ))
         }
-        Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
+        Command::Init(options) => setup::init(&options).and_then(|text| print_line(&text)),
         Command::Join(options) => {
-            block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
+            block_on(async { join::join(&options).await.and_then(|text| print_line(&text)) })?;
             if options.run {
                 let options = RunOptions { config: options.config, trust_clock: false };
                 return execute(Command::Run(options), builder);
@@ -193,15 +212,15 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
-            block_on(async { join::rejoin(builder, &options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { join::rejoin(builder, &options, &config).await.and_then(|text| print_line(&text)) })
         }
         Command::Renew(options) => {
             let config = load(&options.config)?;
-            block_on(async { join::renew(&options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { join::renew(&options, &config).await.and_then(|text| print_line(&text)) })
         }
         Command::Backup(options) => {
             let config = load(&options.config)?;
-            backup::backup(builder, &options, &config).map(|text| print_line(&text))
+            backup::backup(builder, &options, &config).and_then(|text| print_line(&text))
         }
         Command::Restore(options) => {
             let taken = options.config_of_backup()?;
@@ -209,23 +228,23 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
                 Some(text) => parsed(Config::parse(text, &options.config))?,
                 None => load(&options.config)?,
             };
-            backup::restore(builder, &options, &config, taken.as_deref()).map(|text| print_line(&text))
+            backup::restore(builder, &options, &config, taken.as_deref()).and_then(|text| print_line(&text))
         }
         Command::Recover(options) => {
             let config = load(&options.config)?;
-            block_on(async { recover::recover(builder, &options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { recover::recover(builder, &options, &config).await.and_then(|text| print_line(&text)) })
         }
         Command::Checkpoint(options) => {
             let config = load(&options.config)?;
-            recover::checkpoint(builder, &options, &config).map(|text| print_line(&text))
+            recover::checkpoint(builder, &options, &config).and_then(|text| print_line(&text))
         }
         Command::AdminSecret(command) => {
             let config = load(&command.config)?;
-            command.run(&config, crate::process::clock::wall()).map(|text| print_line(&text))
+            command.run(&config, crate::process::clock::wall()).and_then(|text| print_line(&text))
         }
         Command::Ca(command) => {
             let config = load(command.config())?;
-            command.run(&config).map(|text| print_line(&text))
+            command.run(&config).and_then(|text| print_line(&text))
         }
         Command::Bridge(WithConfig { config: path }) => run_bridge(&path),
         Command::Verify(options) => verify::run(builder, &options),
@@ -236,8 +255,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Arguments::command(), "ledgerd", &mut script);
-            print_line(&String::from_utf8_lossy(&script));
-            Ok(())
+            print_line(&String::from_utf8_lossy(&script))
         }
         Command::Man { directory } => clap_mangen::generate_to(Arguments::command(), &directory).map_err(|error| {
             Rejection::new(Code::BadFile, format!("cannot write manual pages into {}", directory.display()))

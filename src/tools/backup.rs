@@ -25,6 +25,7 @@ use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE, create_directory, read, rep
 use ledger_base::hash::Hash;
 use ledger_base::progress::{Progress, Step};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::certificate::Certificate;
 use ledger_storage::archive::{Extent, Reached, archive};
 use ledger_storage::layout::GENESIS_FILE;
@@ -141,9 +142,9 @@ pub(crate) fn backup(builder: &NodeBuilder, options: &BackupOptions, config: &Co
     }
     // A directory that the operator has made keeps its mode.
     if fs::metadata(to).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
-        told += &format!("warning  others may read it: chmod 700 {}\n", to.display());
+        told += &format!("warning  others may read it: chmod 700 {}\n", shell::path(to));
     }
-    Ok(format!("{told}\nto restore:\n  ledgerd restore {} --config {}", to.display(), config.file.display()))
+    Ok(format!("{told}\nto restore:\n  ledgerd restore {} --config {}", shell::path(to), shell::path(&config.file)))
 }
 
 /// The network and the name of the node whose data directory this is.

@@ -11,6 +11,7 @@ use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::passphrase;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::certificate::Certificate;
 use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
@@ -131,7 +132,7 @@ impl Backing {
             authority.organisation(),
             authority.fingerprint(),
             self.file.display(),
-            self.file.display(),
+            shell::path(&self.file),
         ))
     }
 

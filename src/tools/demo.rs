@@ -68,10 +68,11 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     };
     let summary = played.inspect_err(|rejection| {
         if options.json {
-            print_line(&failure(rejection));
+            // The exit code and standard error say it as well.
+            let _lost = print_line(&failure(rejection));
         }
     })?;
-    print_line(&if options.json { summary.json()? } else { summary.table() });
+    print_line(&if options.json { summary.json()? } else { summary.table() })?;
     summary.check()
 }
 

@@ -242,8 +242,7 @@ pub(crate) fn paper_robots(mode: &str) -> Vec<(&'static str, serde_json::Value)>
 fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection> {
     if as_json {
         let line = serde_json::to_string(facts).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        print_line(&line);
-        return Ok(());
+        return print_line(&line);
     }
     let [admin, owner] = ORGANISATIONS.map(context_name);
     print_line(&format!(
@@ -266,8 +265,7 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
         fingerprint = facts.ca_fingerprint,
         data = facts.data.display(),
         kept = if temporary { " (removed at the end; --data DIR keeps it)" } else { "" },
-    ));
-    Ok(())
+    ))
 }
 
 /// Removes the contexts of a network that is gone, unless somebody has put another network's in their places.

@@ -32,6 +32,7 @@ use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Credentials, Enrolment, Options};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use place::JoinDirectory;
 use serde::Deserialize;
 use std::io::ErrorKind;
@@ -328,7 +329,7 @@ async fn come_back(
             "node {}/{} has a new certificate; its data are as they were\n\nnext:\n  ledgerd run --config {}",
             token.organisation,
             token.node,
-            options.config.display()
+            shell::path(&options.config)
         ));
     }
     told(&joined, &label, token, options, config)
@@ -381,7 +382,7 @@ fn told(
     );
     let mut next = String::new();
     if !options.run {
-        next += &format!("  ledgerd run --config {}\n", options.config.display());
+        next += &format!("  ledgerd run --config {}\n", shell::path(&options.config));
     }
     let mut context = String::new();
     if token.kind == JoinKind::Organisation {

@@ -19,6 +19,7 @@ use layout::{Layout, NodeLayout, Person};
 use ledger_api::Client;
 use ledger_api::context::Context;
 use ledger_base::rejection::{Class, Code, Rejection};
+use ledger_base::shell;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tracing_subscriber::filter::LevelFilter;
@@ -62,7 +63,7 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
         () = &mut stop => Err(Rejection::new(Code::ShuttingDown, "interrupted; everything that was started has been ended")),
     };
     let facts = started?;
-    print_line(&if options.json { facts.json()? } else { facts.text() });
+    print_line(&if options.json { facts.json()? } else { facts.text() })?;
     tokio::select! {
         () = watch(&layout, &mut nodes) => {}
         () = stop => {}
@@ -185,7 +186,7 @@ async fn watch(layout: &Layout, nodes: &mut [Process]) {
         for ((process, node), ended) in nodes.iter_mut().zip(&layout.nodes).zip(&mut has_ended) {
             if let Some(status) = process.ended().filter(|_| !*ended) {
                 *ended = true;
-                let config = node.config.display();
+                let config = shell::path(&node.config);
                 eprint_line(&format!(
                     "{} has ended ({status}); to start it again: ledgerd run --config {config}",
                     node.name

@@ -83,7 +83,7 @@ pub(crate) fn run(Policy::Prove(options): Policy) -> Result<bool, Rejection> {
     let proving =
         thread.spawn(move || prove(&solver, &policies, &question)).map_err(|error| failed(error.to_string()))?;
     let Answer { text, is_proved } = proving.join().map_err(|_| failed("a panic".to_owned()))??;
-    print_line(&text);
+    print_line(&text)?;
     Ok(is_proved)
 }
 

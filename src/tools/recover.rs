@@ -25,6 +25,7 @@ use bytes::Bytes;
 use ledger::members::Membership;
 use ledger::msp::Recovery;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_storage::entry::{Entry, EntryKind, HardState};
 use ledger_storage::layout::GENESIS_FILE;
 use std::collections::BTreeSet;
@@ -127,7 +128,7 @@ impl Survivor {
         Err(Rejection::new(Code::AlreadyExists, "no voter is lost")
             .found(format!("{}, the only voter", self.me.full_name()))
             .wanted("a network in which other nodes vote, too, and most are lost for good")
-            .next(format!("ledgerd run --config {}", config.file.display())))
+            .next(format!("ledgerd run --config {}", shell::path(&config.file))))
     }
 
     /// Those that answer and this one could order: then nothing is lost, and nothing is forced.
@@ -139,7 +140,7 @@ impl Survivor {
             return Ok(());
         }
         let names: Vec<_> = answers.iter().map(|answer| self.name(answer.id)).collect();
-        let file = config.file.display();
+        let file = shell::path(&config.file);
         Err(Rejection::new(Code::AlreadyExists, "a majority of the voters is not lost")
             .found(format!("{} of {} voters, with this one: {} answer", alive + own, voters.len(), names.join(", ")))
             .wanted("most voters silent, because they are lost for good")
@@ -173,7 +174,7 @@ impl Survivor {
             .next(format!(
                 "look for another node, a disk or a newer backup first; then ledgerd recover --force-single --config {} \
                  --confirm {label:?} --reason TEXT",
-                config.file.display()
+                shell::path(&config.file)
             )))
     }
 
@@ -229,7 +230,7 @@ impl Survivor {
         store.flush()?;
         unmark(config)?;
         let recorded = self.last + 1 + u64::from(self.ordering.is_joint());
-        let file = config.file.display();
+        let file = shell::path(&config.file);
         Ok(format!(
             "RECOVERED BY FORCE: {consequences}.\n\
              The ledger says so from block {recorded} on, for ever: event members_forced.\n\n\

@@ -54,11 +54,10 @@ pub(crate) fn run(builder: &NodeBuilder, options: &Options) -> Result<(), Reject
     if options.json {
         let line =
             serde_json::to_string(&verified).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        print_line(&line);
+        print_line(&line)
     } else {
-        print_line(&text(&verified));
+        print_line(&text(&verified))
     }
-    Ok(())
 }
 
 /// Verifies a directory; tells people how far it is.

@@ -96,8 +96,8 @@ fn render(rejection: &Rejection, format: Format) -> String {
 /// with 64. To whoever asked for JSON it is told as one object.
 pub(crate) fn usage(error: &clap::Error, format: Format) -> ExitCode {
     if !error.use_stderr() {
-        let _printed = error.print();
-        return ExitCode::SUCCESS;
+        let printed = error.print().and_then(|()| io::stdout().flush());
+        return printed.map_or_else(|error| Failure::from(error).report(format), |()| ExitCode::SUCCESS);
     }
     if format == Format::Json {
         let told = serde_json::to_string(&misused(error)).unwrap_or_else(|_| error.to_string());
@@ -134,6 +134,7 @@ fn misused(error: &clap::Error) -> Misuse {
     let usage = told(&[ContextKind::Usage]);
     let usage = usage.trim_start_matches("Usage: ").trim();
     let near = told(&[ContextKind::SuggestedSubcommand, ContextKind::SuggestedArg, ContextKind::SuggestedValue]);
+    let tip = told(&[ContextKind::Suggested]);
     Misuse {
         code: "LGR-USAGE",
         name: "USAGE",
@@ -143,10 +144,10 @@ fn misused(error: &clap::Error) -> Misuse {
             none if none.is_empty() => usage.to_owned(),
             values => format!("one of {values}"),
         },
-        r#try: if near.is_empty() {
-            "the same command with --help".to_owned()
-        } else {
-            format!("did you mean {near}?")
+        r#try: match (near.as_str(), tip.as_str()) {
+            ("", "") => "the same command with --help".to_owned(),
+            ("", tip) => tip.to_owned(),
+            (near, _) => format!("did you mean {near}?"),
         },
     }
 }

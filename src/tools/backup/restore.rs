@@ -11,6 +11,7 @@ use crate::tools::verify::verified;
 use ledger_api::tls::TlsIdentity;
 use ledger_base::durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, SNAPSHOTS_DIRECTORY};
 use std::fs::{self, DirBuilder, File};
 use std::io::ErrorKind;
@@ -124,7 +125,7 @@ pub(crate) fn restore(
             kept.display()
         );
     }
-    let file = config.file.display();
+    let file = shell::path(&config.file);
     Ok(format!(
         "node     {}, restored in {} with the blocks up to {}\n\
          {notes}It does not start as it is: it may have voted and confirmed blocks since the backup was made.\n\n\

@@ -32,6 +32,7 @@ use ledger_api::{Client, Credentials, Options};
 use ledger_base::durable::PUBLIC_MODE;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, Role};
 use ledger_storage::disk::RealDisk;
@@ -138,7 +139,7 @@ pub(crate) async fn rejoin(
             .wanted("a node that has the blocks")
             .next(format!(
                 "ledgerd rejoin --config {} --node HOST:PORT; without another node, restore {} from a copy",
-                config.file.display(),
+                shell::path(&config.file),
                 data.display()
             )));
     }
@@ -185,7 +186,7 @@ pub(crate) async fn rejoin(
         me.id(),
         genesis.label,
         kept,
-        config.file.display()
+        shell::path(&config.file)
     ))
 }
 

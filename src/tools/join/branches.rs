@@ -28,6 +28,7 @@ use ledger_base::durable::{PUBLIC_MODE, create_directory, failed, rename, replac
 use ledger_base::hash::Hash;
 use ledger_base::progress::{Progress, Step};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_light::{Certificate, Governance, Statement};
@@ -152,7 +153,7 @@ pub(super) async fn verify(
     Err(Rejection::new(Code::Unreachable, "no other node gives the branch that is certified; nothing was changed")
         .found(found)
         .wanted(format!("a node with block {} at height {}", branch.block(), branch.height()))
-        .next(format!("name one: ledgerd rejoin --config {} --node HOST:PORT", config.file.display())))
+        .next(format!("name one: ledgerd rejoin --config {} --node HOST:PORT", shell::path(&config.file))))
 }
 
 /// Another node.

@@ -11,6 +11,7 @@ use crate::storage::stores::Stores;
 use crate::trust::membership::nothing_here;
 use ledger_base::durable::PUBLIC_MODE;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_light::Checkpoint;
 use ledger_storage::layout::GENESIS_FILE;
 use std::fs;
@@ -47,7 +48,7 @@ pub(crate) fn checkpoint(
         return Err(Rejection::new(Code::NotFound, "there is no certified block to make a checkpoint of")
             .found(format!("block {height} as the newest, and a later change of who governs"))
             .wanted("a certified block after the last change of voters, organisations or revocations")
-            .next(format!("ledgerd run --config {} for some seconds, then try again", config.file.display())));
+            .next(format!("ledgerd run --config {} for some seconds, then try again", shell::path(&config.file))));
     };
     let checkpoint = Checkpoint::of(&ledger.network(), ledger.governing(height)?, proof)?;
     ledger_base::durable::create(&options.file, &checkpoint.to_bytes(), PUBLIC_MODE)?;

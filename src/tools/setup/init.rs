@@ -8,6 +8,7 @@ use crate::trust::ca::CertificateAuthority;
 use crate::trust::membership::way_back;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
 use std::collections::BTreeMap;
@@ -86,7 +87,7 @@ struct Begun {
 }
 
 fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<Begun, Rejection> {
-    let path = options.config.display();
+    let path = shell::path(&options.config);
     let address = public_address(options.address.as_deref(), &config.listen, "ledgerd init")?;
     let organisation = &options.organisation;
     let plan = NetworkPlan {

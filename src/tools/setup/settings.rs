@@ -4,6 +4,7 @@ use crate::process::config::{Config, is_address};
 use ledger_base::durable::PUBLIC_MODE;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -132,7 +133,7 @@ fn listening(address: &str) -> Option<String> {
 }
 
 fn first(faults: Vec<crate::process::config::Fault>, path: &Path) -> Rejection {
-    let more = format!("correct it; ledgerd check --config {} names all {} faults", path.display(), faults.len());
+    let more = format!("correct it; ledgerd check --config {} names all {} faults", shell::path(path), faults.len());
     let first = faults.into_iter().next().map(Rejection::from);
     first.map_or_else(|| Rejection::new(Code::BadConfiguration, "the configuration is not usable"), |r| r.next(more))
 }

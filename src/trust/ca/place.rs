@@ -4,6 +4,7 @@ use super::registry::{FILE, Registry};
 use super::{CertificateAuthority, DIRECTORY, bad_argument, issue, key_failed, pem};
 use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::check_name;
 use ledger_identity::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
@@ -178,7 +179,7 @@ pub(crate) fn check_secret(path: &Path, then: &str) -> Result<(), Rejection> {
     )
     .found(format!("mode {:04o}", found & 0o7777))
     .wanted("mode 0600: its owner alone")
-    .next(format!("chmod 600 {}; {then}", path.display())))
+    .next(format!("chmod 600 {}; {then}", shell::path(path))))
 }
 
 /// The name of an organisation is also the name of its CA's directory.

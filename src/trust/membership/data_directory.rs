@@ -6,6 +6,7 @@ use crate::process::config::{Config, MemberOf};
 use ledger_base::durable::access;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_storage::layout::GENESIS_FILE;
 use std::io::ErrorKind;
 
@@ -14,7 +15,7 @@ pub(crate) fn way_back(config: &Config, node: &str) -> String {
     let (who, name) = node.split_once('/').map_or(("its organisation", "NAME"), |(who, name)| (who, name));
     format!(
         "an admin of {who} types ledgerctl network invite --node {name}, then here: ledgerd join TOKEN --config {}",
-        config.file.display()
+        shell::path(&config.file)
     )
 }
 
@@ -41,7 +42,7 @@ pub(crate) fn nothing_here(config: &Config, error: &std::io::Error) -> Rejection
         Some(joined) if node.is_empty() => format!("{}/{}", joined.organisation, joined.name),
         _ => node.clone(),
     };
-    let file = config.file.display();
+    let file = shell::path(&config.file);
     if node.is_empty() {
         return Rejection::new(Code::BadFile, format!("there is no node in {data}"))
             .found(found)

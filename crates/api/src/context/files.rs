@@ -6,6 +6,7 @@
 
 use ledger_base::durable::SECRET_MODE;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -66,7 +67,7 @@ pub(super) fn read_secret(path: &Path) -> Result<String, Rejection> {
         if mode & OTHERS != 0 {
             return Err(bad_file(path, format!("mode {mode:04o}: others can read or change the key"))
                 .wanted(format!("mode {SECRET_MODE:04o}"))
-                .next(format!("chmod 600 {}, and enrol again if somebody may have read it", path.display())));
+                .next(format!("chmod 600 {}, and enrol again if somebody may have read it", shell::path(path))));
         }
     }
     read(path)

@@ -24,7 +24,10 @@ pub(crate) fn text(path: &Path) -> Result<String, Rejection> {
     if path.is_dir() {
         return Err(Rejection::new(Code::BadFile, format!("{} is a directory", path.display()))
             .wanted("files with policies in Cedar")
-            .next(format!("name its files: {}/*.cedar", path.display().to_string().trim_end_matches('/'))));
+            .next(format!(
+                "name its files: {}/*.cedar",
+                shell_word(path.display().to_string().trim_end_matches('/'))
+            )));
     }
     ledger_base::text::of_bytes(&bytes::from_file(path)?).map_err(|fault| {
         Rejection::new(Code::BadFile, format!("{} is not text", path.display()))

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
-use crate::words::Words;
+use crate::words::{Words, shell_word};
 use ::bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyEntry};
@@ -87,7 +87,7 @@ fn text(policy: &str) -> Result<Bytes, Rejection> {
         return Err(Rejection::new(Code::BadArgument, "the policy is no text of Cedar")
             .found(format!("{policy}, the name of a file"))
             .wanted("a text such as permit(principal, action, resource);")
-            .next(format!("ledgerctl policy put ID @{policy}")));
+            .next(format!("ledgerctl policy put ID {}", shell_word(&format!("@{policy}")))));
     }
     bytes::argument(policy)
 }

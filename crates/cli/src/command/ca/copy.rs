@@ -9,6 +9,7 @@ use crate::session::Session;
 use ledger_api::{Client, passphrase, v1};
 use ledger_base::durable::SECRET_MODE;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Write};
@@ -74,7 +75,7 @@ impl Facts for Copied<'_> {
         let Self { organisation, file, from } = self;
         writeln!(out, "the CA of {organisation} is in {}, as {from} carries it", file.display())?;
         writeln!(out, "keep file and passphrase apart, and both away from the nodes")?;
-        writeln!(out, "to restore: ledgerctl ca restore {}", file.display())
+        writeln!(out, "to restore: ledgerctl ca restore {}", shell::path(file))
     }
 }
 

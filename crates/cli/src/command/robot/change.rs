@@ -178,11 +178,11 @@ pub(in crate::command) fn ends(out: &mut dyn Write, ended: &[Released], end: &st
 }
 
 /// The name that people type.
-fn typed(setting: &str) -> &str {
+pub(super) fn typed(setting: &str) -> &str {
     KEYS.iter().find(|key| key.field == setting).map_or(setting, |key| key.name)
 }
 
-fn shown(setting: &str, value: &str) -> String {
+pub(super) fn shown(setting: &str, value: &str) -> String {
     match value.parse::<u64>() {
         Ok(ms) if setting.ends_with("_ms") || setting == "lease_ms_max" => time::span(ms.saturating_mul(1000)),
         Ok(speed) if setting.ends_with("_mm_s") => format!("{} m/s", decimal(speed)),
