@@ -180,3 +180,40 @@ fn init_run_and_enrol_work_as_printed() {
     node.interrupt();
     println!("config: 2 commands repeated");
 }
+
+#[test]
+fn a_file_without_its_option_is_shown_behind_it() {
+    let place = TempDir::new().unwrap();
+    for (command, file, tip) in [
+        ("bridge", "salma.toml", "did you mean '--config salma.toml'?"),
+        ("check", "my node.toml", "did you mean '--config 'my node.toml''?"),
+    ] {
+        let done = ledgerd(&[command, file], place.path());
+        assert_eq!(done.status.code(), Some(64), "{done:?}");
+        let told = text(&done.stderr);
+        assert!(told.contains(tip) && !told.contains("'-- "), "{told}");
+    }
+}
+
+#[test]
+fn results_that_cannot_be_written_are_an_error() {
+    let place = TempDir::new().unwrap();
+    for arguments in [&["completions", "bash"][..], &["--help"], &["--version"]] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let done = programs::node().args(arguments).current_dir(place.path()).stdout(full).output().unwrap();
+        let told = text(&done.stderr);
+        assert_eq!(done.status.code(), Some(3), "{arguments:?}: {told}");
+        assert!(told.contains("cannot write the results to standard output") && told.contains("LGR-7002"), "{told}");
+    }
+}
+
+#[test]
+fn a_command_that_is_printed_quotes_an_odd_path() {
+    let place = TempDir::new().unwrap();
+    let data = place.path().join("data of node 1");
+    let file = place.path().join("node 1.toml");
+    fs::write(&file, format!("data = {data:?}\n")).unwrap();
+    let done = ledgerd(&["run", "--config", file.to_str().unwrap()], place.path());
+    let told = text(&done.stderr);
+    assert!(told.contains(&format!("--config '{}'", file.display())), "{told}");
+}

@@ -59,7 +59,7 @@ fn a_dangerous_robot_is_acquired_when_others_have_agreed() {
     owner.run(&["robot", "set", "Turtlebot4/cmd_vel", "confirm=2", "confirm-within=5m"]).ok();
     let asked = salma.run(&["acquire", "Turtlebot4"]);
     assert_eq!(asked.code, 5, "{asked:?}");
-    for part in ["2 others must confirm you", "ledgerctl confirm Turtlebot4/cmd_vel Org1/Salma", "admins of Org2"] {
+    for part in ["waiting for 2 confirmations", "ledgerctl confirm Turtlebot4/cmd_vel Org1/Salma", "admins of Org2"] {
         assert!(asked.stdout.contains(part), "{part:?} in {asked:?}");
     }
     salma.run(&["confirm", "Turtlebot4", "Org1/Salma"]).refused(3, &["cannot confirm itself"]);

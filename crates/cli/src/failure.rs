@@ -37,8 +37,8 @@ impl From<io::Error> for Failure {
             _ => Self::Refused(
                 Rejection::new(Code::BadFile, "cannot write the results to standard output")
                     .found(error.to_string())
-                    .wanted("a terminal, a pipe or a file with room for them")
-                    .next("write somewhere else, and look first whether the command is done already"),
+                    .wanted("a terminal, a pipe, or a file with free space")
+                    .next("write to another place; check first whether the command has taken effect"),
             ),
         }
     }
@@ -48,7 +48,7 @@ impl From<io::Error> for Failure {
 pub(crate) fn unreadable(path: &std::path::Path, error: &io::Error) -> Rejection {
     Rejection::new(Code::BadFile, format!("cannot read {}", path.display()))
         .found(error.to_string())
-        .next("check the path and the rights on it")
+        .next("check the path and its permissions")
 }
 
 /// The same facts as the four lines, for `-o json`.

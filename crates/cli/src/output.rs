@@ -109,6 +109,11 @@ pub(crate) fn warn(format: Format, message: &str, next: &str) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
+/// JSON for people on one line, with times in local time; none if it is not JSON.
+pub(crate) fn brief(json: &str) -> Option<String> {
+    Tree::read(json).ok().map(|tree| tree.to_brief())
+}
+
 /// Columns of text, each as wide as its widest cell.
 pub(crate) struct Table {
     rows: Vec<Vec<String>>,

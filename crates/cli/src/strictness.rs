@@ -5,15 +5,16 @@
 pub(crate) fn strictness(since: Option<u64>, began_at: u64) -> String {
     let began = beginning(began_at);
     match since {
-        None => "no: one organisation that lies can have another block certified".to_owned(),
+        None => "no: one lying organisation could have another block certified".to_owned(),
         Some(since) if since <= began_at => {
             format!(
-                "since block {since}, on the whole way from {began}: no organisation alone can have another block certified"
+                "since block {since}, for the whole chain from {began}: no single organisation can have another block \
+                 certified"
             )
         }
         Some(since) => format!(
-            "since block {since}, and not between {began} and block {since}: one organisation that lied then could have other \
-             blocks certified"
+            "since block {since}, but not between {began} and block {since}: a lying organisation could have had \
+             other blocks certified then"
         ),
     }
 }

@@ -145,9 +145,13 @@ fn a_reader_that_goes_away_is_no_error() {
 
 #[test]
 fn output_that_cannot_be_written_is_an_error() {
-    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let output = Machine::new().command(&["explain", "HELD"]).stdout(full).output().unwrap();
-    transcript(&output).refused(3, "LGR-7002", &["cannot write the results to standard output"]);
+    for args in
+        [&["explain", "HELD"][..], &["completions", "bash"], &["--help"], &["--version"], &["acquire", "--help"]]
+    {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = Machine::new().command(args).stdout(full).output().unwrap();
+        transcript(&output).refused(3, "LGR-7002", &["cannot write the results to standard output"]);
+    }
 }
 
 #[test]

@@ -17,6 +17,7 @@ from ledgerd.events import Deliveries, Wanted
 from ledgerd.rclpy_messages import serialize
 from ledgerd.refusal import Expired, Refusal, refusal
 from ledgerd.senders import ABAC
+from ledgerd.spans import scaled
 
 if TYPE_CHECKING:
     from ledgerd.aio import Client
@@ -56,7 +57,7 @@ class Published:
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked for: a service, for how long without use, how long to wait for it, and with which priority."""
+    """The terms of a request: service, longest wait and lease in seconds, priority."""
 
     service: str
     wait: float = 0.0
@@ -65,9 +66,9 @@ class Asked:
 
     def arguments(self) -> tuple[bytes, bytes]:
         """As the chaincode wants it. Without a wait it refuses instead of putting us in line."""
-        options: dict[str, int] = {"wait_ms": int(self.wait * 1000)}
+        options: dict[str, int] = {"wait_ms": scaled("wait", self.wait, 1000)}
         if self.lease is not None:
-            options["lease_ms"] = int(self.lease * 1000)
+            options["lease_ms"] = scaled("lease", self.lease, 1000)
         if self.priority is not None:
             options["priority"] = self.priority
         return self.service.encode(), json.dumps(options).encode()

@@ -17,6 +17,7 @@ use crate::records::{line, robot, store, target, task};
 use crate::rules::terms::QUEUE_MAX;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{
@@ -124,11 +125,11 @@ fn read(ctx: &Context<'_>, principal: &Principal, args: Arguments<'_>) -> Result
     let now = ctx.block_time();
     let earliest = spec.not_before.unwrap_or(now).max(now);
     if let Some(deadline) = spec.deadline.filter(|deadline| *deadline <= earliest) {
-        return Err(bad(format!("deadline {deadline} µs"), &format!("a deadline after {earliest} µs")));
+        return Err(bad(format!("deadline {}", rfc3339(deadline)), &format!("a deadline after {}", rfc3339(earliest))));
     }
     if let Some(time) = spec.not_before.filter(|time| *time >= principal.not_after) {
-        let wanted = format!("a time before {} µs, when the certificate runs out", principal.not_after);
-        return Err(bad(format!("not_before {time} µs"), &wanted));
+        let wanted = format!("a time before {}, when the certificate expires", rfc3339(principal.not_after));
+        return Err(bad(format!("not_before {}", rfc3339(time)), &wanted));
     }
     Ok(spec)
 }

@@ -9,6 +9,7 @@ use crate::records::reader::{GRACE_US, MadeFor};
 use crate::records::robot::Robot;
 use crate::records::target::Target;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
@@ -46,7 +47,7 @@ pub(crate) fn check_key(
         return Err(stale(format!("key {key}, which is not the newest one of {publisher}")));
     };
     if shared.until <= ctx.block_time() {
-        return Err(stale(format!("key {key}, which was good until {} µs", shared.until)));
+        return Err(stale(format!("key {key}, which expired at {}", rfc3339(shared.until))));
     }
     if shared.made_for != made_for(ctx, target)? && !active(Mutation::KeepAnOldContentKey) {
         return Err(stale(format!("key {key}, from before a change of readers, policies or the robot")));

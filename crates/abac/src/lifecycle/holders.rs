@@ -57,9 +57,9 @@ pub(crate) fn holders_of(who: &str, holders: &[Holding]) -> String {
     }
 }
 
-/// When a grant ends, for people and for programs.
+/// The expiry of a grant, for people; programs read `expires`.
 pub(crate) fn until(grant: &Grant) -> String {
-    format!("{} ({} µs)", rfc3339(grant.expires), grant.expires)
+    rfc3339(grant.expires)
 }
 
 /// The smallest sequence number that `set` accepts from a publisher in an epoch.

@@ -125,13 +125,14 @@ fn closed(owner: &str, refused: String, windows: &[String]) -> Rejection {
 
 /// The refusal of something that the owner's admins may always do, and others if a policy permits the action.
 fn may_not(principal: &Principal, owner: &str, refused: String, action: &str, why: &Explanation) -> Rejection {
-    let or = match nearest(why) {
-        Some((found, wanted)) => format!("; found {found}; wanted {wanted}"),
-        None => String::new(),
+    // The nearest policy shows what is missing; its condition and its value belong to the lines of their own.
+    let (found, or) = match nearest(why) {
+        Some((found, wanted)) => (format!("; {found}"), format!("; or {wanted}")),
+        None => (String::new(), String::new()),
     };
     let by_rule = if action == RobotAction::Stop.name() { BY_RULE } else { "" };
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits {action}"))
-        .found(format!("role {} of {}", principal.role, principal.organisation))
+        .found(format!("role {} of {}{found}", principal.role, principal.organisation))
         .wanted(format!("an admin of {owner},{by_rule} or a permit that names the action {action}{or}"))
         .next(format!("ask an admin of {owner}, or read the policies: ledgerctl policy list"))
 }

@@ -64,6 +64,10 @@ fn a_permit_that_names_no_action_gives_neither_override_nor_confirm_nor_stop_nor
             let no = may(&mut fleet, &guest(), right);
             assert!(!no.allowed && no.name == "DENIED_BY_POLICY", "{right} by {policies}: {no:?}");
             assert!(no.wanted.contains(&format!("a permit that names the action {right}")), "{no:?}");
+            assert!(
+                !no.wanted.contains("found") && !no.found.contains("wanted"),
+                "each line has its own values: {no:?}"
+            );
             assert_eq!(call(&fleet, &guest(), right), Code::DeniedByPolicy, "{right} by {policies}");
         }
         for right in RIGHTS {

@@ -92,7 +92,7 @@ codes! {
         "send the same transaction again with the certificate attached";
     /// Block time has passed the transaction's `not_after`.
     Expired = 1006 "EXPIRED" Invalid,
-        "make a new transaction";
+        "the command was not executed and will not be; if it is still wanted, send a new one";
     /// `not_after` lies further ahead of block time than ids are remembered.
     NotAfterTooFar = 1007 "NOT_AFTER_TOO_FAR" Invalid,
         "sign it again with an earlier not_after, and check this machine's clock";

@@ -61,15 +61,15 @@ fn millionths(text: &str) -> Result<Option<i64>, String> {
         None => (false, text.strip_prefix('+').unwrap_or(text)),
     };
     if ["nan", "inf", "infinity"].iter().any(|word| digits.eq_ignore_ascii_case(word)) {
-        return Err("is no finite number".to_owned());
+        return Err("is not finite".to_owned());
     }
     let (whole, part) = digits.split_once('.').unwrap_or((digits, ""));
     let is_number = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
     if whole.len() + part.len() == 0 || !is_number(whole) || !is_number(part) {
-        return Err("is no decimal number such as -2.5".to_owned());
+        return Err("is not a decimal number such as -2.5".to_owned());
     }
     if part.len() > DECIMALS {
-        return Err(format!("has {} decimals, of which at most {DECIMALS} are kept", part.len()));
+        return Err(format!("has {} decimals, but at most {DECIMALS} are possible", part.len()));
     }
     let size = format!("{whole}{part:0<DECIMALS$}").parse::<i64>().ok();
     Ok(size.map(|size| if negative { -size } else { size }))

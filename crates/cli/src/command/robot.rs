@@ -22,7 +22,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// Register robots and see them.
+/// Register and show robots.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Robot {
     Add(Add),
@@ -34,9 +34,9 @@ pub(crate) enum Robot {
 
 /// Register a robot of your organisation; for admins.
 ///
-/// A name that is registered already is refused: `robot set` changes settings of that robot, `--replace` all of it.
+/// A name that is registered already is rejected: `robot set` changes settings of that robot, `--replace` all of it.
 ///
-/// Without --trust only attributes of your own organisation count. To let others use the robot: `ledgerctl share`.
+/// Without --trust, only attributes of your own organisation count. To let others use the robot: `ledgerctl share`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -64,21 +64,22 @@ pub(crate) struct Add {
         help = "TOPIC=TYPE[,KEY=VALUE]…, such as mode=limited,publishers=2; the keys are those of `robot set`"
     )]
     services: Vec<ServiceSpec>,
-    /// An organisation whose attributes count; without, your own alone, and with --replace those that counted before
+    /// An organisation whose attributes count; by default only your own, with --replace those that counted before
     #[arg(long = "trust", value_name = "ORG")]
     trusted: Vec<String>,
-    /// A fact for policies: kind=crane is a text, payload_kg=20 a number, zones=a,b a set; give it once for each
+    /// An attribute for policies: kind=crane is a text, payload_kg=20 a number, zones=a,b a set; may be given several
+    /// times
     #[arg(long = "attribute", value_name = "NAME=VALUE")]
     attributes: Vec<Capability>,
-    /// Put this description in the place of the robot's present one; grants that it does not allow end
+    /// Replace the existing description of the robot; grants that the new one does not permit end
     #[arg(long)]
     replace: bool,
-    /// Register the robot's identity, too, and print the line with which the robot's machine enrols
+    /// Also register the robot's identity, and print the command with which the robot's machine enrols
     #[arg(long)]
     enrol: bool,
 }
 
-/// List the robots and who operates them.
+/// List the robots with their holders.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl robot list")]
 pub(crate) struct List {}
@@ -93,7 +94,7 @@ pub(crate) struct Show {
     name: String,
 }
 
-/// Take a robot out of service; ends every grant of it. For admins of its owner.
+/// Remove a robot; its grants end. For admins of its owner.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl robot remove Husky")]
 pub(crate) struct Remove {
@@ -148,10 +149,10 @@ impl Robot {
 async fn identity_of(session: &Session, name: String) -> Result<Invitation, Rejection> {
     let made = Invitation::make(session, name.clone(), (Role::Robot, false), BTreeMap::new(), SECRET_LIFE).await;
     made.map_err(|mut refused| {
-        refused.message = format!("the robot is registered, its identity is not: {}", refused.message);
+        refused.message = format!("the robot is registered, but its identity is not: {}", refused.message);
         match refused.code {
             Code::AlreadyRegistered if refused.found.starts_with("role robot") => {
-                refused.next(format!("give it a new secret: ledgerctl identity register {name} --reissue"))
+                refused.next(format!("create a new secret for it: ledgerctl identity register {name} --reissue"))
             }
             Code::AlreadyRegistered => refused,
             _ => refused.next(format!("try again: ledgerctl identity register {name} --role robot")),

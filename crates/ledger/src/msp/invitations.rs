@@ -16,6 +16,7 @@ use crate::chaincode::Context;
 use crate::network::{FoundingOrganisation, hex_list};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{PublicKey, SigningKey};
 use ledger_identity::{NAME_BYTES_MAX, check_readable, looks};
@@ -229,8 +230,8 @@ fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
     organisations::check_room(ctx)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(INVITATION_LIFE_MAX) {
-        return Err(Rejection::new(Code::BadArgument, "the invitation ends at an impossible time")
-            .found(format!("{expires} µs, block time {now} µs"))
+        return Err(Rejection::new(Code::BadArgument, "the expiry of the invitation is out of range")
+            .found(format!("{}, block time {}", rfc3339(expires), rfc3339(now)))
             .wanted("a time in the next 30 days"));
     }
     Ok(())

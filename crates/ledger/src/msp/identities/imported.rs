@@ -10,6 +10,7 @@ use super::{IssuedCertificate, is_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, check_name};
 use ledger_storage::state::Overlay;
@@ -102,9 +103,11 @@ pub(crate) fn check_barred(identity: &Identity, overlay: &Overlay) -> Result<(),
     }
     Err(Rejection::new(Code::Revoked, format!("the certificates of {} were revoked", identity.id()))
         .found(format!(
-            "one that begins at {} µs; {} revoked the name at {} µs",
-            identity.valid_from, barred.by, barred.time
+            "a certificate valid from {}; {} revoked the name at {}",
+            rfc3339(identity.valid_from),
+            barred.by,
+            rfc3339(barred.time)
         ))
-        .wanted("a certificate that begins later")
+        .wanted("a certificate whose validity begins later")
         .next(format!("have the CA of {} issue a new one with a new key", identity.organisation)))
 }

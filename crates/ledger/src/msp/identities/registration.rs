@@ -8,6 +8,7 @@ use super::{IdentityRecord, IssuedCertificate, REGISTRATION_LIFE_MAX, Secret, co
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::encode_attributes;
 use ledger_identity::{ATTRIBUTE_FORM, Role, check_new_name, check_readable, read_attribute, shown_attribute};
@@ -56,8 +57,8 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     check_form(&attributes)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(REGISTRATION_LIFE_MAX) {
-        return Err(Rejection::new(Code::BadArgument, "the secret would end at an impossible time")
-            .found(format!("{expires} µs, block time {now} µs"))
+        return Err(Rejection::new(Code::BadArgument, "the expiry of the secret is out of range")
+            .found(format!("{}, block time {}", rfc3339(expires), rfc3339(now)))
             .wanted("a time in the next 365 days"));
     }
     let organisation = &caller.organisation;
