@@ -42,7 +42,7 @@ impl FailureHandle {
     /// The node cannot go on, for this reason.
     pub(crate) fn fail(&self, reason: Rejection) {
         let reason = advised(reason, &self.config);
-        tracing::error!(code = reason.code.name(), %reason, "the node cannot continue");
+        tracing::error!(code = reason.code.name(), %reason, "node cannot continue");
         self.ended.send_replace(Some(Ended::Failed(reason)));
     }
 

@@ -67,7 +67,8 @@ pub(crate) fn refuse_restored(config: &Config) -> Result<(), Rejection> {
 }
 
 /// The way back of a contradicted node.
-pub(crate) const CONTRADICTED_NEXT: &str = "ledgerd rejoin --config FILE; it verifies the certified branch, keeps this one for auditors, and brings the node back";
+pub(crate) const CONTRADICTED_NEXT: &str = "ledgerd rejoin --config FILE; it verifies the certified branch, keeps \
+                                            this one for auditors, and brings the node back";
 
 /// Refuses a data directory whose chain a strict certificate contradicts.
 ///
@@ -78,7 +79,7 @@ pub(crate) fn refuse_contradicted(config: &Config) -> Result<(), Rejection> {
         None => Ok(()),
         Some(branch) => Err(Rejection::new(
             Code::Contradicted,
-            "this node has stopped because enough voters have certified another block than it has executed",
+            "this node has stopped because enough voters certified another block than it has executed",
         )
         .found(format!("the certificate of block {}", branch.certificate().statement.height))
         .wanted(format!("block {} at height {}", branch.block(), branch.height()))
@@ -110,6 +111,6 @@ pub(crate) fn refuse_rejoining(config: &Config) -> Result<(), Rejection> {
     }
     Err(Rejection::new(Code::BadFile, format!("ledgerd rejoin was interrupted in {}", config.data.display()))
         .found("a node without its old number and blocks, and perhaps without new ones")
-        .wanted("a rejoin that has ended")
-        .next(format!("type it again, with the same options: ledgerd rejoin --config {}", shell::path(&config.file))))
+        .wanted("a rejoin that is complete")
+        .next(format!("run it again, with the same options: ledgerd rejoin --config {}", shell::path(&config.file))))
 }

@@ -86,20 +86,20 @@ impl Audience {
     }
 
     fn full(&self, person: bool) -> Rejection {
-        let kept = if person { ", a quarter of which is kept for robots and nodes" } else { "" };
-        Rejection::new(Code::Overloaded, "the node has as many subscriptions as it accepts")
+        let kept = if person { ", a quarter of which is reserved for robots and nodes" } else { "" };
+        Rejection::new(Code::Overloaded, "the node has reached its limit of subscriptions")
             .wanted(format!("at most {} (limits.subscribers_max){kept}", self.places_max))
-            .next("subscribe at another node")
+            .next("subscribe through another node")
     }
 
     fn beyond_share(&self, who: &str, open: u64, free: u64) -> Rejection {
         Rejection::new(Code::Overloaded, format!("{who} has too many subscriptions at this node"))
             .found(format!("{open} subscriptions"))
             .wanted(format!(
-                "at most as many as there are places free, {free} of {} (limits.subscribers_max)",
+                "at most as many as there are free slots, {free} of {} (limits.subscribers_max)",
                 self.places_max
             ))
-            .next("end those that are not needed, or subscribe at another node")
+            .next("close unused subscriptions, or subscribe through another node")
     }
 
     fn lock(&self) -> MutexGuard<'_, Table> {

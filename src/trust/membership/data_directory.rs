@@ -14,7 +14,7 @@ use std::io::ErrorKind;
 pub(crate) fn way_back(config: &Config, node: &str) -> String {
     let (who, name) = node.split_once('/').map_or(("its organisation", "NAME"), |(who, name)| (who, name));
     format!(
-        "an admin of {who} types ledgerctl network invite --node {name}, then here: ledgerd join TOKEN --config {}",
+        "an admin of {who} runs ledgerctl network invite --node {name}, then here: ledgerd join TOKEN --config {}",
         shell::path(&config.file)
     )
 }
@@ -48,7 +48,7 @@ pub(crate) fn nothing_here(config: &Config, error: &std::io::Error) -> Rejection
             .found(found)
             .wanted("the data directory of a node")
             .next(format!(
-                "for a node of a network: {}; ledgerd init --organisation NAME --config {file} founds a new network",
+                "for a node of a network: {}; ledgerd init --organisation NAME --config {file} creates a new network",
                 way_back(config, "")
             ));
     }
@@ -95,7 +95,7 @@ pub(crate) fn check_member(config: &Config, network: Hash, me: &Member) -> Resul
     Err(Rejection::new(Code::BadConfiguration, format!("{data} is the data directory of another node"))
         .found(format!("node {found} of network {found_network}"))
         .wanted(format!("node {wanted} of network {wanted_network}, as [member] of {file} says"))
-        .next("give each node its own configuration and data directory"))
+        .next("use a separate configuration and data directory for each node"))
 }
 
 #[cfg(test)]

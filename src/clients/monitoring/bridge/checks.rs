@@ -8,7 +8,7 @@ use ros_bridge::{Level, Status};
 /// All parts, by what is seen of the bridge.
 pub(super) fn all(view: &BridgeView) -> Vec<Check> {
     match view {
-        BridgeView::Waits(None) => vec![Check::failed("graph", "the bridge has not begun yet".to_owned())],
+        BridgeView::Waits(None) => vec![Check::failed("graph", "the bridge has not started yet".to_owned())],
         BridgeView::Waits(Some(reason)) => waiting(reason),
         BridgeView::Runs(standing) => running(standing),
     }
