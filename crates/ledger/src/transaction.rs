@@ -163,10 +163,10 @@ impl Transaction {
     /// [`Code::TooLarge`] beyond a limit, [`Code::Malformed`] if the bytes or the lengths of fields are wrong.
     pub fn decode(encoded: Bytes) -> Result<Self, Rejection> {
         if encoded.len() > TRANSACTION_BYTES_MAX {
-            return Err(Rejection::new(Code::TooLarge, "transaction is too large")
+            return Err(Rejection::new(Code::TooLarge, "the transaction is too large")
                 .found(format!("{} bytes", encoded.len()))
                 .wanted(format!("at most {TRANSACTION_BYTES_MAX} bytes"))
-                .next("split it into several"));
+                .next("split it into several transactions"));
         }
         let envelope = Envelope::decode(encoded.clone()).map_err(|error| malformed(&error.to_string()))?;
         let body = Body::decode(envelope.body.clone()).map_err(|error| malformed(&error.to_string()))?;
@@ -227,8 +227,11 @@ impl Transaction {
 
     fn verify_whole(&self, key: &PublicKey) -> Result<(), Rejection> {
         key.verify(&signed_bytes(&self.envelope.body), &self.envelope.signature).map_err(|error| {
-            Rejection::new(Code::BadSignature, format!("signature of transaction {} is not valid: {error}", self.id()))
-                .wanted(format!("a signature by the key of certificate {}", self.creator()))
+            Rejection::new(
+                Code::BadSignature,
+                format!("the signature of transaction {} is not valid: {error}", self.id()),
+            )
+            .wanted(format!("a signature by the key of certificate {}", self.creator()))
         })
     }
 
@@ -286,7 +289,7 @@ fn signed_id(id: &Hash) -> Vec<u8> {
 }
 
 fn malformed(what: &str) -> Rejection {
-    Rejection::new(Code::Malformed, format!("bytes are no transaction: {what}"))
+    Rejection::new(Code::Malformed, format!("the bytes are not a transaction: {what}"))
         .wanted("an encoded ledgerd.v1.Transaction (transaction.proto)")
 }
 
@@ -298,9 +301,9 @@ fn check_encoding(name: &str, message: &impl Message, found: usize) -> Result<()
     if found == wanted {
         return Ok(());
     }
-    Err(malformed(&format!("{name} has fields that it should not have, or has one twice"))
+    Err(malformed(&format!("{name} has unknown fields, or a field twice"))
         .found(format!("{found} bytes, of which its fields account for {wanted}"))
-        .wanted(format!("the fields of {name} in transaction.proto and no others, in canonical encoding")))
+        .wanted(format!("exactly the fields of {name} in transaction.proto, in canonical encoding")))
 }
 
 fn check_form(body: &Body) -> Result<(), Rejection> {
@@ -323,7 +326,7 @@ fn check_form(body: &Body) -> Result<(), Rejection> {
         }
     }
     if body.args.len() > ARGUMENTS_MAX {
-        return Err(Rejection::new(Code::TooLarge, "transaction has too many arguments")
+        return Err(Rejection::new(Code::TooLarge, "the transaction has too many arguments")
             .found(body.args.len().to_string())
             .wanted(format!("at most {ARGUMENTS_MAX}")));
     }

@@ -95,8 +95,8 @@ fn commanded(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
     if target.service.direction == Direction::Command && !target.is_for_readers() {
         return Ok(target);
     }
-    Err(Rejection::new(Code::BadArgument, format!("{} takes no tasks", target.id))
-        .found(if target.is_for_readers() { "places of subscribers" } else { "a feed: the robot publishes there" })
+    Err(Rejection::new(Code::BadArgument, format!("{} does not accept tasks", target.id))
+        .found(if target.is_for_readers() { "subscriber slots" } else { "a feed: the robot publishes there" })
         .wanted("a command service")
         .next(format!("choose a command service: ledgerctl robot show {}", target.robot.name)))
 }
@@ -138,7 +138,7 @@ fn read(ctx: &Context<'_>, principal: &Principal, args: Arguments<'_>) -> Result
 fn check_unconfirmed(target: &Target) -> Result<(), Rejection> {
     let Some(wanted) = target.service.sharing.confirm else { return Ok(()) };
     let id = &target.id;
-    Err(Rejection::new(Code::BadArgument, format!("{id} takes no tasks: others must confirm who uses it"))
+    Err(Rejection::new(Code::BadArgument, format!("{id} does not accept tasks: it requires confirmations"))
         .found(format!("confirm={wanted}"))
         .wanted("a service without confirm")
         .next(format!("acquire it and command the robot without a task: ledgerctl acquire {id}")))

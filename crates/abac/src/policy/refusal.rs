@@ -67,8 +67,8 @@ pub(crate) fn explain(
             .found(format!("organisation {}", principal.organisation))
             .wanted(format!("one of {}", robot.trusted.join(", ")))
             .next(format!(
-                "{ask_owner}: ledgerctl share {name} --with {who}, or, so that all attributes of {org} count, ledgerctl robot set \
-                 {name} trust={trusted},{org}",
+                "{ask_owner}: ledgerctl share {name} --with {who}, or, so that all attributes of {org} count, \
+                 ledgerctl robot set {name} trust={trusted},{org}",
                 name = robot.name,
                 org = principal.organisation,
                 trusted = robot.trusted.join(",")
@@ -103,7 +103,7 @@ fn nearest(why: &Explanation) -> Option<(String, String)> {
     let wanted: Vec<&str> = failed.iter().map(|failed| failed.wanted.as_str()).collect();
     Some((
         found.join("; "),
-        format!("{}, as policy {policy} demands, or another policy that permits it", wanted.join("; ")),
+        format!("{}, as policy {policy} requires, or another policy that permits it", wanted.join("; ")),
     ))
 }
 
@@ -118,9 +118,9 @@ fn forbidden(ids: &[String], why: &Explanation) -> String {
 /// The refusal of what policies permit at other times.
 fn closed(owner: &str, refused: String, windows: &[String]) -> Rejection {
     Rejection::new(Code::DeniedByPolicy, format!("{refused} now: the policies of {owner} permit it at other times"))
-        .found("a time outside of every window")
+        .found("a time outside all windows")
         .wanted(format!("a time within {}", windows.join(", or ")))
-        .next("try again when the window is open")
+        .next("try again within a window")
 }
 
 /// The refusal of something that the owner's admins may always do, and others if a policy permits the action.

@@ -148,7 +148,7 @@ impl Look {
         self.stage = match before {
             _ if self.silent == 0 => Stage::Closed,
             Stage::Asking if is_due && self.is_enough() => {
-                tracing::info!(silent = self.silent, "begins without the answer of silent nodes");
+                tracing::info!(silent = self.silent, "starting without the answer of unreachable nodes");
                 Stage::Open
             }
             _ if is_due => Stage::Closed,
@@ -177,9 +177,9 @@ impl Look {
         let shown = has.receipts.iter().take(RECEIPTS_MAX).find(|receipt| key.shows_loss(receipt, *term, *last));
         let proof = match shown {
             Some(Receipt { index, .. }) => {
-                Some((*index, format!("of which {} shows this node's own receipt", who.name)))
+                Some((*index, format!("according to {}, which shows this node's own receipt", who.name)))
             }
-            None => self.claimed(who, has.yours).map(|height| (height, "as most voters say".to_owned())),
+            None => self.claimed(who, has.yours).map(|height| (height, "according to most voters".to_owned())),
         };
         let Some((height, proof)) = proof else { return Ok(()) };
         Err(Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had before")
@@ -196,7 +196,7 @@ impl Look {
         }
         tracing::warn!(
             node = %who.name, height, last = *last,
-            "a node says that this voter had more blocks than it has, and shows no receipt"
+            "a node reports that this voter had more blocks than now, without showing a receipt"
         );
         if who.id != self.own.id && voters.contains_key(&who.id) {
             self.claims.insert(who.id, height);

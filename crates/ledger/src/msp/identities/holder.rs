@@ -61,7 +61,7 @@ pub(in super::super) fn holder(ctx: &Context<'_>, id: &Bytes) -> Result<Bytes, R
             return json(&CertifiedHolder::of(holder));
         }
     }
-    Err(unknown(format!("{} certificates of {shown}, none of which is valid", record.certificates.len())))
+    Err(unknown(format!("{} certificates of {shown}, none of them valid", record.certificates.len())))
 }
 
 impl CertifiedHolder {

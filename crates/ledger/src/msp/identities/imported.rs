@@ -64,7 +64,7 @@ pub(super) fn revoke(
     check_name(name).map_err(|error| Rejection::from(error).code(Code::BadArgument))?;
     if name == caller.name {
         return Err(Rejection::new(Code::LastOne, format!("{} may not revoke itself", caller.id()))
-            .wanted(format!("another admin of {}, so that one is left", caller.organisation)));
+            .wanted(format!("another admin of {}, so that at least one remains", caller.organisation)));
     }
     let organisation = &caller.organisation;
     let seen = ctx.range(seen_of(organisation, name).as_bytes(), SEEN_MAX);
