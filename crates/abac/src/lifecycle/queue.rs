@@ -87,7 +87,7 @@ pub(crate) fn check_room(
     let waits = line::of_certificate(ctx, &principal.issuer.0, &serial).len();
     if waits >= WAITS_MAX {
         return Err(Rejection::new(Code::LimitExceeded, format!("{} waits in too many queues", principal.id()))
-            .found(format!("{waiting} queues"))
+            .found(format!("{waits} queues"))
             .wanted(format!("fewer than {WAITS_MAX}"))
             .next("leave a queue first: ledgerctl release ROBOT/TOPIC"));
     }
