@@ -78,9 +78,9 @@ fn policies_with_the_mark_of_an_editor_are_read_and_other_files_are_named() {
     owner.run(&["policy", "apply", &notepad]).ok();
     let fleet = file("fleet.toml", b"\xef\xbb\xbforganisation = \"Org2\"\n");
     owner.run(&["diff", &fleet]).ok();
-    owner.run(&["policy", "apply", &fleet]).refused(3, &["has no policies", "ledgerctl apply "]);
+    owner.run(&["policy", "apply", &fleet]).refused(3, &["contains no policies", "ledgerctl apply "]);
     let fleet = file("robots.toml", b"[robot.Husky]\ntrust = [\"Org1\", \"Org2\"]\n");
-    owner.run(&["policy", "apply", &fleet]).refused(3, &["has no policies", "ledgerctl apply "]);
+    owner.run(&["policy", "apply", &fleet]).refused(3, &["contains no policies", "ledgerctl apply "]);
     owner.run(&["apply", &notepad]).refused(3, &["ledgerctl policy apply "]);
     let spaces = file("guests (1).cedar", text.as_bytes());
     owner.run(&["policy", "apply", &spaces]).refused(3, &["mv ", "guests-1.cedar"]);

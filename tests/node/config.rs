@@ -102,7 +102,7 @@ fn a_log_in_a_file_is_json_unless_somebody_wants_text() {
     };
     let is_json = |line: &str| {
         let line = serde_json::from_str::<serde_json::Value>(line).ok()?;
-        line["fields"]["message"].as_str().map(|message| message.starts_with("admin page"))
+        line["fields"]["message"].as_str().map(|message| message.starts_with("monitoring"))
     };
     assert_eq!(is_json(&said("", None)), Some(true));
     assert_eq!(is_json(&said("", Some("json"))), Some(true));

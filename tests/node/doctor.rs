@@ -36,7 +36,7 @@ fn a_network_that_lacks_nothing_is_well_and_stops_side_doors_and_revocations_are
         ("quorum", "1 of 1 answers"),
         ("peers", "Org1/node1"),
         ("side doors", "none is reported of 3 robots"),
-        ("policy", "the built-in one decides"),
+        ("policy", "the built-in policy decides"),
     ];
     eventually("nothing is lacking", || {
         let well = findings(&salma);

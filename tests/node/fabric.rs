@@ -204,7 +204,7 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     };
     import("plain", "plain").ok();
     import("gone", "gone").ok();
-    import("gone", "plain").refused(3, &["LGR-7002", "the key is not that of the certificate"]);
+    import("gone", "plain").refused(3, &["LGR-7002", "the key does not belong to the certificate"]);
     import("stranger", "stranger").refused(3, &["no role in the units \"member\""]);
     let (salma, plain, gone) = (ctl.as_("Salma"), ctl.as_("plain"), ctl.as_("gone"));
     plain.run(&["acquire", "Rover"]).refused(2, &["LGR-3001"]);
@@ -217,7 +217,7 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     salma.run(&["can", "salma", "acquire", "Rover"]).ok();
     let could = chief.run(&["can", "chief", "acquire", "Rover", "--who-could"]);
     assert_eq!(could.code, 2, "{could:?}");
-    assert!(could.stdout.contains("the ledger lists nobody of your organisation"), "{could:?}");
+    assert!(could.stdout.contains("the ledger lists no identity of your organisation"), "{could:?}");
     let matrix = chief.run(&["can", "--matrix"]).ok().stdout;
     assert!(matrix.contains("Org3/chief") && !matrix.contains("salma"), "{matrix}");
 

@@ -116,7 +116,7 @@ async fn after_a_voter_was_set_back_the_node_with_the_other_history_stops_and_al
     let ended = second.wait();
     let log = second.stderr();
     assert_eq!(ended.code(), Some(7), "{ended}\n{log}");
-    assert!(log.contains("LGR-5008") && log.contains("most voters have another history"), "{log}");
+    assert!(log.contains("LGR-5008") && log.contains("the history of most voters differs"), "{log}");
     for node in [0, 2] {
         let observer = network.at(node, &network.owner).await;
         until("the others show it", || async {

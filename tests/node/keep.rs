@@ -71,10 +71,10 @@ fn the_end_of_a_kept_grant_has_its_reason_and_an_exit_code_of_its_kind() {
 
     let mut kept = keep(&salma, logs.path(), "stopped", &[SERVICE]);
     let stopped = owner.run(&["stop", "Turtlebot4"]).ok().stdout;
-    assert!(stopped.contains("after `ledgerctl resume` they acquire again"), "{stopped}");
+    assert!(stopped.contains("the holders must acquire again after `ledgerctl resume`"), "{stopped}");
     ended(&mut kept, 5, &["the robot was stopped", "[LGR-3020]", "once it is resumed: ledgerctl acquire"]);
     let resumed = owner.run(&["resume", "Turtlebot4"]).ok().stdout;
-    assert!(resumed.contains("grants that the stop ended do not come back: acquire again"), "{resumed}");
+    assert!(resumed.contains("grants that the stop ended are not restored"), "{resumed}");
 
     let mut kept = keep(&salma, logs.path(), "taken", &[SERVICE]);
     owner.run(&["take", SERVICE, "--reason", "test"]).ok();

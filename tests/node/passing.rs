@@ -24,7 +24,7 @@ fn a_holder_passes_a_robot_on_by_name_and_takes_it_back_until_a_link_is_revoked(
     dev.owner().run(&["robot", "set", "Turtlebot4/cmd_vel", "delegable=true"]).ok();
     salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Guest"]).refused(2, &["LGR-3001", "Org1/Guest"]);
     salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Nobody"]).refused(3, &["LGR-1013", "identity list"]);
-    salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Salma"]).refused(3, &["the holder itself"]);
+    salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Salma"]).refused(3, &["the receiver is the holder"]);
 
     let told = salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Farhad", "--for", "1h"]).ok().stdout;
     for part in ["Turtlebot4/cmd_vel is now held by Org1/Farhad", "by way of  Org1/Salma"] {

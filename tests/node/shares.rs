@@ -111,8 +111,8 @@ fn a_robot_and_its_identity_are_registered_in_one_step_and_a_name_in_another_cas
     let spot = ["robot", "add", "Spot", "--attr-required", "Spot", "--service", "/cmd_vel=geometry_msgs/msg/Twist"];
     owner
         .run(&["identity", "register", "husky", "--role", "robot"])
-        .refused(3, &["robot Husky", "case of its letters"]);
-    owner.run(&[&["robot", "add", "husky"], &spot[3..]].concat()).refused(3, &["robot Husky", "case of its letters"]);
+        .refused(3, &["robot Husky", "upper and lower case"]);
+    owner.run(&[&["robot", "add", "husky"], &spot[3..]].concat()).refused(3, &["robot Husky", "upper and lower case"]);
     let added = owner.run(&[&spot[..], &["--enrol"]].concat()).ok();
     assert!(
         added.stdout.contains("registered Org2/Spot") && added.stdout.contains("ledgerctl enroll Spot --node"),

@@ -77,7 +77,7 @@ fn without_a_context_people_are_told_how_to_get_one() {
         machine.run(args).refused(3, "LGR-7003", &["no context is selected", "ledgerctl enroll NAME"]);
     }
     let list = machine.run(&["context", "list"]);
-    assert_eq!((list.code, list.stdout.as_str()), (0, "no context yet; `ledgerctl enroll` makes one\n"));
+    assert_eq!((list.code, list.stdout.as_str()), (0, "no contexts; `ledgerctl enroll` creates one\n"));
     assert_eq!(machine.run(&["context", "list", "-o", "json"]).stdout, "[]\n");
 }
 

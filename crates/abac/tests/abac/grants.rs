@@ -111,7 +111,7 @@ fn a_lease_that_runs_out_ends_at_the_start_of_the_block_that_reaches_it() {
     assert_eq!(fleet.newest::<Released>("released").reason, Reason::Expired);
     assert!(fleet.next_deadline().unwrap() > grant.expires);
     let refusal = fleet.set_refused(&salma(), Code::NotHolder, TURTLEBOT, 1, 1);
-    assert_eq!(refusal.found, "held by nobody");
+    assert_eq!(refusal.found, "no holder");
     fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
 }
 

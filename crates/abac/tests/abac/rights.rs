@@ -129,7 +129,7 @@ fn a_permit_without_a_named_action_is_about_services_and_not_about_a_robot() {
     {
         let text = format!("permit (principal, action, {resource});");
         let refused = fleet.refused(&owner(), Code::PolicyInvalid, "policy", &["put", "p", &text]);
-        assert!(refused.found.contains("the permit gives nothing"), "{refused}");
+        assert!(refused.found.contains("the permit has no effect"), "{refused}");
         let named = format!("permit (principal, action == Action::\"stop\", {resource});");
         fleet.ok(&owner(), "policy", &["put", "p", &named]);
     }

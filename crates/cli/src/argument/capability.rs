@@ -91,7 +91,7 @@ mod tests {
         ] {
             assert_eq!(read(typed), Ok(wanted), "{typed}");
         }
-        assert!(read("\"a").unwrap_err().contains("does not end"));
+        assert!(read("\"a").unwrap_err().contains("quote is missing"));
         assert!(read("crane,payload_kg=20").unwrap_err().contains("payload_kg=20 looks like another attribute"));
         assert!(read("9223372036854775808").unwrap_err().contains("quotes"));
     }

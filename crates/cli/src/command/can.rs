@@ -307,7 +307,7 @@ mod tests {
         assert!(text(&no).ends_with(&format!("\n{UNLISTED}\n")), "{}", text(&no));
         assert!(text(&Matrix(vec![])).contains(UNLISTED));
         no.is_listed = true;
-        assert!(text(&no).ends_with("\nnobody of your organisation could, of those whom the ledger lists\n"));
+        assert!(text(&no).ends_with("\nno listed identity of your organisation could\n"));
     }
 
     #[test]

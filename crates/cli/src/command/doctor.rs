@@ -165,6 +165,6 @@ wrong   clock            9 s ahead
 1 wrong, 1 to think about
 ";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
-        assert!(Report::of(vec![Finding::unknown("peers", "no answer", "look again")]).ok);
+        assert!(Report::of(vec![Finding::unknown("peers", "no answer", "run the command again")]).ok);
     }
 }

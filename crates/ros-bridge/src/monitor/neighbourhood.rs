@@ -275,7 +275,7 @@ impl Neighbourhood {
                 );
             }
             Err(error) if self.warnings.spend(Instant::now()) => {
-                tracing::warn!(%topic, %error, "cannot hear what another bridge delivers here");
+                tracing::warn!(%topic, %error, "cannot receive messages that another bridge delivers here");
             }
             Err(_) => {}
         }

@@ -110,7 +110,7 @@ mod tests {
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
                       nobody whom the ledger knows could publish to Husky any more\n\
-                      nobody whom the ledger lists can do more or less afterwards\n";
+                      no listed identity gains or loses permissions\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

@@ -120,6 +120,6 @@ mod tests {
         }
         let mut out = Vec::new();
         Sets(vec![]).text(&mut out).unwrap();
-        assert_eq!(String::from_utf8(out).unwrap(), "no set of policies yet: the built-in policy decides\n");
+        assert_eq!(String::from_utf8(out).unwrap(), "no policy sets: the built-in policy decides\n");
     }
 }

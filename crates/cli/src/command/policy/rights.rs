@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
         let mut out = Vec::new();
         changes(&mut out, &PolicyDiff::default()).unwrap();
-        assert_eq!(String::from_utf8(out).unwrap(), "nobody whom the ledger lists can do more or less afterwards\n");
+        assert_eq!(String::from_utf8(out).unwrap(), "no listed identity gains or loses permissions\n");
     }
 
     #[test]

@@ -45,7 +45,7 @@ impl TopicOutput {
     pub(crate) fn follow(&mut self, qos: &Qos) {
         match (self.open)(qos) {
             Ok(opened) => self.writer = opened,
-            Err(error) => tracing::warn!(%error, "the topic is offered as before"),
+            Err(error) => tracing::warn!(%error, "cannot change the publisher; the topic is offered as before"),
         }
     }
 
