@@ -403,7 +403,7 @@ async function story() {
   await go(owner, "#/policies/Org2", "Policies");
   say("wants policy");
   await shows(owner, "weekend applies to no one today");
-  await shows(owner, "Org1/Mallory, which is unknown today");
+  await shows(owner, "Org1/Mallory, which does not exist");
 
   // Stop is one click in the list of robots, too.
   await go(owner, "#/robots", "Robots");

@@ -199,7 +199,7 @@ fn a_node_that_a_strict_certificate_contradicts_stops_and_comes_back_by_the_comm
         let (code, _, refused) = scene.certified.run(&nima, &["robot", "list"]).await;
         assert!(code == 4 && refused.contains("LGR-4001"), "{code} {refused}");
         let (_, shown, _) = scene.certified.run(&scene.salma, &["light", "Turtlebot4"]).await;
-        assert!(shown.contains("since block 0, on the whole way from the genesis"), "{shown}");
+        assert!(shown.contains("since block 0, for the whole chain from the genesis"), "{shown}");
 
         let back = programs::said(&scene.rejoin().output().unwrap());
         assert!(back.contains(&lost) && back.contains("dead-branch-1"), "{back}");

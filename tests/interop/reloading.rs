@@ -58,7 +58,7 @@ fn on_sighup_routes_come_and_go_and_the_others_are_not_touched() {
 
         world.config_of("Salma", &format!("{HEAD}node_name = 'other'\n{down}"));
         bridge.signal(Signal::HUP);
-        world.line("Salma", &["WARN", "only routes change while the bridge runs"]).await;
+        world.line("Salma", &["WARN", "only routes can be reloaded"]).await;
         world.line("Salma", &["route 1 has ended"]).await;
         world.line("Salma", &["1 routes ended, 0 started"]).await;
         until_matched(writer.matched(), 0).await;

@@ -96,7 +96,7 @@ fn with_the_first_carriers_disk_lost_another_one_issues_and_any_node_registers_a
     });
     // The node whose disk is lost is forgotten, and the last carrier does not leave without a question.
     third.run(&["ca", "forget", "node1"]).ok();
-    third.run(&["network", "remove", "node2"]).refused(3, &["--i-mean-it", "enrol or renew", "ca carry"]);
+    third.run(&["network", "remove", "node2"]).refused(3, &["--i-mean-it", "enrolment and renewal", "ca carry"]);
 }
 
 #[test]
@@ -268,7 +268,7 @@ fn an_enrolment_that_breaks_off_anywhere_is_finished_by_the_same_command_with_th
     let _ended = child.kill();
     child.wait().unwrap();
     let ran = user.run(&farhad);
-    assert!(ran.code == 0 || ran.stderr.contains("there is a context"), "{ran:?}");
+    assert!(ran.code == 0 || ran.stderr.contains("exists already"), "{ran:?}");
     user.as_("Farhad").run(&["robot", "list"]).ok();
     assert_eq!(state(&ctl, "Farhad")["certificates"].as_array().unwrap().len(), 1);
 }

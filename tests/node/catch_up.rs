@@ -130,7 +130,7 @@ async fn a_voter_that_hears_a_majority_does_not_wait_for_a_silent_node() {
     one.interrupt();
     one = fleet.nodes[0].start();
     eventually("it orders before the learner has said anything", || {
-        (said(&one, "begins without the answer of silent nodes") > 0).then_some(())
+        (said(&one, "starting without the answer of unreachable nodes") > 0).then_some(())
     });
     let height = blocks(&fleet, &users, 0, 3).await;
     agree(&at(&fleet, &owner, 0).await, &at(&fleet, &owner, 1).await, height).await;

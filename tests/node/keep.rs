@@ -78,14 +78,14 @@ fn the_end_of_a_kept_grant_has_its_reason_and_an_exit_code_of_its_kind() {
 
     let mut kept = keep(&salma, logs.path(), "taken", &[SERVICE]);
     owner.run(&["take", SERVICE, "--reason", "test"]).ok();
-    ended(&mut kept, 2, &["Org2/Admin took it in an emergency", "[LGR-3006]"]);
+    ended(&mut kept, 2, &["overridden by Org2/Admin in an emergency", "[LGR-3006]"]);
     owner.run(&["release", SERVICE]).ok();
 
     // Of several grants that are kept together, the loss of one ends the other.
     let both = ["Turtlebot4", "Husky", "--all-or-none"];
     let mut kept = keep(&salma, logs.path(), "together", &both);
     owner.run(&["release", SERVICE, "--holder", "Org1/Salma"]).ok();
-    ended(&mut kept, 2, &["Turtlebot4/cmd_vel is yours no longer: its owner took it back"]);
+    ended(&mut kept, 2, &["Turtlebot4/cmd_vel is no longer held: its owner revoked the grant"]);
     assert_eq!(expires(&salma, "Husky/cmd_vel"), None);
 
     let mut kept = keep(&salma, logs.path(), "terminated", &["Husky", "--for", "5m"]);

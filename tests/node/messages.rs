@@ -53,7 +53,7 @@ fn what_the_type_does_not_admit_is_refused_before_it_costs_anything() {
         ("{linear: {x: fast}}", ["linear.x: this is no float64", "\"fast\""]),
         ("{linear: 1}", ["geometry_msgs/msg/Vector3", "{x: …, y: …, z: …}"]),
         ("{linear: {x: 0.5}", ["not understood as YAML", "quotes"]),
-        ("", ["the message is empty", "{} is a message with nothing but defaults"]),
+        ("", ["the message is empty", "{} is a message with default values"]),
         ("0.5", ["this is no geometry_msgs/msg/Twist", "{linear: {x: 0.0"]),
     ] {
         publish(&[message]).refused(3, &words);

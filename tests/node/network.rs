@@ -66,7 +66,7 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     );
     let id = &waits["proposal"]["id"].as_str().unwrap()[..12];
     let done = owner.run(&["network", "approve", id]).ok().stdout;
-    assert_eq!(done, "approved and done: make node Org1/second (id 2) a voter\n");
+    assert_eq!(done, "approved and executed: make node Org1/second (id 2) a voter\n");
     becomes(&boss, "second", "voter").await;
 
     // A leader hands over on demand only after it has led for a while, and says when.

@@ -96,7 +96,7 @@ fn the_network_of_the_example_laptop_runs_as_it_stands() {
     Command::new("kill").arg(node.trim()).status().unwrap();
     let told = String::from_utf8_lossy(&done.stdout).into_owned();
     assert!(done.status.success(), "{told}\n{}", String::from_utf8_lossy(&done.stderr));
-    assert!(told.contains("Turtlebot4/cmd_vel is yours alone"), "{told}");
+    assert!(told.contains("Turtlebot4/cmd_vel is acquired (exclusive)"), "{told}");
 }
 
 /// Makes the package of these programs.

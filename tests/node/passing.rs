@@ -27,7 +27,7 @@ fn a_holder_passes_a_robot_on_by_name_and_takes_it_back_until_a_link_is_revoked(
     salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Salma"]).refused(3, &["the receiver is the holder"]);
 
     let told = salma.run(&["delegate", "Turtlebot4", "--to", "Org1/Farhad", "--for", "1h"]).ok().stdout;
-    for part in ["Turtlebot4/cmd_vel is now held by Org1/Farhad", "by way of  Org1/Salma"] {
+    for part in ["Turtlebot4/cmd_vel is now held by Org1/Farhad", "passed on by  Org1/Salma"] {
         assert!(told.contains(part), "{part:?} in {told}");
     }
     salma

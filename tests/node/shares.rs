@@ -99,7 +99,7 @@ fn a_fleet_is_a_file_that_changes_nothing_when_it_is_applied_again() {
     // Pruned to what was there before.
     fs::write(&path, &exported).unwrap();
     let pruned = owner.run(&["apply", file, "--prune", "--yes"]).ok();
-    assert!(pruned.stdout.contains("robot Spot is taken out of service"), "{pruned:?}");
+    assert!(pruned.stdout.contains("robot Spot is removed"), "{pruned:?}");
     assert_eq!(owner.run(&["export"]).ok().stdout, exported);
     salma.run(&["apply", file, "--prune", "--yes"]).refused(2, &[]);
 }

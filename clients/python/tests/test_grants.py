@@ -99,7 +99,7 @@ class Grants(unittest.TestCase):
             grant = robot.acquire("Husky/cmd_vel")
             with self.assertRaises(ledgerd.Conflict) as refused:
                 other.acquire("Husky/cmd_vel", wait=0.4)
-            self.assertIn("as long as you waited", refused.exception.message)
+            self.assertIn("your whole waiting time", refused.exception.message)
             self.assertEqual(self.line("Husky/cmd_vel"), [])
 
             async def gives_up() -> None:

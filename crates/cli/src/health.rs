@@ -227,7 +227,7 @@ mod tests {
         assert_eq!(told(3, 3, true), "3 of 3 answer; failures tolerated: 1");
         assert_eq!(told(3, 2, true), "2 of 3 answer; failures tolerated: none (1 with all of them)");
         assert_eq!(told(3, 1, false), "1 of 3 answers; 2 are needed to order");
-        assert_eq!(told(3, 2, false), "2 of 3 answer; no leader is known");
+        assert_eq!(told(3, 2, false), "2 of 3 answer; no leader");
         assert_eq!(told(5, 5, true), "5 of 5 answer; failures tolerated: 2");
     }
 

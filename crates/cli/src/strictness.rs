@@ -31,9 +31,9 @@ mod tests {
     #[test]
     fn a_way_that_was_strict_in_part_is_shown_as_such() {
         assert!(strictness(None, 0).starts_with("no: one lying organisation"));
-        assert!(strictness(Some(0), 0).starts_with("since block 0, on the whole way from the genesis: "));
-        assert!(strictness(Some(7), 9).starts_with("since block 7, on the whole way from block 9: "));
-        assert!(strictness(Some(7), 0).starts_with("since block 7, and not between the genesis and block 7: "));
-        assert!(strictness(Some(7), 5).starts_with("since block 7, and not between block 5 and block 7: "));
+        assert!(strictness(Some(0), 0).starts_with("since block 0, for the whole chain from the genesis: "));
+        assert!(strictness(Some(7), 9).starts_with("since block 7, for the whole chain from block 9: "));
+        assert!(strictness(Some(7), 0).starts_with("since block 7, but not between the genesis and block 7: "));
+        assert!(strictness(Some(7), 5).starts_with("since block 7, but not between block 5 and block 7: "));
     }
 }

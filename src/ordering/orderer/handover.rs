@@ -116,6 +116,6 @@ mod tests {
         assert_eq!(check_rest(TENURE_MIN), Ok(()));
         let refused = check_rest(Duration::from_millis(2500)).unwrap_err();
         assert_eq!(refused.code, Code::Overloaded);
-        assert!(refused.wanted.contains("in 10 s") && refused.advice() == "ask again in 7.6 s", "{refused}");
+        assert!(refused.wanted.contains("in 10 s") && refused.advice() == "try again in 7.6 s", "{refused}");
     }
 }

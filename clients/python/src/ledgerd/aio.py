@@ -109,10 +109,10 @@ class Client:
         id = done.id.hex()
         raise refusal(
             "CONTRADICTED",
-            f"transaction {id} was executed by a node, and the network does not have it",
+            f"transaction {id} was executed by a node, but is not part of the network's chain",
             found=f"an answer for block {done.height} that is not certified",
             wanted="a certified outcome",
-            next="look at ledgerctl network status, and call again what is still wanted",
+            next="check ledgerctl network status, and repeat calls that are still wanted",
         )
 
     async def certified(self, id: bytes, within: float = CERTIFIED_WITHIN) -> bool:

@@ -33,15 +33,15 @@ _RENEW_AGAIN_AFTER: Final = 0.2
 # How long giving back may hold up a program that ends, in seconds.
 _RELEASE_MAX: Final = 5.0
 _LEFT: Final[Mapping[str, tuple[str, str]]] = {
-    "timed_out": ("HELD", "others held it as long as you waited"),
-    "policy": ("DENIED_BY_POLICY", "its policies no longer permit you to have it"),
+    "timed_out": ("HELD", "others held it for your whole waiting time"),
+    "policy": ("DENIED_BY_POLICY", "its policies no longer permit you to acquire it"),
     "revoked": ("REVOKED", "your certificate is revoked"),
-    "expired": ("CERTIFICATE_EXPIRED", "your certificate has run out"),
-    "unconfirmed": ("HELD", "too few confirmed you in time"),
-    "left": ("HELD", "you left the line with another command"),
-    "removed": ("HELD", "an admin of its owner sent you out of the line"),
-    "robot_removed": ("UNKNOWN_SERVICE", "it was taken out of service"),
-    "rule": ("HELD", "its owner changed the rule, and the line is shorter or gone"),
+    "expired": ("CERTIFICATE_EXPIRED", "your certificate has expired"),
+    "unconfirmed": ("HELD", "not enough confirmations in time"),
+    "left": ("HELD", "another command of yours left the queue"),
+    "removed": ("HELD", "an admin of its owner removed you from the queue"),
+    "robot_removed": ("UNKNOWN_SERVICE", "it was removed"),
+    "rule": ("HELD", "its owner changed the rule, which shortened or removed the queue"),
 }
 
 
@@ -277,13 +277,13 @@ async def _turn(deliveries: Deliveries, contender: str, service: str) -> Mapping
 
 
 def _not_yours(service: str, reason: str) -> Refusal:
-    code, why = _LEFT.get(reason, ("HELD", "you are no longer in line"))
+    code, why = _LEFT.get(reason, ("HELD", "you are no longer in the queue"))
     return refusal(
         code,
-        f"{service} is not yours: {why}",
-        found=f"out of the line: {reason}",
+        f"{service} is not acquired: {why}",
+        found=f"removed from the queue: {reason}",
         wanted=f"a grant of {service}",
-        next=f"to see who holds it and who waits: ledgerctl queue {service}",
+        next=f"to see holders and queue: ledgerctl queue {service}",
     )
 
 

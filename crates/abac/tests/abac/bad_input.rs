@@ -93,7 +93,7 @@ fn spans_are_neither_negative_nor_endless() {
         (format!(r#""deadline":{}"#, now - SECOND), "a deadline after"),
         (format!(r#""not_before":{},"deadline":{}"#, now + 9 * SECOND, now + 8 * SECOND), "a deadline after"),
         (r#""deadline":-1"#.to_owned(), "not_before, deadline"),
-        (r#""not_before":18446744073709551615"#.to_owned(), "when the certificate runs out"),
+        (r#""not_before":18446744073709551615"#.to_owned(), "when the certificate expires"),
         (r#""lease_ms":99"#.to_owned(), "100 to"),
     ] {
         let task = two(&more);

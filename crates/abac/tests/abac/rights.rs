@@ -116,7 +116,7 @@ fn a_condition_about_a_right_that_the_scope_does_not_name_is_rejected_with_its_p
             "forbid (principal, action in [Action::\"acquire\", Action::{right:?}], resource) when {{ action != Action::{right:?} }};"
         );
         let PolicyCheck { faults, .. } = fleet.get(&salma(), "check", &[&named]);
-        let fits = faults.iter().all(|fault| !fault.message.contains("speaks of"));
+        let fits = faults.iter().all(|fault| !fault.message.contains("a condition uses"));
         assert!(fits, "{faults:?}");
     }
 }

@@ -162,7 +162,7 @@ advice  receive buffers  small
 wrong   clock            9 s ahead
                          try: timedatectl set-ntp true
 
-1 wrong, 1 to think about
+1 wrong, 1 to review
 ";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
         assert!(Report::of(vec![Finding::unknown("peers", "no answer", "run the command again")]).ok);

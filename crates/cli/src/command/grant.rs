@@ -408,7 +408,7 @@ mod tests {
     #[test]
     fn a_grant_says_whose_which_epoch_and_how_long() {
         let shown = text(&granted(false, Mode::EXCLUSIVE));
-        for part in ["Turtlebot4/cmd_vel is yours alone", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
+        for part in ["Turtlebot4/cmd_vel is acquired (exclusive)", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
             assert!(shown.contains(part), "{part:?} in {shown}");
         }
         for part in
@@ -421,9 +421,9 @@ mod tests {
             "it is renewed already"
         );
         assert!(text(&granted(true, Mode::EXCLUSIVE)).contains("renewed"));
-        assert!(text(&granted(false, Mode::OPEN)).contains("everybody else who may"));
+        assert!(text(&granted(false, Mode::OPEN)).contains("is acquired (shared)"));
         let newer = text(&granted(false, Mode::LIMITED));
-        assert!(newer.contains("Turtlebot4/cmd_vel is yours in mode limited"), "{newer}");
+        assert!(newer.contains("Turtlebot4/cmd_vel is acquired in mode limited"), "{newer}");
     }
 
     #[test]

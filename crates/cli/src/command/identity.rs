@@ -225,6 +225,6 @@ mod tests {
         assert_eq!(state(None, &[revoked.clone(), good.clone()]), "enrolled");
         assert_eq!(state(None, &[revoked]), "revoked");
         assert_eq!(state(None, std::slice::from_ref(&expired)), "expired");
-        assert!(state(Some(15), &[expired]).starts_with("expired, may enrol until"));
+        assert!(state(Some(15), &[expired]).starts_with("expired, can enrol until"));
     }
 }

@@ -314,7 +314,7 @@ mod tests {
         let mut three = look(1, 3, 9, 2);
         assert_eq!(claims(&mut three, 3, claim()), None, "one of three");
         assert_eq!(claims(&mut three, 3, claim()), None, "the same again");
-        assert!(claims(&mut three, 2, claim()).unwrap().wanted.contains("height 12, as most voters say"));
+        assert!(claims(&mut three, 2, claim()).unwrap().wanted.contains("height 12, according to most voters"));
         let mut seven = look(2, 7, 9, 6);
         let one_organisation = [1, 3, 5, 7].map(|id| claims(&mut seven, id, claim()));
         assert_eq!(one_organisation, [const { None }; 4], "Org1 alone");

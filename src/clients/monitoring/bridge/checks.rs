@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn a_bridge_that_waits_says_why_and_whether_the_ledger_answers() {
-        assert_eq!(told(&BridgeView::Waits(None)), "[-] graph failed: the bridge has not begun yet\n");
+        assert_eq!(told(&BridgeView::Waits(None)), "[-] graph failed: the bridge has not started yet\n");
         let silent = Rejection::new(Code::Unreachable, "no node answers").found("10.0.0.4:7450 refuses");
         let said = told(&BridgeView::Waits(Some(silent)));
         assert!(said.starts_with("[-] ledger failed: LGR-"), "{said}");

@@ -157,6 +157,6 @@ mod tests {
         let name = UnknownName { line: 1, kind: "Robot".into(), name: "Turtelbot4".into(), near: String::new() };
         let told = nameless(&entry, &name);
         assert_eq!(told.state, State::Advice);
-        assert!(told.message.contains("names Robot::\"Turtelbot4\", which is unknown today"), "{}", told.message);
+        assert!(told.message.contains("names Robot::\"Turtelbot4\", which does not exist"), "{}", told.message);
     }
 }

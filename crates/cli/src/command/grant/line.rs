@@ -117,7 +117,7 @@ mod tests {
         let wanted = "\
 Husky/cmd_vel is held by Org1/Salma with epoch 3, expires in 8 s
 POSITION  WHO          PRIORITY  SINCE    UNTIL    TURN
-1         Org1/Farhad  -2        2 s ago  in 58 s  in 8 s if nobody renews
+1         Org1/Farhad  -2        2 s ago  in 58 s  in 8 s unless renewed
 ";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }

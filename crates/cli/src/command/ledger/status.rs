@@ -159,7 +159,7 @@ mod tests {
         let mut text = Vec::new();
         node.text(&mut text).unwrap();
         let text = String::from_utf8_lossy(&text);
-        assert!(text.contains("0 of 0 committed, fetches up to 9"), "{text}");
+        assert!(text.contains("0 of 0 committed, fetching up to 9"), "{text}");
         assert!(text.ends_with("\nattention: Org1/node1: height 5 of 9\n  try      wait\n"), "{text}");
         let json = serde_json::to_string(&node).unwrap();
         assert_eq!(json.matches(r#""attention":"#).count(), 1, "{json}");

@@ -217,7 +217,7 @@ mod tests {
             "proposed: make node Org2/node2 (id 2) a voter\n",
             "  approved by  Org1\n",
             "  missing      1 of Org2, Org3\n",
-            "next, an admin of Org2 or Org3 types:\n  ledgerctl network approve abababababab\n",
+            "to approve, an admin of Org2 or Org3 runs:\n  ledgerctl network approve abababababab\n",
         ] {
             assert!(text.contains(part), "{part:?} in {text}");
         }

@@ -111,7 +111,7 @@ mod tests {
         let (voter, learner) = (NodeRole::Voter, NodeRole::Learner);
         let all = || vec![node(1, voter, 3), node(2, voter, 3), node(3, learner, 2)];
         let text = told(None, all());
-        for part in ["in force   2, since", "Org1/node1 speaks up to 3", "--activate 3\n", "0.2.0"] {
+        for part in ["in force   2, since", "Org1/node1 supports up to 3", "--activate 3\n", "0.2.0"] {
             assert!(text.contains(part), "{part:?} in {text}");
         }
         let silent = told(None, vec![node(1, voter, 3), node(2, voter, 2)]);

@@ -126,9 +126,9 @@ mod tests {
         let mut out = Vec::new();
         checked.text(&mut out).unwrap();
         let wanted = "a.cedar:12:8: attribute `nam` not found\n  12 | \twhen { principal.nam == 1 };\n     | \t      \
-                      ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: fine\n  line 3: any user may acquire any service\n    when \
+                      ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: no errors\n  line 3: any user may acquire any service\n    when \
                       their role is admin\n    with at most 0.2 m/s\n    warning: it applies to no current identity that the ledger lists\n    without stop, resume: a permit must name \
-                      them\n  warning: line 3 names User::\"Org1/Late\", which is unknown today\n";
+                      these actions\n  warning: line 3 names User::\"Org1/Late\", which does not exist\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

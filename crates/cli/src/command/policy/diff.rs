@@ -109,7 +109,7 @@ mod tests {
         let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
-                      nobody whom the ledger knows could publish to Husky any more\n\
+                      no known identity could publish to Husky any more\n\
                       no listed identity gains or loses permissions\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }

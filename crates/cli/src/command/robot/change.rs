@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn nothing_that_changes_is_said_too() {
-        assert_eq!(text(vec![], vec![], false), "Husky is as it was: it has these settings already\n");
+        assert_eq!(text(vec![], vec![], false), "nothing to change: Husky has these settings already\n");
         let dry = text(vec![setting("/cmd_vel", "stop_hex", "00010000", "")], vec![], true);
         assert_eq!(dry, "Husky would change\n  /cmd_vel  stop  00010000  ->  none\nno grant would end\n");
     }
@@ -261,7 +261,7 @@ mod tests {
     #[test]
     fn refusals_name_what_people_type() {
         let refused = Rejection::new(Code::BadArgument, "lease_ms_max of service /cmd_vel is out of range")
-            .next("lease_ms is 20 ms, and lease_ms_max is never shorter: set both");
+            .next("lease_ms is 20 ms, and lease_ms_max must not be shorter: set both");
         let refused = in_words_of_the_command_line(refused);
         assert_eq!(refused.message, "lease-max of service /cmd_vel is out of range");
         assert_eq!(refused.advice(), "lease is 20 ms, and lease-max is never shorter: set both");

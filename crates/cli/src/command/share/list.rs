@@ -155,7 +155,7 @@ mod tests {
             .unwrap();
         let wanted = "SHARE    OF    ROBOT          WITH                  MAY                          WHEN           LIMITS\n\
                       share-x  Org2  Husky/cmd_vel  Org1 with guest=true  use                          08:00-18:00 Z  0.3 m/s\n\
-                      share-x  Org2                                       see its text: it was edited\n";
+                      share-x  Org2                                       edited: see its text\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }
