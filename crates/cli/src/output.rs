@@ -161,7 +161,7 @@ impl Table {
         let widths = match room {
             Some(room) => {
                 let fitted = screen::fitted(widths, &least, room);
-                if self.has_headings && screen::whole(&fitted) > room {
+                if self.has_headings && self.rows.len() > 1 && screen::whole(&fitted) > room {
                     return self.write_stacked(out, indent, room);
                 }
                 fitted
@@ -171,7 +171,8 @@ impl Table {
         for row in &self.rows {
             self::row(out, row, &widths, indent)?;
         }
-        Ok(())
+        // Headings alone look like an answer that was cut off.
+        if self.has_headings && self.rows.len() == 1 { writeln!(out, "{}(none)", " ".repeat(indent)) } else { Ok(()) }
     }
 
     /// For a terminal that is too narrow for the columns: each row as lines of a heading and a cell, with an empty line between
@@ -247,6 +248,12 @@ mod tests {
             let widest = within(room).lines().map(|line| line.chars().count()).max().unwrap();
             assert!(widest <= room, "{widest} columns on {room}");
         }
+    }
+
+    #[test]
+    fn a_table_without_rows_is_said_to_have_none() {
+        assert_eq!(written(&Table::new(["NODE", "STATE"]), 2), "  NODE  STATE\n  (none)\n");
+        assert_eq!(written(&Table::pairs(), 0), "");
     }
 
     #[test]
