@@ -109,7 +109,10 @@ fn a_log_in_a_file_is_json_unless_somebody_wants_text() {
     assert_eq!(is_json(&said("[log]\nformat = 'json'\n", Some("text"))), Some(true));
     for (log, wanted) in [("", Some("text")), ("[log]\nformat = 'text'\n", None)] {
         let line = said(log, wanted);
-        assert!(line.contains("INFO monitoring endpoint listening") && !line.contains('{') && !line.contains('\u{1b}'), "{line}");
+        assert!(
+            line.contains("INFO monitoring endpoint listening") && !line.contains('{') && !line.contains('\u{1b}'),
+            "{line}"
+        );
     }
 }
 

@@ -255,7 +255,10 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     // Nobody waits for a list: an admin revokes a person by name.
     plain.run(&["whoami"]).ok();
     let shown = chief.run(&["identity", "revoke", "plain", "--reason", "laptop stolen"]).ok().stdout;
-    assert!(shown.contains("certificates of plain whose validity begins before") && shown.contains("check the spelling"), "{shown}");
+    assert!(
+        shown.contains("certificates of plain whose validity begins before") && shown.contains("check the spelling"),
+        "{shown}"
+    );
     plain.run(&["acquire", "Rover"]).refused(2, &["LGR-2004"]);
 
     // All of it is there after a restart.

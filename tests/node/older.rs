@@ -73,7 +73,9 @@ async fn story() {
     assert_eq!(status.code(), Some(1), "{}", learner.stderr());
     let told = learner.stderr();
     for part in [
-        &format!("error: this release of ledgerd does not support rules {newest}, with which block {height} is executed"),
+        &format!(
+            "error: this release of ledgerd does not support rules {newest}, with which block {height} is executed"
+        ),
         "[LGR-5007]",
         &format!("found   rules {newest} from block {height} on"),
         &format!("wanted  rules {first}"),

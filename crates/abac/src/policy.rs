@@ -229,11 +229,7 @@ impl Engine {
         if more > 0 {
             faults.push(format!("{more} more"));
         }
-        Err(invalid(
-            "the policy is not acceptable",
-            faults.join("; "),
-            "Cedar policies that validate against the schema",
-        ))
+        Err(invalid("the policy is not acceptable", faults.join("; "), "Cedar policies that match the schema"))
     }
 
     /// The faults of this text as a policy, with their places, or the meaning of its policies.

@@ -159,7 +159,7 @@ fn enough() -> usize {
 }
 
 fn joined(names: BTreeSet<String>) -> String {
-    if names.is_empty() { "nobody".to_owned() } else { names.into_iter().collect::<Vec<_>>().join(" and ") }
+    if names.is_empty() { "none".to_owned() } else { names.into_iter().collect::<Vec<_>>().join(" and ") }
 }
 
 fn read(statement: &Bytes) -> Result<Statement, Rejection> {

@@ -74,7 +74,7 @@ fn check_share(ctx: &Context<'_>, decider: &Decider, target: &Target, share: &Sh
     let given = share.readers.iter().map(|Wrapped { reader, key, .. }| (reader.as_str(), key.as_str()));
     let is_exact = given.eq(wanted.iter().map(|(reader, key)| (reader.as_str(), key.as_str())));
     if !is_exact && !active(Mutation::ShareWithAnybody) {
-        let names = |names: Vec<&str>| if names.is_empty() { "nobody".to_owned() } else { names.join(", ") };
+        let names = |names: Vec<&str>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
         let given: Vec<&str> = share.readers.iter().take(READERS_MAX).map(|one| one.reader.as_str()).collect();
         return Err(Rejection::new(
             Code::ReadersChanged,

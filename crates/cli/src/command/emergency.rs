@@ -21,9 +21,9 @@ use std::time::Duration;
 
 /// Stop a robot: its grants end, and no new ones are given until it is resumed.
 ///
-/// For admins of the robot's owner, identities with the attribute safety=true of organisations that the owner trusts,
-/// the robot itself, holders of its command services, and identities to which the owner's policies permit `stop`.
-/// Holders must acquire again after `resume`.
+/// For admins of the robot's owner, the robot itself, and holders of its command services. Also for identities with the
+/// attribute safety=true of organisations that the owner trusts, and those to which its policies permit `stop`. Holders
+/// must acquire again after `resume`.
 ///
 /// If nothing can be ordered, the robots are notified directly, and the stop is signed and sent again until it is in
 /// force. If the command ends earlier, by Ctrl-C or --timeout, it fails: repeat it.

@@ -89,7 +89,7 @@ impl Replay {
     async fn play(&self, cast: &mut Cast, output: &Output, replayed: &mut Replayed) -> Result<(), Rejection> {
         sleep(NEIGHBOURS_WITHIN).await;
         if timeout(SUBSCRIBERS_WITHIN, cast.heard()).await.is_err() {
-            output.note(&format!("nobody subscribes to {}", cast.unheard().join(", ")));
+            output.note(&format!("no subscribers on {}", cast.unheard().join(", ")));
         }
         let mut reading = Reading::open(&self.file)?;
         let of = cast.recorded();

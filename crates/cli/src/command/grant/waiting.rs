@@ -135,7 +135,7 @@ impl<'s> Waiting<'s> {
     fn state(&self, state: &LineState) -> String {
         let Self { service, contender, .. } = self;
         let holders: Vec<&str> = state.holders.iter().map(|grant| grant.holder.as_str()).collect();
-        let holders = if holders.is_empty() { "nobody".to_owned() } else { holders.join(", ") };
+        let holders = if holders.is_empty() { "none".to_owned() } else { holders.join(", ") };
         if let Some(pending) = state.pending.iter().find(|pending| pending.contender == *contender) {
             return format!("{service}: confirmed by {}, held by {holders}", confirm::state(pending));
         }

@@ -28,8 +28,8 @@ const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Show the state of every node of the network.
 ///
-/// Each node is asked for its own state. ROLE is its current role in the ordering, TARGET the role on the ledger,
-/// REPLICATED the last block that the leader has sent to it, and SIGNED UP TO the last height whose state it has
+/// Each node is asked for its own state. ROLE is its current role in the ordering, TARGET the role on the ledger.
+/// REPLICATED is the last block that the leader has replicated to it, SIGNED UP TO the last height whose state it has
 /// signed. Exits with 4 if nothing can be ordered: no majority of the voters answers, or there is no leader.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\

@@ -188,12 +188,12 @@ fn missing(needs: &[PolicyNeed]) -> String {
     let missing = needs.iter().filter(|need| need.missing > 0);
     let missing: Vec<String> =
         missing.map(|need| format!("{} more for {} ({})", need.missing, need.quorum, need.of)).collect();
-    if missing.is_empty() { "nobody".to_owned() } else { missing.join("; ") }
+    if missing.is_empty() { "none".to_owned() } else { missing.join("; ") }
 }
 
 fn approvers(proposal: &PolicyProposal) -> String {
     let names: Vec<&str> = proposal.approved.iter().map(|approval| approval.who.as_str()).collect();
-    if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
 /// Writes a proposal as facts.
