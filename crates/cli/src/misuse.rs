@@ -20,7 +20,7 @@ pub(crate) fn parse(arguments: &[OsString]) -> Result<Cli, clap::Error> {
     Cli::try_parse_from(arguments).map_err(|error| corrected(error, arguments))
 }
 
-fn corrected(mut error: clap::Error, arguments: &[OsString]) -> clap::Error {
+fn corrected(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let words: Vec<String> = arguments.iter().map(|word| word.to_string_lossy().into_owned()).collect();
     if !error.use_stderr() || words.is_empty() {
         return error;
@@ -35,17 +35,15 @@ fn corrected(mut error: clap::Error, arguments: &[OsString]) -> clap::Error {
     if let Some((word, tip)) = option_without_dashes(command, &words, first) {
         let mut fresh = clap::Error::new(ErrorKind::UnknownArgument).with_cmd(command);
         fresh.insert(ContextKind::InvalidArg, ContextValue::String(word));
-        if let Some(usage) = error.remove(ContextKind::Usage) {
-            fresh.insert(ContextKind::Usage, usage);
-        }
+        fresh.insert(ContextKind::Usage, ContextValue::StyledStr(command.clone().render_usage()));
         return tipped(fresh, tip);
     }
     let unknown = match (error.kind(), error.get(ContextKind::InvalidArg)) {
         (ErrorKind::UnknownArgument, Some(ContextValue::String(unknown))) => unknown.clone(),
         _ => return error,
     };
-    let tip = unquoted_message(command, rest)
-        .or_else(|| type_of_a_service(command, &unknown))
+    let tip = type_of_a_service(command, &unknown)
+        .or_else(|| unquoted_message(command, rest).filter(|_| !unknown.starts_with("--")))
         .or_else(|| value_without_option(command, rest, &unknown));
     match tip {
         Some(tip) => tipped(error, tip),
