@@ -4,7 +4,7 @@ use crate::clients::monitoring::{Admin, PageCredentials};
 use crate::node::NodeBuilder;
 use crate::node::supervise::until_stopped;
 use crate::process::config::{Config, Fault, OfBridge};
-use crate::process::terminal::{eprint_line, print_line, stop_signal};
+use crate::process::terminal::{eprint_line, print_line, stop_signal, written};
 use crate::process::{memory, telemetry};
 use crate::tools::ca_commands;
 use crate::tools::{backup, demo, dev, join, lab, prove, recover, setup, verify};
@@ -12,6 +12,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use futures::{Stream, stream};
 use ledger_api::report;
 use ledger_base::rejection::{Class, Code, Rejection};
+use ledger_base::shell;
 use ledger_traces::Tracer;
 use ros_bridge::BridgeMonitor;
 use std::ffi::OsString;
@@ -32,7 +33,8 @@ const FORKED: u8 = 7;
 #[command(
     version,
     about,
-    after_help = "Start with: ledgerd demo    (the whole story in a minute)\n       or: ledgerd dev     (a network for playing)"
+    after_help = "Start with: ledgerd demo    (the experiment in a minute)\n       or: ledgerd dev     (a network for \
+                  trials)"
 )]
 struct Arguments {
     #[command(subcommand)]
@@ -41,52 +43,56 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Plays the paper's experiment for real: two organisations, two users, three robots, real ROS 2 messages.
+    /// Runs the experiment of the paper: two organisations, two users, three robots, real ROS 2 messages.
     Demo(demo::Options),
-    /// Starts a network of one node for playing, with both organisations and the robots of the paper.
+    /// Starts a network of one node for trials, with both organisations and the robots of the paper.
     Dev(dev::Options),
     /// Starts a network of several nodes and organisations on this machine for trials, and removes it at the end.
     ///
-    /// Each node is a process of its own. Contexts for admins, users and robots are in a home of their own, which it prints:
-    /// nothing is written into yours. Ctrl-C ends all processes and removes all files.
+    /// Each node is a separate process. Contexts for admins, users and robots are in a separate home, which it prints:
+    /// nothing is written to yours. Ctrl-C ends all processes and removes all files.
     Lab(lab::Options),
-    /// Starts a configured node.
+    /// Runs a configured node.
     Run(RunOptions),
-    /// Checks a configuration and names every fault at once.
+    /// Checks a configuration and reports all errors at once.
     Check(WithConfig),
-    /// Founds a network of one organisation with one node, in the directory that the configuration names.
+    /// Creates a network of one organisation with one node, in the directory that the configuration names.
     Init(setup::InitOptions),
-    /// Brings a node into a network, with a token from one of its admins.
+    /// Joins a node to a network, with a token from one of its admins.
     Join(join::JoinOptions),
-    /// Brings a node back whose blocks are damaged, lost or contradicted, under a new number; needs its certificate, and no token.
+    /// Brings a node with damaged, lost or contradicted blocks back under a new number; needs its certificate, but no
+    /// token.
     Rejoin(join::RejoinOptions),
-    /// Gives a node another key and certificate, before its renewal is due; it may run.
+    /// Renews the key and certificate of a node before the renewal is due; the node may be running.
     Renew(join::RenewOptions),
-    /// Copies a node, which may run, into a directory, and verifies the copy.
+    /// Backs up a node, which may be running, to a directory, and verifies the backup.
     Backup(backup::BackupOptions),
-    /// Makes a data directory from a backup. A node starts from it only after `rejoin` or `recover`.
+    /// Creates a data directory from a backup. A node starts from it only after `rejoin` or `recover`.
     Restore(backup::RestoreOptions),
-    /// Goes on with one node when most voters are lost for good. Blocks that only they had are gone.
+    /// Forced recovery: continues with one node when most voters are permanently lost. Blocks that only they stored are
+    /// lost.
     Recover(recover::RecoverOptions),
-    /// Writes a file with which gates and light clients begin anew after a recovery: they believe this node then.
+    /// Writes a checkpoint from which gates and light clients start after a forced recovery. They then trust this node
+    /// for the voters.
     Checkpoint(recover::CheckpointOptions),
-    /// Makes a one-time secret for an admin, at a node that carries the CA: a way back for an admin who is locked out.
+    /// Creates a one-time secret for an admin, at a node that holds the CA key: for an admin who is locked out.
     AdminSecret(ca_commands::AdminSecret),
-    /// Copies, restores or gives up the CA that a node carries.
+    /// Backs up, restores or gives up a CA key that a node holds.
     #[command(subcommand)]
     Ca(ca_commands::Ca),
-    /// Joins a ROS 2 graph to the ledger through a remote gateway.
+    /// Connects a ROS 2 graph to the ledger through a remote gateway.
     Bridge(WithConfig),
-    /// Checks the chain of a stopped node or of an archive: every hash, every signature, every verdict executed again.
+    /// Verifies the chain of a stopped node or of an archive: every hash, every signature, and every verdict by
+    /// executing it again.
     ///
-    /// Nothing that the node has computed is trusted. The attestations of nodes are compared. Exits with 1 and names
-    /// the first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the
-    /// others. Blocks that call a chaincode of your own are verified by the program that has that chaincode.
+    /// Trusts no result that the node computed, and compares the signed results of all nodes. Exits with 1 and reports
+    /// the first wrong byte. If the oldest blocks were dropped, execution starts with the snapshot before the others.
+    /// Blocks that call a custom chaincode are verified by the program that contains it.
     Verify(verify::Options),
     /// Proves what policies can never permit.
     #[command(subcommand)]
     Policy(prove::Policy),
-    /// Prints what a shell needs to complete these commands.
+    /// Prints a script for shell completion of these commands.
     Completions {
         /// The shell.
         #[arg(value_enum)]
@@ -95,7 +101,7 @@ enum Command {
     /// Writes the manual pages of all commands into a directory, for packages.
     #[command(hide = true)]
     Man {
-        /// The directory, which exists.
+        /// An existing directory.
         directory: PathBuf,
     },
 }
@@ -112,7 +118,7 @@ struct RunOptions {
     /// The configuration file.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// The machine's clock is right although it was behind block time: the only voter of a network goes on.
+    /// Trust the machine's clock although it is behind block time: the only voter of a network then continues.
     #[arg(long)]
     trust_clock: bool,
 }
@@ -128,12 +134,31 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
     ledger_base::invariant::end_process();
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
-        Err(error) => {
-            let _closed = error.print();
-            return if error.use_stderr() { ExitCode::from(64) } else { ExitCode::SUCCESS };
+        Err(error) if error.use_stderr() => {
+            let _closed = with_config_tip(error).print();
+            return ExitCode::from(64);
         }
+        Err(help) => return exit_code(written(help.print()).map(|()| ExitCode::SUCCESS)),
     };
     exit_code(execute(arguments.command, &builder))
+}
+
+/// `ledgerd bridge salma.toml`: the file needs an option. clap's own tips are `'-- …'`, which helps nobody here.
+fn with_config_tip(mut error: clap::Error) -> clap::Error {
+    use clap::error::{ContextKind, ContextValue, ErrorKind};
+    if error.kind() != ErrorKind::UnknownArgument {
+        return error;
+    }
+    let _misleading = error.remove(ContextKind::Suggested);
+    let wants_file = error.get(ContextKind::Usage).is_some_and(|usage| usage.to_string().contains("--config <FILE>"));
+    if let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidArg)
+        && wants_file
+        && !word.starts_with('-')
+    {
+        let tip = format!("did you mean '--config {}'?", shell::word(word));
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
+    error
 }
 
 /// Runs a program of its own beside the command line, such as an experiment on [`crate::demo`]: a rejection goes to
@@ -175,16 +200,15 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
         Command::Check(WithConfig { config: path }) => {
             let config = load(&path)?;
             print_line(&format!(
-                "{} is fine: data in {}, listens on {}",
+                "{} is valid: data in {}, listens on {}",
                 path.display(),
                 config.data.display(),
                 config.listen
-            ));
-            Ok(())
+            ))
         }
-        Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
+        Command::Init(options) => setup::init(&options).and_then(|text| print_line(&text)),
         Command::Join(options) => {
-            block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
+            block_on(async { join::join(&options).await.and_then(|text| print_line(&text)) })?;
             if options.run {
                 let options = RunOptions { config: options.config, trust_clock: false };
                 return execute(Command::Run(options), builder);
@@ -193,15 +217,15 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
-            block_on(async { join::rejoin(builder, &options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { join::rejoin(builder, &options, &config).await.and_then(|text| print_line(&text)) })
         }
         Command::Renew(options) => {
             let config = load(&options.config)?;
-            block_on(async { join::renew(&options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { join::renew(&options, &config).await.and_then(|text| print_line(&text)) })
         }
         Command::Backup(options) => {
             let config = load(&options.config)?;
-            backup::backup(builder, &options, &config).map(|text| print_line(&text))
+            backup::backup(builder, &options, &config).and_then(|text| print_line(&text))
         }
         Command::Restore(options) => {
             let taken = options.config_of_backup()?;
@@ -209,23 +233,23 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
                 Some(text) => parsed(Config::parse(text, &options.config))?,
                 None => load(&options.config)?,
             };
-            backup::restore(builder, &options, &config, taken.as_deref()).map(|text| print_line(&text))
+            backup::restore(builder, &options, &config, taken.as_deref()).and_then(|text| print_line(&text))
         }
         Command::Recover(options) => {
             let config = load(&options.config)?;
-            block_on(async { recover::recover(builder, &options, &config).await.map(|text| print_line(&text)) })
+            block_on(async { recover::recover(builder, &options, &config).await.and_then(|text| print_line(&text)) })
         }
         Command::Checkpoint(options) => {
             let config = load(&options.config)?;
-            recover::checkpoint(builder, &options, &config).map(|text| print_line(&text))
+            recover::checkpoint(builder, &options, &config).and_then(|text| print_line(&text))
         }
         Command::AdminSecret(command) => {
             let config = load(&command.config)?;
-            command.run(&config, crate::process::clock::wall()).map(|text| print_line(&text))
+            command.run(&config, crate::process::clock::wall()).and_then(|text| print_line(&text))
         }
         Command::Ca(command) => {
             let config = load(command.config())?;
-            command.run(&config).map(|text| print_line(&text))
+            command.run(&config).and_then(|text| print_line(&text))
         }
         Command::Bridge(WithConfig { config: path }) => run_bridge(&path),
         Command::Verify(options) => verify::run(builder, &options),
@@ -236,13 +260,12 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<ExitCode, Rejectio
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Arguments::command(), "ledgerd", &mut script);
-            print_line(&String::from_utf8_lossy(&script));
-            Ok(())
+            print_line(&String::from_utf8_lossy(&script))
         }
         Command::Man { directory } => clap_mangen::generate_to(Arguments::command(), &directory).map_err(|error| {
             Rejection::new(Code::BadFile, format!("cannot write manual pages into {}", directory.display()))
                 .found(error.to_string())
-                .next("name a directory that exists and that you may write to")
+                .next("name an existing directory with write permission")
         }),
     };
     done.map(|()| ExitCode::SUCCESS)
@@ -268,7 +291,7 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
         let changes = read_again(|| {
             let (changed, config) = OfBridge::load(path)?;
             if (&changed.admin, &changed.traces) != (&program.admin, &program.traces) {
-                tracing::warn!("admin and traces change when the bridge starts again: they go on as they are");
+                tracing::warn!("changed [admin] and [traces] settings take effect at the next start of the bridge");
             }
             telemetry::set_level(&changed.log);
             Ok(config.traced(tracer.clone()))
@@ -281,7 +304,8 @@ fn run_bridge(path: &Path) -> Result<(), Rejection> {
 fn read_again<T>(read: impl Fn() -> Result<T, Vec<Fault>>) -> impl Stream<Item = T> {
     use tokio::signal::unix::{SignalKind, signal};
     let hang_ups = signal(SignalKind::hangup());
-    let hang_ups = hang_ups.inspect_err(|error| tracing::warn!(%error, "SIGHUP does not change the routes")).ok();
+    let hang_ups =
+        hang_ups.inspect_err(|error| tracing::warn!(%error, "cannot watch SIGHUP; routes cannot be reloaded")).ok();
     stream::unfold((hang_ups, read), async |(mut hang_ups, read)| {
         loop {
             hang_ups.as_mut()?.recv().await?;
@@ -289,7 +313,9 @@ fn read_again<T>(read: impl Fn() -> Result<T, Vec<Fault>>) -> impl Stream<Item =
                 Ok(config) => return Some((config, (hang_ups, read))),
                 Err(faults) => {
                     for fault in faults {
-                        tracing::error!(code = fault.rejection.code.name(), reason = %fault, "the configuration was not taken over, and everything goes on as before");
+                        tracing::error!(code = fault.rejection.code.name(), reason = %fault, "configuration rejected \
+                                                                                              on reload; the previous \
+                                                                                              one stays in force");
                     }
                 }
             }
@@ -306,7 +332,7 @@ fn parsed<T>(config: Result<T, Vec<Fault>>) -> Result<T, Rejection> {
     config.map_err(|mut faults| {
         let last = faults
             .pop()
-            .map_or_else(|| Rejection::new(Code::BadConfiguration, "configuration is not usable"), Rejection::from);
+            .map_or_else(|| Rejection::new(Code::BadConfiguration, "the configuration is not usable"), Rejection::from);
         for fault in faults {
             eprint_line(&report(&Rejection::from(fault)));
         }

@@ -148,10 +148,11 @@ impl Ordering {
             match orderer.transfer(0, left).await {
                 Ok(RoleChange { leader, .. }) => {
                     let leader = leader.map(|leader| self.directory.name(leader));
-                    return tracing::info!(leader, "handed over the leadership");
+                    return tracing::info!(leader, "leadership transferred");
                 }
                 Err(reason) if deadline <= Instant::now() + HANDOVER_PAUSE => {
-                    return tracing::warn!(code = reason.code.name(), %reason, "could not hand over; the others elect a leader");
+                    return tracing::warn!(code = reason.code.name(), %reason, "leadership transfer failed; the voters \
+                                                                               elect a leader");
                 }
                 // Perhaps the others have just come back, and are heard of in a moment.
                 Err(_) => tokio::time::sleep(HANDOVER_PAUSE).await,

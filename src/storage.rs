@@ -75,7 +75,7 @@ impl Storage {
         let open = || Stores::open(config, &document, registry.clone());
         let opened = match open() {
             Err(full) if full.code == Code::DiskFull && give_up_reserve(&config.data) => {
-                tracing::warn!(data = %config.data.display(), "the disk is full: the reserve is given up to open the stores");
+                tracing::warn!(data = %config.data.display(), "disk full: releasing the reserve to open the stores");
                 open()
             }
             opened => opened,

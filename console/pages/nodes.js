@@ -5,7 +5,7 @@ import { size, span } from "../data/bytes.js";
 import { now } from "../data/ledger.js";
 import { live } from "../data/live.js";
 import { h } from "../view/dom.js";
-import { Asked, empty, facts, onDay, page, table } from "../view/parts.js";
+import { Asked, empty, facts, onDay, page, rejected, table } from "../view/parts.js";
 
 /**
  * @typedef {import("../answers.js").Status} Status
@@ -34,7 +34,9 @@ export function open() {
           ["Node", "Role", "Address", "Connected", "Height", "Lag", "Disk free", "Certificate", "Version"],
           nodes.map((node) => row(node, own, newest)),
         ),
-        !asked.answer && empty("Asking the nodes…"),
+        rejected(asked.error),
+        !asked.answer && asked.error === undefined && empty("Asking the nodes…"),
+        asked.answer && nodes.length === 0 && empty("This node lists no node of the network."),
         h("h2", "This node"),
         describe(own),
         h("h2", "Certificates"),

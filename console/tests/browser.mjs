@@ -303,6 +303,17 @@ async function story() {
     observer.observe(document.body, { childList: true, subtree: true, characterData: true });
   }), BLOCKS_DRIVEN);
   check(lags.join() === "0", `the only node lags: ${lags}`);
+
+  // A rejected request for the nodes shows its reason above the table.
+  await owner.evaluate(() => {
+    const fetched = window.fetch;
+    window.fetch = (place, ...rest) => {
+      if (!String(place).startsWith("/v1/nodes")) return fetched(place, ...rest);
+      window.fetch = fetched;
+      return Promise.resolve(new Response(JSON.stringify({ message: "the nodes are listed for admins only", code: "LGR-3010" }), { status: 403 }));
+    };
+  });
+  await shows(owner, "the nodes are listed for admins only");
   await go(owner, "#/robots/Rover", "Rover");
 
   // A refused action shows its reason.
@@ -403,7 +414,7 @@ async function story() {
   await go(owner, "#/policies/Org2", "Policies");
   say("wants policy");
   await shows(owner, "weekend applies to no one today");
-  await shows(owner, "Org1/Mallory, which is unknown today");
+  await shows(owner, "Org1/Mallory, which does not exist");
 
   // Stop is one click in the list of robots, too.
   await go(owner, "#/robots", "Robots");

@@ -22,11 +22,11 @@ export const meaningsOf = (meanings) =>
         meaning.when.length > 0 && `, when ${meaning.when.join(" and ")}`,
         meaning.limits.length > 0 && `, ${meaning.limits.join(", ")}`,
         unmatched(meaning),
-        meaning.except.length > 0 && h("span.dim", ` — without ${meaning.except.join(", ")}${meaning.effect === "permit" ? ": a permit must name them" : " by the robot and by holders: a forbid must name it"}`),
+        meaning.except.length > 0 && h("span.dim", ` — without ${meaning.except.join(", ")}${meaning.effect === "permit" ? ": a permit must name these actions" : " by the robot and by holders: a forbid must name these actions"}`),
       ),
     ),
   );
 
 /** @param {UnknownName[]} names */
 export const unknownNames = (names) =>
-  names.map(({ line, kind, name, near }) => h("p.warning", { key: `${line} ${kind} ${name}` }, `Line ${line} names ${kind} `, h("code", name), `, which is unknown today${near ? `; ${near}` : ""}.`));
+  names.map(({ line, kind, name, near }) => h("p.warning", { key: `${line} ${kind} ${name}` }, `Line ${line} names ${kind} `, h("code", name), `, which does not exist${near ? `; ${near}` : ""}.`));

@@ -16,8 +16,8 @@ pub(crate) const CHECKS: [&str; 11] =
     ["log", "state", "quorum", "leader", "redundancy", "ca", "certificate", "disk", "clock", "proof", "fault"];
 
 /// Advice where voters are not connected: one that hangs is not started again by a start.
-const SILENT_VOTERS: &str = "on the machine of each silent voter: systemctl status ledgerd; start it if it is stopped, restart it if it \
-                             runs and does not answer";
+const SILENT_VOTERS: &str = "on the machine of each unreachable voter: systemctl status ledgerd; start it if it is \
+                             stopped, restart it if it runs and does not answer";
 
 /// A clock needs attention that is further from those of most voters, microseconds.
 const CLOCK_NEAR_US: u64 = 1_000_000;
@@ -71,13 +71,15 @@ fn warning(check: &str, message: String, next: impl Into<String>) -> Option<Atte
 /// Another node has other blocks, or another state.
 fn log(status: &StatusResponse, is_recovered: bool) -> Option<Attention> {
     let next = if is_recovered {
-        "if those nodes were away while this network was recovered by force: on each of them ledgerd rejoin --config ledgerd.toml, and \
-         nothing here; otherwise where the node that differs from most runs: ledgerd verify DATA, and rejoin only if that finds a fault; \
-         if it finds none, people choose a history: docs/operations.md, No history is certified"
+        "if those nodes were offline during a forced recovery of this network: on each of them ledgerd rejoin \
+         --config ledgerd.toml, and nothing here; otherwise on the machine of the node that differs from most: \
+         ledgerd verify DATA, and rejoin only if it finds a fault; if it finds none, people choose a history: \
+         docs/operations.md, No history is certified"
     } else {
-        "if the network was recovered by force while this node was away, here: ledgerd rejoin --config ledgerd.toml; otherwise \
-         where the node that differs from most runs: ledgerd verify DATA, and rejoin only if that finds a fault; if it finds none, \
-         people choose a history: docs/operations.md, No history is certified"
+        "if this node was offline during a forced recovery of the network, here: ledgerd rejoin --config \
+         ledgerd.toml; otherwise on the machine of the node that differs from most: ledgerd verify DATA, and rejoin \
+         only if it finds a fault; if it finds none, people choose a history: docs/operations.md, No history is \
+         certified"
     };
     if status.divergence.is_empty() { None } else { critical("log", status.divergence.clone(), next) }
 }
@@ -85,7 +87,7 @@ fn log(status: &StatusResponse, is_recovered: bool) -> Option<Attention> {
 /// The node lacks blocks.
 fn state(status: &StatusResponse) -> Option<Attention> {
     let StatusResponse { height, catching_up_to, .. } = status;
-    let message = || format!("height {height} of {catching_up_to}: the node fetches the blocks that it lacks");
+    let message = || format!("height {height} of {catching_up_to}: the node is fetching blocks");
     let next = "wait: ledgerctl network status shows the progress";
     if *catching_up_to == 0 { None } else { critical("state", message(), next) }
 }
@@ -101,18 +103,19 @@ fn quorum(status: &StatusResponse) -> Option<Attention> {
     let rule = status.certificate_rule.unwrap_or_default();
     if rule.strict_since.is_some() && *connected < rule.needed {
         let needed = rule.needed;
-        let message = format!("{found}; {needed} must sign: no block is certified, and robots that move stop");
+        let message = format!("{found}; {needed} must sign: no block is certified, and moving robots stop");
         return critical("quorum", message, SILENT_VOTERS);
     }
     if let Some((only, missing)) = uncertified(status) {
         let message = format!(
-            "only voters of {only} are connected; without one of {missing} no block is certified, and robots that move stop"
+            "only voters of {only} are connected; without one of {missing} no block is certified, and moving robots \
+             stop"
         );
         return critical("quorum", message, format!("of {missing}: {SILENT_VOTERS}"));
     }
     let left = match *connected {
-        one if one == majority => ": one less and nothing is ordered",
-        one if rule.strict_since.is_some() && one == rule.needed => ": one less and robots that move stop",
+        one if one == majority => ": if one more fails, nothing is ordered",
+        one if rule.strict_since.is_some() && one == rule.needed => ": if one more fails, moving robots stop",
         _ => "",
     };
     if connected < voters { warning("quorum", found + left, SILENT_VOTERS) } else { None }
@@ -136,12 +139,12 @@ fn uncertified(status: &StatusResponse) -> Option<(String, String)> {
 }
 
 fn leader(status: &StatusResponse) -> Option<Attention> {
-    let next = "wait for the election; if none ends: ledgerctl network status shows the voters that do not answer";
+    let next = "wait for the election; if there is none: ledgerctl network status shows the voters that do not answer";
     if status.leader_id == 0 {
-        return critical("leader", "no leader is known".to_owned(), next);
+        return critical("leader", "there is no leader".to_owned(), next);
     }
-    let next = "ask the organisation of that node: it ordered messages and left out control calls \
-                (docs/security.md, \"A node that lies, with a vote\")";
+    let next = "ask the organisation of that node: it ordered messages and omitted control calls (docs/security.md, \
+                \"A node that lies, with a vote\")";
     if status.deposed.is_empty() { None } else { warning("leader", status.deposed.clone(), next) }
 }
 
@@ -150,12 +153,14 @@ fn redundancy(status: &StatusResponse) -> Option<Attention> {
     let StatusResponse { voters, .. } = status;
     let message = match voters {
         1 => {
-            "failures tolerated: none: there is one voter; without it nothing is ordered, and with its disk the ledger is lost"
+            "failures tolerated: none: there is one voter; without it nothing is ordered, and if its disk is lost, so \
+             is the ledger"
         }
         _ => "failures tolerated: none: there are two voters; without one of them nothing is ordered",
     };
     let message = message.to_owned();
-    let next = "make them three: ledgerctl network invite, ledgerd join, ledgerctl network promote; until then: ledgerd backup DIR";
+    let next = "add voters until there are three: ledgerctl network invite, ledgerd join, ledgerctl network promote; \
+                until then: ledgerd backup DIR";
     if (1..=2).contains(voters) { warning("redundancy", message, next) } else { None }
 }
 
@@ -163,19 +168,27 @@ fn redundancy(status: &StatusResponse) -> Option<Attention> {
 /// ended, it is locked out.
 fn ca(key: &CaKey, now: u64) -> Option<Attention> {
     let CaKey { organisation, holders, has_copy, admins_until } = key;
-    let next = "ledgerctl ca carry NODE, with another node of the organisation; or a copy: ledgerctl ca backup FILE";
+    let next = "ledgerctl ca carry NODE, with another node of the organisation; or make a backup: ledgerctl ca backup \
+                FILE";
     match &holders[..] {
         [] => {
             let until = match admins_until.saturating_sub(now) {
                 0 => "; no admin of it has a valid certificate: it is locked out".to_owned(),
-                left => format!("; in {} the last certificate of its admins ends: then it is locked out", span(left)),
+                left => {
+                    format!("; in {} the last certificate of its admins expires: then it is locked out", span(left))
+                }
             };
-            let next = "ledgerctl ca restore FILE; without a copy: docs/operations.md, \"When a disk is lost\"";
-            error("ca", format!("no node holds the CA key of {organisation}: it enrols and renews no one{until}"), next)
+            let next = "ledgerctl ca restore FILE; without a backup: docs/operations.md, \"When a disk is lost\"";
+            error(
+                "ca",
+                format!("no node holds the CA key of {organisation}: enrolment and renewal do not work{until}"),
+                next,
+            )
         }
         [only] if !has_copy => {
             let message = format!(
-                "only {only} holds the CA key of {organisation}, and there is no copy: without its disk the organisation is locked out once its certificates end"
+                "only {only} holds the CA key of {organisation}, and there is no backup: if its disk is lost, the \
+                 organisation is locked out once its certificates expire"
             );
             warning("ca", message, next)
         }
@@ -186,7 +199,7 @@ fn ca(key: &CaKey, now: u64) -> Option<Attention> {
 /// The certificates of the node and its CA, and the revocation lists of the network.
 fn certificates(status: &StatusResponse) -> Vec<Attention> {
     if status.certificates.iter().all(|certificate| certificate.kind == "list") {
-        let message = "there is no certificate that can be read".to_owned();
+        let message = "no certificate can be read".to_owned();
         return critical("certificate", message, "compare the files of [tls] in ledgerd.toml with those on disk")
             .into_iter()
             .collect();
@@ -201,23 +214,25 @@ fn ending(certificate: &CertificateStatus, now: u64) -> Option<Attention> {
     let (what, next, notice) = match kind.as_str() {
         "node" => (
             format!("the certificate of {name}"),
-            "a node renews by itself: its log has the reason that it could not (journalctl -u ledgerd)",
+            "nodes renew automatically: the log of the node has the reason for the failure (journalctl -u ledgerd)",
             ENDING_US,
         ),
         // A list is replaced every few days: it is late once it has ended.
-        "list" => (format!("the revocation list {name}"), "ledgerctl identity crl FILE, with a new list of that CA", 0),
+        "list" => {
+            (format!("the revocation list {name}"), "record a new list of that CA: ledgerctl identity crl FILE", 0)
+        }
         _ => (
             format!("the CA {name}"),
-            "make a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\"",
+            "create a new CA while the old one is valid: docs/operations.md, \"The CA of an organisation\"",
             CA_ENDING_US,
         ),
     };
     match left {
         // The last list counts until the next one comes.
-        0 if kind == "list" => warning("certificate", format!("{what} has ended"), next),
-        0 => critical("certificate", format!("{what} has ended"), next),
+        0 if kind == "list" => warning("certificate", format!("{what} has expired"), next),
+        0 => critical("certificate", format!("{what} has expired"), next),
         _ if left < notice.min(life / LIFE_PART) => {
-            warning("certificate", format!("{what} ends in {}", span(left)), next)
+            warning("certificate", format!("{what} expires in {}", span(left)), next)
         }
         _ => None,
     }
@@ -227,7 +242,7 @@ fn disk(status: &StatusResponse) -> Option<Attention> {
     let StatusResponse { disk_free_bytes: free, disk_total_bytes: total, disk_accepts, data_directory, .. } = status;
     let percent = free.saturating_mul(100) / (*total).max(1);
     let found = format!("{} ({percent} %) of {} free, in {data_directory}", size(*free), size(*total));
-    let next = "make room there, or keep fewer blocks: `retention` and `archive` in ledgerd.toml";
+    let next = "free disk space there, or keep fewer blocks: `retention` and `archive` in ledgerd.toml";
     match disk_accepts.as_str() {
         "ends" => critical("disk", found + "; only calls that end control are accepted", next),
         "nothing" => critical("disk", found + "; nothing is accepted", next),
@@ -249,7 +264,7 @@ fn clock(status: &StatusResponse, doubt: &str) -> Option<Attention> {
     let off = off(status);
     let message = || format!("the clock of its machine is {}", offsets::described(off));
     match off.unsigned_abs() {
-        CLOCK_OFF_MAX.. => critical("clock", message() + "; it judges no calls but those that end control", next),
+        CLOCK_OFF_MAX.. => critical("clock", message() + "; it accepts only calls that end control", next),
         CLOCK_NEAR_US.. => warning("clock", message(), next),
         _ => None,
     }

@@ -78,7 +78,7 @@ impl Audit {
             // In turns, so that a long way does not keep the node from stopping.
             while self.is_behind() {
                 if let Err(fault) = self.follow(Instant::now() + TURN).await {
-                    tracing::warn!(code = fault.code.name(), reason = %fault, "the index of the audit does not follow the blocks");
+                    tracing::warn!(code = fault.code.name(), reason = %fault, "audit index does not follow the blocks");
                     break;
                 }
             }
@@ -131,7 +131,7 @@ impl Audit {
         let mut taking = Arc::clone(&self.taking).lock_owned().await;
         let audit = Arc::clone(self);
         let taken = tokio::task::spawn_blocking(move || audit.take_until(&mut taking, deadline)).await;
-        taken.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while it kept the index of the audit"))?
+        taken.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while it updated the audit index"))?
     }
 
     fn take_until(&self, taking: &mut Taking, deadline: Instant) -> Result<(), Rejection> {
@@ -209,14 +209,10 @@ fn open(directory: &Path) -> Result<Index, Rejection> {
         opened => return opened,
     };
     let reason = format!("{}: {}", fault.message, fault.found);
-    tracing::warn!(
-        code = fault.code.name(),
-        reason,
-        "the index of the audit is damaged; it is rebuilt from the blocks"
-    );
+    tracing::warn!(code = fault.code.name(), reason, "audit index damaged; rebuilding it from the blocks");
     std::fs::remove_dir_all(directory).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot delete {}: {error}", directory.display()))
-            .next("delete it by hand; it is made again from the blocks")
+            .next("delete this file of the index manually; it is rebuilt from the blocks")
     })?;
     Index::open(Box::new(SledStore::open(directory)?))
 }

@@ -100,10 +100,16 @@ impl Console {
             wants_certificate: false,
         };
         let doors = Doors::open(listening, room);
-        let challenges = Challenges::new().ok_or_else(|| Rejection::new(Code::Internal, "there is no randomness"))?;
+        let challenges = Challenges::new().ok_or_else(|| {
+            Rejection::new(
+                Code::Internal,
+                "the operating system \
+                                                                                         provides no randomness",
+            )
+        })?;
         let shared = Shared { parts, names, challenges, sessions: Sessions::default(), tries: Mutex::default() };
         let serving = tokio::spawn(connections(doors, router(Arc::new(shared))));
-        tracing::info!(%address, "console for browsers");
+        tracing::info!(%address, "console listening");
         Ok(Self { address, serving })
     }
 

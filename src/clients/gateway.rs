@@ -101,7 +101,7 @@ impl GatewayService {
     fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Status> {
         let identity =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
-                status(&Rejection::new(Code::CertificateRequired, "this call needs a client certificate"))
+                status(&Rejection::new(Code::CertificateRequired, "this call requires a client certificate"))
             })?;
         check(&identity, &self.description.ordering)?;
         Ok(identity)

@@ -56,7 +56,7 @@ pub(crate) fn reflection() -> Result<
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let refused = |error: tonic_reflection::server::Error| {
-        Rejection::new(Code::Internal, format!("the descriptions of the services cannot be read: {error}"))
+        Rejection::new(Code::Internal, format!("the service descriptors cannot be read: {error}"))
     };
     Ok((described().build_v1().map_err(refused)?, described().build_v1alpha().map_err(refused)?))
 }

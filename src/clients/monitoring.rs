@@ -102,10 +102,10 @@ impl Admin {
         };
         let serving = tokio::spawn(async move {
             if let Err(error) = axum::serve(doors, page).await {
-                tracing::error!(%error, "the admin page ended");
+                tracing::error!(%error, "monitoring endpoint failed");
             }
         });
-        tracing::info!(address = %bound, "admin page: /livez, /readyz, /metrics");
+        tracing::info!(address = %bound, "monitoring endpoint listening: /livez, /readyz, /metrics");
         Ok(Self { address: bound, serving })
     }
 
@@ -151,10 +151,14 @@ fn of_files(page: &BridgePage) -> Result<ServerConfig, Rejection> {
 }
 
 fn only_on_loopback(address: SocketAddr) -> Rejection {
-    Rejection::new(Code::BadConfiguration, "without a certificate the page of a bridge is for its own machine only")
-        .found(format!("admin.listen = {:?}", address.to_string()))
-        .wanted("an address of loopback, for example \"127.0.0.1:9465\"; or TLS")
-        .next("name certificate, key and clients in [admin] (docs/metrics.md), or run the bridge inside a node")
+    Rejection::new(
+        Code::BadConfiguration,
+        "without a certificate, the monitoring endpoint of a bridge is limited to \
+                                            its own machine",
+    )
+    .found(format!("admin.listen = {:?}", address.to_string()))
+    .wanted("a loopback address, for example \"127.0.0.1:9465\"; or TLS")
+    .next("set certificate, key and clients in [admin] (docs/metrics.md), or run the bridge inside a node")
 }
 
 /// Rejects requests by a foreign name, and from pages of browsers.

@@ -72,7 +72,7 @@ impl Reporting {
         let waiting = open.or_else(|| self.begin())?;
         // Perhaps the same bytes again: they are executed once.
         if let Err(reason) = self.author.order(&waiting.signed) {
-            tracing::debug!(code = reason.code.name(), %reason, "the ledger cannot be told now of refusals");
+            tracing::debug!(code = reason.code.name(), %reason, "cannot report rejections to the ledger now");
         }
         Some(waiting)
     }
@@ -86,7 +86,7 @@ impl Reporting {
         match self.author.sign("tell_refusals", &told) {
             Ok(signed) => Some(Waiting { signed, told }),
             Err(reason) => {
-                tracing::warn!(code = reason.code.name(), %reason, "the refusals of this node cannot be signed");
+                tracing::warn!(code = reason.code.name(), %reason, "cannot sign the rejection report");
                 self.rejections.gathered().take_back(told);
                 None
             }
@@ -98,7 +98,7 @@ impl Reporting {
         match ledger.transaction(&waiting.signed.id()) {
             Ok(Some(record)) if record.result.code() == Code::Ok => Reported::OnTheLedger,
             Ok(Some(record)) => {
-                tracing::debug!(code = %record.result.code(), "the refusals of this node are told to the ledger again");
+                tracing::debug!(code = %record.result.code(), "rejection report failed; sending it again");
                 Reported::Lost
             }
             Ok(None) if self.ordering.clock.now() > waiting.signed.body().not_after.saturating_add(PAST) => {
@@ -106,7 +106,8 @@ impl Reporting {
             }
             Ok(None) => Reported::Open,
             Err(reason) => {
-                tracing::warn!(code = reason.code.name(), %reason, "cannot find out whether the ledger knows the refusals");
+                tracing::warn!(code = reason.code.name(), %reason, "cannot check whether the ledger has the rejection \
+                                                                    report");
                 Reported::Open
             }
         }

@@ -43,8 +43,8 @@ impl NodeBridge {
                     Ok((mut bridge, client)) => {
                         // An outage and its end have the same level.
                         match std::mem::take(&mut down) {
-                            true => tracing::warn!("the bridge runs again"),
-                            false => tracing::info!("the bridge runs"),
+                            true => tracing::warn!("bridge running again"),
+                            false => tracing::info!("bridge running"),
                         }
                         told.clear();
                         bridge.show_on(&sight);
@@ -60,11 +60,11 @@ impl NodeBridge {
                             bridge.reload(changed).await;
                         };
                         let summary = serde_json::to_string(&bridge.stop().await).unwrap_or_default();
-                        tracing::info!(summary, "the bridge has stopped");
+                        tracing::info!(summary, "bridge stopped");
                         match lost {
                             Some(reason) => {
                                 sight.waits(&reason);
-                                tracing::warn!(code = reason.code.name(), %reason, "the bridge has failed; starting it again");
+                                tracing::warn!(code = reason.code.name(), %reason, "bridge failed; restarting");
                             }
                             None => return,
                         }
@@ -74,7 +74,7 @@ impl NodeBridge {
                     Err(reason) if told == reason.message => {}
                     Err(reason) => {
                         sight.waits(&reason);
-                        tracing::warn!(code = reason.code.name(), %reason, "the bridge cannot start yet; trying again");
+                        tracing::warn!(code = reason.code.name(), %reason, "bridge cannot start yet; retrying");
                         (told, down) = (reason.message, true);
                     }
                 }
@@ -96,7 +96,7 @@ impl NodeBridge {
     pub(crate) async fn stop(self) {
         self.stop.send_replace(true);
         if let Err(error) = self.task.await {
-            tracing::error!(%error, "the bridge ended too early");
+            tracing::error!(%error, "bridge ended unexpectedly");
         }
     }
 }

@@ -167,12 +167,12 @@ impl Running {
             scrub.stop();
             ordering.slot.stop();
             if let Err(fault) = certificates.keep_newest(&ordering.storage.ledger) {
-                tracing::warn!(code = fault.code.name(), reason = %fault, "the newest proof is not kept");
+                tracing::warn!(code = fault.code.name(), reason = %fault, "cannot store the newest proof");
             }
             housekeeping.stop();
         });
         if ended.await.is_err() {
-            tracing::error!("a thread panicked while the node stopped");
+            tracing::error!("a thread panicked during shutdown");
         }
         tracing::info!(height = self.ordering.storage.ledger.tip().height, "stopped");
     }

@@ -163,18 +163,22 @@ impl Node {
     pub fn reload(&self, config: &Config) {
         telemetry::set_level(&config.log);
         match renewal::read_again(&config.data, &self.identity, &self.ledger().msps()) {
-            Ok(true) => tracing::info!("the node shows the certificate that lies in its data directory now"),
+            Ok(true) => tracing::info!("using the new node certificate from the data directory"),
             Ok(false) => {}
             Err(fault) => {
-                tracing::error!(code = fault.code.name(), reason = %fault, "the node keeps the certificate that it has")
+                tracing::error!(code = fault.code.name(), reason = %fault, "new node certificate not usable; keeping \
+                                                                            the current one")
             }
         }
         match (&self.bridge, &config.bridge) {
             (Some(bridge), Some(settings)) => bridge.reload(settings.clone()),
             (None, None) => {
-                tracing::info!("this node has no bridge: all but level and certificate waits for the next start")
+                tracing::info!(
+                    "no bridge on this node: changed settings other than level and certificate take effect \
+                                at the next start"
+                )
             }
-            _ => tracing::warn!("a bridge comes or goes when the node starts again: it goes on as it is"),
+            _ => tracing::warn!("adding or removing the bridge takes effect at the next start"),
         }
     }
 

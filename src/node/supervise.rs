@@ -32,7 +32,7 @@ pub(crate) async fn until_stopped(
 fn start_again() -> Rejection {
     use std::os::unix::process::CommandExt;
     let failed = |error: std::io::Error| {
-        Rejection::new(Code::Internal, format!("the node has to start again and cannot by itself: {error}"))
+        Rejection::new(Code::Internal, format!("the node must restart, and cannot do so by itself: {error}"))
             .next("start it again")
     };
     match std::env::current_exe() {

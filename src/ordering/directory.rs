@@ -86,13 +86,14 @@ impl Directory {
             Membership::default()
         });
         let records = msp::nodes(&**ledger.state()).unwrap_or_else(|fault| {
-            tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the wanted nodes of the network");
+            tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the target roles of the nodes");
             Vec::new()
         });
         match Desired::read(&**ledger.state()) {
             Ok(desired) => *self.desired.lock().unwrap_or_else(PoisonError::into_inner) = desired,
             Err(fault) => {
-                tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the wanted members of the network")
+                tracing::error!(code = fault.code.name(), reason = %fault, "cannot read the target members of the \
+                                                                            network")
             }
         }
         let mut members: Vec<Member> = records

@@ -41,7 +41,7 @@ impl Signer {
         let mut nonce = [0; NONCE_BYTES];
         self.random
             .fill(&mut nonce)
-            .map_err(|_| Rejection::new(Code::Internal, "the system's source of randomness failed"))?;
+            .map_err(|_| Rejection::new(Code::Internal, "the operating system provides no randomness"))?;
         let own = self.identity.own();
         let certificate = own.chain.first().map(|der| Bytes::copy_from_slice(der)).unwrap_or_default();
         let ttl = u64::try_from(TTL.as_micros()).unwrap_or(u64::MAX);

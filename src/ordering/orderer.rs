@@ -120,7 +120,7 @@ impl Orderer {
         self.handle.inbox.close();
         for thread in self.threads.drain(..) {
             if thread.join().is_err() {
-                tracing::error!("a thread of the orderer panicked");
+                tracing::error!("orderer thread panicked");
             }
         }
     }

@@ -106,7 +106,7 @@ impl OrdererSlot {
     pub(crate) fn handle(&self) -> Result<Handle, Rejection> {
         match &*self.phase.read().unwrap_or_else(PoisonError::into_inner) {
             Phase::Running(handle) => Ok(handle.clone()),
-            Phase::CatchingUp(to) => Err(Rejection::new(Code::Behind, "this node fetches blocks that it missed")
+            Phase::CatchingUp(to) => Err(Rejection::new(Code::Behind, "this node is fetching missed blocks")
                 .wanted(if *to == 0 { String::new() } else { format!("height {to}") })),
             Phase::Stopping => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
         }
@@ -141,5 +141,5 @@ impl OrdererSlot {
 }
 
 fn overloaded() -> Rejection {
-    Rejection::new(Code::Overloaded, "the node cannot take more transactions now")
+    Rejection::new(Code::Overloaded, "the node cannot accept more transactions now")
 }

@@ -114,7 +114,7 @@ impl ReadIndex {
         match timeout(Duration::from_micros(WAIT_FOR_HEIGHT), reached).await {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
-            Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
+            Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the requested height")
                 .found(format!("height {}", self.blocks.height()))
                 .wanted(format!("height {height}"))),
         }
@@ -162,7 +162,7 @@ impl Questions {
         if self.slot.handle()?.input(Input::ReadIndex { context }) {
             return Ok(());
         }
-        Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now"))
+        Err(Rejection::new(Code::Overloaded, "the node cannot accept more queries now"))
     }
 
     /// Wakes [`Reads`] when something is due, for as long as somebody waits.

@@ -29,7 +29,7 @@ impl Telling {
                 Ok(true) => return,
                 Ok(false) => {}
                 Err(reason) => {
-                    tracing::debug!(code = reason.code.name(), %reason, "cannot say now which rules this node speaks")
+                    tracing::debug!(code = reason.code.name(), %reason, "cannot register the supported rules now")
                 }
             }
         }

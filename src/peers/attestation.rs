@@ -100,7 +100,7 @@ impl Attesting {
             };
             if let Err(reason) = told {
                 // The next one tells as much.
-                tracing::debug!(code = reason.code.name(), %reason, "cannot attest now");
+                tracing::debug!(code = reason.code.name(), %reason, "cannot sign the state now");
             }
         }
     }

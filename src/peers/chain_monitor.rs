@@ -204,7 +204,7 @@ impl Asking {
                 Follows::Stop(reason) => return Ok(Some(reason)),
                 Follows::Fetch(behind) => {
                     tracing::warn!(
-                        "no leader is reached, and others do not know this node; fetching what they decided"
+                        "no leader reached, and other nodes do not know this node; fetching their decisions"
                     );
                     self.ordering.behind.send_replace(Some(behind));
                     return Ok(None);
@@ -277,11 +277,11 @@ impl ChainMonitor {
 
 /// Most voters have another history, and no certificate of it was shown.
 fn uncertified(reason: &Rejection) -> Rejection {
-    Rejection::new(Code::Forked, "most voters have another history than this node, and neither is certified")
+    Rejection::new(Code::Forked, "the history of most voters differs from this node's, and neither is certified")
         .found(reason.found.clone())
         .wanted(reason.wanted.clone())
         .next(
-            "stop all nodes, choose a history, and type ledgerd recover --force-single --config FILE on the node with its newest \
-             blocks: \"No history is certified\" in docs/operations.md",
+            "stop all nodes, choose a history, and run ledgerd recover --force-single --config FILE on the node with \
+             its newest blocks: \"No history is certified\" in docs/operations.md",
         )
 }

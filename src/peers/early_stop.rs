@@ -84,14 +84,14 @@ impl EarlyStops {
                 if leader.is_some()
                     && let Err(reason) = self.ordering.slot.input(input)
                 {
-                    tracing::debug!(code = reason.code.name(), %reason, "a stop cannot be ordered now");
+                    tracing::debug!(code = reason.code.name(), %reason, "cannot order a stop now");
                 }
             }
             if let Some(saved) = self.calls.changed() {
                 let file = self.file.clone();
                 let write = move || durable::replace(&file, &saved, durable::SECRET_MODE);
                 if let Ok(Err(reason)) = tokio::task::spawn_blocking(write).await {
-                    tracing::warn!(code = reason.code.name(), %reason, "stops without a verdict are not on the disk");
+                    tracing::warn!(code = reason.code.name(), %reason, "cannot store the stops without a verdict");
                 }
             }
         }

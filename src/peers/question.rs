@@ -58,7 +58,7 @@ impl Dialer {
                 match timeout(patience, dialer.ask_one(&member, network)).await {
                     Ok(Ok(offer)) => offer,
                     Ok(Err(reason)) => {
-                        tracing::debug!(node = %member.full_name(), reason, "the peer does not tell what it holds");
+                        tracing::debug!(node = %member.full_name(), reason, "peer does not report its log");
                         None
                     }
                     Err(_) => None,
@@ -168,12 +168,11 @@ impl Dialer {
     /// The certified part of a member's chain from a height on; none if it has none, or does not answer.
     pub(crate) async fn certified(&self, member: &Member, height: u64) -> Option<CertifiedBranch> {
         let answer = async { certified(&self.channel(member).await?, height).await };
-        let shown = timeout(Duration::from_micros(ASK_TIME_MAX), answer)
-            .await
-            .unwrap_or_else(|_| Err("it is silent".to_owned()));
+        let shown =
+            timeout(Duration::from_micros(ASK_TIME_MAX), answer).await.unwrap_or_else(|_| Err("no answer".to_owned()));
         shown
             .inspect_err(|reason| {
-                tracing::debug!(node = %member.full_name(), reason, "the peer does not show a certificate of its chain");
+                tracing::debug!(node = %member.full_name(), reason, "peer does not send a certificate of its chain");
             })
             .ok()
     }
@@ -186,7 +185,7 @@ impl Dialer {
 pub(crate) async fn certified(channel: &Channel, height: u64) -> Result<CertifiedBranch, String> {
     let mut client = PeerClient::new(channel.clone());
     let asked = client.certified(CertifiedRequest { height });
-    let answer = timeout(Duration::from_micros(SILENCE_MAX), asked).await.map_err(|_| "it is silent".to_owned())?;
+    let answer = timeout(Duration::from_micros(SILENCE_MAX), asked).await.map_err(|_| "no answer".to_owned())?;
     let branch = answer.map_err(|status| status.message().to_owned())?.into_inner().branch;
     let branch = match branch.is_empty() {
         true => Err("it has no certificate".to_owned()),
@@ -194,7 +193,7 @@ pub(crate) async fn certified(channel: &Channel, height: u64) -> Result<Certifie
     };
     branch.and_then(|branch| match branch.height() == height {
         true => Ok(branch),
-        false => Err(format!("it shows block {}, not {height}", branch.height())),
+        false => Err(format!("it sent block {}, not {height}", branch.height())),
     })
 }
 

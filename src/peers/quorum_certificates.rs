@@ -300,7 +300,11 @@ impl Certifying {
                         Some(Event::Heard { from, signed })
                     }
                     Err(reason) => {
-                        tracing::warn!(node = self.ordering.directory.name(from), code = reason.code.name(), %reason, "a statement cannot be read");
+                        tracing::warn!(node = self.ordering.directory.name(from), code = reason.code.name(), %reason, "cannot \
+                                                                                                                       read \
+                                                                                                                       a \
+                                                                                                                       signed \
+                                                                                                                       statement");
                         None
                     }
                 },
@@ -354,7 +358,7 @@ impl Certifying {
             Effect::Tell(signed) => self.send_statement(&signed),
             Effect::Pass(signed) => {
                 let (node, height) = (self.ordering.directory.name(signed.signature.node), signed.statement.height);
-                tracing::debug!(node, height, "voters have signed different things about a block; passing it on");
+                tracing::debug!(node, height, "voters signed different results of a block; forwarding the proof");
                 self.send_statement(&signed);
             }
             Effect::Certified { certificate, governs } => {
@@ -431,7 +435,7 @@ impl Certifying {
             disputes::Effect::TwoCertificates(branch) => self.show_branch(*branch).await,
             disputes::Effect::Refused { from, reason } => {
                 let node = self.ordering.directory.name(from);
-                tracing::warn!(node, code = reason.code.name(), %reason, "a proof of misbehaviour is not accepted");
+                tracing::warn!(node, code = reason.code.name(), %reason, "proof of misbehaviour rejected");
             }
         }
     }
@@ -440,7 +444,7 @@ impl Certifying {
     async fn stop(&self, height: u64) {
         let reason = Rejection::new(Code::Diverged, "this node has signed two different results of one block")
             .found(format!("two results of block {height}, both with its own signature"))
-            .wanted("one result of each block, as all nodes compute it");
+            .wanted("one result per block, equal on all nodes");
         let ordering = Arc::clone(&self.ordering);
         let marked = tokio::task::spawn_blocking(move || {
             ordering.slot.stop();
@@ -451,7 +455,7 @@ impl Certifying {
             ordering.failure.fail(reason);
         });
         if marked.await.is_err() {
-            tracing::error!("a thread panicked while it stopped the node");
+            tracing::error!("thread panicked while stopping the node");
         }
     }
 
@@ -460,8 +464,8 @@ impl Certifying {
         let certificates = Arc::clone(&self.certificates);
         match tokio::task::spawn_blocking(move || write(&certificates)).await {
             Ok(Ok(())) => {}
-            Ok(Err(fault)) => tracing::warn!(code = fault.code.name(), reason = %fault, "a proof is not kept"),
-            Err(_) => tracing::error!("a thread panicked while it wrote a proof"),
+            Ok(Err(fault)) => tracing::warn!(code = fault.code.name(), reason = %fault, "cannot store a proof"),
+            Err(_) => tracing::error!("thread panicked while writing a proof"),
         }
     }
 }

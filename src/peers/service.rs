@@ -41,7 +41,7 @@ impl PeerService {
         self.reader(request)?.ok_or_else(|| {
             let caller = request.extensions().get::<Caller>().and_then(|caller| caller.identity.as_ref());
             Status::permission_denied(format!(
-                "found {}, wanted a node that belongs to this network now; one that was removed joins again as a new one",
+                "found {}, wanted a node that is a member of this network; a removed node joins again as a new one",
                 caller.map(|identity| identity.id()).unwrap_or_default()
             ))
         })
@@ -89,7 +89,7 @@ impl Peer for PeerService {
             let frame = tokio::select! {
                 biased;
                 () = &mut removed => {
-                    tracing::info!(node = %member.full_name(), "the peer is no longer a member; closing its stream");
+                    tracing::info!(node = %member.full_name(), "peer is no longer a member; closing its stream");
                     return Err(Status::permission_denied("this node was removed from the network"));
                 }
                 frame = frames.message() => frame?,
@@ -97,7 +97,7 @@ impl Peer for PeerService {
             let Some(PeerFrame { message }) = frame else { return Ok(Response::new(PeerClosed {})) };
             memory::has_carried(message.len());
             let message = PeerMessage::decode(message).map_err(|error| {
-                tracing::warn!(node = %member.full_name(), %error, "the peer sent an unusable message; closing the stream");
+                tracing::warn!(node = %member.full_name(), %error, "peer sent an invalid message; closing the stream");
                 Status::invalid_argument(error.to_string())
             })?;
             if !(self.deliver)(member.id, message) {

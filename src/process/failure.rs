@@ -2,6 +2,7 @@
 
 use crate::process::config::Config;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use std::io;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -41,7 +42,7 @@ impl FailureHandle {
     /// The node cannot go on, for this reason.
     pub(crate) fn fail(&self, reason: Rejection) {
         let reason = advised(reason, &self.config);
-        tracing::error!(code = reason.code.name(), %reason, "the node cannot continue");
+        tracing::error!(code = reason.code.name(), %reason, "node cannot continue");
         self.ended.send_replace(Some(Ended::Failed(reason)));
     }
 
@@ -53,7 +54,7 @@ impl FailureHandle {
 
 /// The refusal with the commands that it names as they must be typed here.
 pub(crate) fn advised(reason: Rejection, config: &Config) -> Rejection {
-    let next = reason.advice().replace(FILE_WORD, &format!("--config {}", config.file.display()));
+    let next = reason.advice().replace(FILE_WORD, &format!("--config {}", shell::path(&config.file)));
     reason.next(next)
 }
 

@@ -66,7 +66,7 @@ impl IdleControl {
                             .found(format!("{DEVICE}: {error}"))
                             .wanted(format!("write access to {DEVICE}"))
                             .next("give the user of ledgerd write access to it, or use the profile balanced");
-                    tracing::warn!(code = reason.code.name(), %reason, "processors may sleep");
+                    tracing::warn!(code = reason.code.name(), %reason, "processors may enter sleep states");
                     Ok(Self { wish: None, thread: None })
                 }
             },
@@ -141,7 +141,7 @@ impl Wish {
                 device.told(latency == AWAKE);
                 self.awake.store(latency == AWAKE, Ordering::Relaxed);
             }
-            Err(error) => tracing::debug!(%error, "the kernel does not take the wish about sleeping processors"),
+            Err(error) => tracing::debug!(%error, "kernel rejected the request to keep processors awake"),
         }
     }
 

@@ -11,6 +11,6 @@ pub(crate) fn number() -> Result<u64, Rejection> {
     let mut bytes = [0; 8];
     SystemRandom::new()
         .fill(&mut bytes)
-        .map_err(|_| Rejection::new(Code::Internal, "the operating system gives no randomness"))?;
+        .map_err(|_| Rejection::new(Code::Internal, "the operating system provides no randomness"))?;
     Ok(u64::from_be_bytes(bytes))
 }

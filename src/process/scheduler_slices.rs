@@ -79,7 +79,7 @@ fn adapt(many_wait: bool) {
         _ => return,
     };
     if let Err(error) = attributes().and_then(|attributes| set(&Attributes { runtime, ..attributes })) {
-        tracing::debug!(%error, "a thread keeps its time slice");
+        tracing::debug!(%error, "cannot set the time slice of a thread");
     }
 }
 

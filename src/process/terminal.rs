@@ -1,5 +1,6 @@
 //! Lines on the terminal, and the signals that stop a process.
 
+use ledger_base::rejection::{Code, Rejection};
 use std::future::Future;
 
 /// Catches SIGINT and SIGTERM from now on; the future ends when one of them comes. Called before a node starts, so that
@@ -54,10 +55,27 @@ fn ignores_hangup() -> bool {
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
 }
 
-/// Prints a line; that the reader has gone away is not our failure.
-pub fn print_line(text: &str) {
+/// Prints a line of the results. A reader that has gone away (`ledgerd … | head -1`) is no failure.
+///
+/// # Errors
+/// [`Code::BadFile`] if it cannot be written, such as to a full disk.
+pub fn print_line(text: &str) -> Result<(), Rejection> {
     use std::io::Write;
-    let _closed = writeln!(std::io::stdout(), "{text}");
+    let mut out = std::io::stdout();
+    written(writeln!(out, "{text}").and_then(|()| out.flush()))
+}
+
+/// The rejection of results that could not be written.
+pub(crate) fn written(done: std::io::Result<()>) -> Result<(), Rejection> {
+    match done {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Rejection::new(Code::BadFile, "cannot write the results to standard output")
+                .found(error.to_string())
+                .wanted("a terminal, a pipe, or a file with free space")
+                .next("write to another place; check first whether the command has taken effect"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints a line on standard error.

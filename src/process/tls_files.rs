@@ -61,7 +61,7 @@ impl TlsFiles {
         Rejection::new(Code::BadFile, format!("cannot use {} for [{section}]", path.display()))
             .found(found)
             .wanted("certificates in PEM, with their issuers, and the private key of the first one")
-            .next(format!("correct the files that [{section}] names, or leave them out"))
+            .next(format!("correct the files that [{section}] names, or omit them"))
     }
 
     fn read(self, path: &Path) -> Result<Vec<u8>, Rejection> {

@@ -146,7 +146,7 @@ impl Blocks {
             return Err(Rejection::new(Code::Corrupt, format!("block {height} and its result do not belong together"))
                 .found(format!("hash {hash} of the block, {} of the result", result.hash()))
                 .next(
-                    "stop the node and delete its directories state/ and results/; it makes them again from the blocks",
+                    "stop the node and delete its directories state/ and results/; it rebuilds them from the blocks",
                 ));
         }
         Ok(Some(Outcome {

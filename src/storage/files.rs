@@ -4,6 +4,7 @@ use crate::process::config::Config;
 use ledger::branch::{BRANCH_BYTES_MAX, CertifiedBranch};
 use ledger_base::durable::read;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use serde::Deserialize;
 use std::fs;
 use std::path::Path;
@@ -55,7 +56,7 @@ pub(crate) fn refuse_restored(config: &Config) -> Result<(), Rejection> {
         || "a restored copy".to_owned(),
         |copy| format!("a copy of node {} with the blocks up to {}", copy.node, copy.height),
     );
-    let file = config.file.display();
+    let file = shell::path(&config.file);
     Err(Rejection::new(Code::BadFile, format!("{} is restored from a backup", config.data.display()))
         .found(found)
         .wanted("a node that remembers its votes and all blocks that it has confirmed")
@@ -66,7 +67,8 @@ pub(crate) fn refuse_restored(config: &Config) -> Result<(), Rejection> {
 }
 
 /// The way back of a contradicted node.
-pub(crate) const CONTRADICTED_NEXT: &str = "ledgerd rejoin --config FILE; it verifies the certified branch, keeps this one for auditors, and brings the node back";
+pub(crate) const CONTRADICTED_NEXT: &str = "ledgerd rejoin --config FILE; it verifies the certified branch, keeps \
+                                            this one for auditors, and brings the node back";
 
 /// Refuses a data directory whose chain a strict certificate contradicts.
 ///
@@ -77,7 +79,7 @@ pub(crate) fn refuse_contradicted(config: &Config) -> Result<(), Rejection> {
         None => Ok(()),
         Some(branch) => Err(Rejection::new(
             Code::Contradicted,
-            "this node has stopped because enough voters have certified another block than it has executed",
+            "this node has stopped because enough voters certified another block than it has executed",
         )
         .found(format!("the certificate of block {}", branch.certificate().statement.height))
         .wanted(format!("block {} at height {}", branch.block(), branch.height()))
@@ -109,6 +111,6 @@ pub(crate) fn refuse_rejoining(config: &Config) -> Result<(), Rejection> {
     }
     Err(Rejection::new(Code::BadFile, format!("ledgerd rejoin was interrupted in {}", config.data.display()))
         .found("a node without its old number and blocks, and perhaps without new ones")
-        .wanted("a rejoin that has ended")
-        .next(format!("type it again, with the same options: ledgerd rejoin --config {}", config.file.display())))
+        .wanted("a rejoin that is complete")
+        .next(format!("run it again, with the same options: ledgerd rejoin --config {}", shell::path(&config.file))))
 }

@@ -94,7 +94,7 @@ impl Housekeeping {
         self.bells.storing.end();
         for thread in self.threads {
             if thread.join().is_err() {
-                tracing::error!("a thread of housekeeping panicked");
+                tracing::error!("housekeeping thread panicked");
             }
         }
     }
@@ -154,12 +154,12 @@ impl Trouble {
             Ok(()) if self.reason.is_empty() => {}
             Ok(()) => {
                 self.reason.clear();
-                tracing::error!("can {} again", self.what);
+                tracing::error!("recovered: {}", self.what);
             }
             Err(fault) => {
                 let reason = fault.to_string();
                 if reason != self.reason {
-                    tracing::error!(code = fault.code.name(), reason = %fault, "cannot {}; trying again", self.what);
+                    tracing::error!(code = fault.code.name(), reason = %fault, "cannot {}; retrying", self.what);
                     self.reason = reason;
                 }
             }

@@ -54,11 +54,11 @@ impl Pruner {
         }
         if let Some(to) = &self.archive {
             let report = archive((&self.data, to), Extent::Finished, &Genesis::network_of, &mut |_| ())?;
-            tracing::info!(segments = report.segments_copied, up_to = report.last_height, "archived blocks");
+            tracing::info!(segments = report.segments_copied, up_to = report.last_height, "blocks archived");
         }
         let first = self.store.prune(keep_from)?;
         self.ledger.prune_results(first)?;
-        tracing::info!(first, "dropped older blocks");
+        tracing::info!(first, "older blocks dropped");
         Ok(())
     }
 }

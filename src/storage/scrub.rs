@@ -40,7 +40,7 @@ impl Scrub {
             match checked {
                 Ok(()) => tracing::debug!("no damage in finished segments"),
                 Err(damage @ StoreError::Corrupt { .. }) => failure.fail(damage.into()),
-                Err(error) => tracing::warn!(%error, "cannot look for damage in finished segments"),
+                Err(error) => tracing::warn!(%error, "cannot check finished segments for damage"),
             }
         })?;
         Ok(Self { stop, thread })
@@ -50,7 +50,7 @@ impl Scrub {
     pub(crate) fn stop(self) {
         drop(self.stop);
         if self.thread.join().is_err() {
-            tracing::error!("the thread that looks for damage panicked");
+            tracing::error!("thread that checks for damage panicked");
         }
     }
 }

@@ -99,7 +99,7 @@ impl Ground for DataDisk {
     fn measure(&mut self) -> Option<Measured> {
         let found = rustix::fs::statvfs(&self.data);
         if let Err(error) = &found {
-            tracing::debug!(%error, "cannot ask how much space is left");
+            tracing::debug!(%error, "cannot determine the free disk space");
         }
         let found = found.ok()?;
         let size = |blocks: u64| blocks.saturating_mul(found.f_frsize);

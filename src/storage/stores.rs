@@ -59,7 +59,8 @@ impl Stores {
         };
         let ledger = opening.open(&mut Directories { data: &config.data, network })?;
         if diverged && let Err(error) = std::fs::remove_file(&mark) {
-            tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start will rebuild the world state again");
+            tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start rebuilds the world \
+                                                            state again");
         }
         Ok(Self { genesis, ledger: Arc::new(ledger), store, snapshots })
     }
@@ -75,7 +76,7 @@ fn certified(data: &Path) -> Option<(u64, Hash)> {
 fn open_directory(directory: &Path) -> Result<RealDisk, Rejection> {
     RealDisk::open(directory).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot open {}: {error}", directory.display()))
-            .next("check that no other node uses this directory, and which users may write it")
+            .next("check that no other node uses this directory, and who may write to it")
     })
 }
 
@@ -102,10 +103,11 @@ pub(crate) fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, 
         if damaged { refused.prefix(format_args!("{}/", directory.display())) } else { refused }
     })?;
     if let Some(torn) = &recovery.torn {
-        tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a torn write that was never acknowledged");
+        tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a torn write that was \
+                                                                                     never acknowledged");
     }
     for file in &recovery.ignored {
-        tracing::warn!(%file, "this file does not belong to the block store; it is left alone");
+        tracing::warn!(%file, "file does not belong to the block store; ignoring it");
     }
     Ok(store)
 }
@@ -144,8 +146,8 @@ fn set_aside(directory: &Path) -> Result<(), Rejection> {
     };
     moved.map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot move {} aside: {error}", directory.display()))
-            .next("delete it by hand; it is rebuilt from the blocks")
+            .next("delete it manually; it is rebuilt from the blocks")
     })?;
-    tracing::info!(aside = %aside.display(), "the earlier directory is moved aside");
+    tracing::info!(aside = %aside.display(), "previous directory moved aside");
     Ok(())
 }

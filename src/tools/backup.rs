@@ -25,6 +25,7 @@ use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE, create_directory, read, rep
 use ledger_base::hash::Hash;
 use ledger_base::progress::{Progress, Step};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::certificate::Certificate;
 use ledger_storage::archive::{Extent, Reached, archive};
 use ledger_storage::layout::GENESIS_FILE;
@@ -50,7 +51,7 @@ const VERSION: u32 = 1;
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerd backup /backup/node1 --config ledgerd.toml")]
 pub(crate) struct BackupOptions {
-    /// The directory of the backup: made, or an earlier backup of this node, which is brought up to date.
+    /// Directory of the backup: a new one, or an earlier backup of this node, which is updated.
     #[arg(value_name = "DIR")]
     directory: PathBuf,
     /// The node's configuration.
@@ -84,7 +85,7 @@ impl Manifest {
     fn read(directory: &Path) -> Result<Self, Rejection> {
         let path = directory.join(MANIFEST_FILE);
         let bad = |found: String| {
-            Rejection::new(Code::BadFile, format!("{} is no backup of a node", directory.display()))
+            Rejection::new(Code::BadFile, format!("{} is not a backup of a node", directory.display()))
                 .found(found)
                 .wanted(format!("a directory that ledgerd backup has finished, with {MANIFEST_FILE}"))
         };
@@ -128,22 +129,23 @@ pub(crate) fn backup(builder: &NodeBuilder, options: &BackupOptions, config: &Co
         serde_json::to_vec_pretty(&manifest).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
     replace(&to.join(MANIFEST_FILE), &bytes, PUBLIC_MODE)?;
     let mut told = format!(
-        "backup   {}, node {} of network {network}\n\
-         holds    blocks up to {height}, every signature verified, {transactions} transactions executed again\n\
-         secret   it holds the key of this node: keep it where only you read\n",
+        "backup   {}, node {} of network {network}\nholds    blocks up to {height}, every signature verified, \
+         {transactions} transactions executed again\nsecret   it contains the private key of this node: restrict \
+         access to it\n",
         to.display(),
         manifest.node
     );
     for organisation in crate::trust::ca::carried(data)? {
         told += &format!(
-            "CA       that of {organisation} is not in it: ledgerctl ca backup FILE makes a copy under a passphrase\n"
+            "CA       the CA key of {organisation} is not included: ledgerctl ca backup FILE makes a backup under a \
+             passphrase\n"
         );
     }
     // A directory that the operator has made keeps its mode.
     if fs::metadata(to).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
-        told += &format!("warning  others may read it: chmod 700 {}\n", to.display());
+        told += &format!("warning  other users can read it: chmod 700 {}\n", shell::path(to));
     }
-    Ok(format!("{told}\nto restore:\n  ledgerd restore {} --config {}", to.display(), config.file.display()))
+    Ok(format!("{told}\nto restore:\n  ledgerd restore {} --config {}", shell::path(to), shell::path(&config.file)))
 }
 
 /// The network and the name of the node whose data directory this is.
@@ -166,7 +168,8 @@ fn own(data: &Path) -> Result<(Hash, String), Rejection> {
     let joined = Joined::load(data)?.map(|joined| joined.organisation);
     let founder = || genesis.organisations.iter().find(|founder| founder.roots.iter().any(|known| **known == **root));
     let organisation = joined.or_else(|| founder().map(|founder| founder.name.clone()));
-    let organisation = organisation.ok_or_else(|| bad("the certificate of no node of this network".into()))?;
+    let organisation =
+        organisation.ok_or_else(|| bad("a certificate that belongs to no node of this network".into()))?;
     Ok((network, format!("{organisation}/{name}")))
 }
 
@@ -179,8 +182,8 @@ fn prepare(to: &Path, network: Hash, node: &str) -> Result<(), Rejection> {
     }
     let begun = read(&to.join(BEGUN_FILE), FILE_BYTES_MAX).unwrap_or_default();
     if begun != begun_by(network, node).as_bytes() {
-        return Err(Rejection::new(Code::BadFile, format!("{} is in use for something else", to.display()))
-            .found("a directory that is not empty, and no backup of this node")
+        return Err(Rejection::new(Code::BadFile, format!("{} is in use", to.display()))
+            .found("a directory that is not empty, and is not a backup of this node")
             .wanted(format!("an empty directory, or a backup of node {node} of network {network}"))
             .next("choose another directory"));
     }

@@ -11,6 +11,7 @@ use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::passphrase;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::certificate::Certificate;
 use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
@@ -22,16 +23,16 @@ use std::path::{Path, PathBuf};
 /// Largest file of the node's certificates, in bytes.
 const FILE_BYTES_MAX: usize = 64 * 1024;
 
-/// Makes a one-time secret for an admin, at a node that carries the CA of their organisation.
+/// Creates a one-time secret for an admin, at a node that holds the CA key of their organisation.
 ///
-/// For an admin whose certificate has expired or whose key is lost. Needs nothing but this machine's disk; the node may
-/// be running or not. The secret can be used as soon as it runs.
+/// For an admin whose certificate has expired or whose key is lost. Needs only this machine's disk; the node may be
+/// running or stopped. The secret is valid once the node runs.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct AdminSecret {
     /// Name of the admin.
     #[arg(default_value = "admin")]
     name: String,
-    /// The organisation, where the node carries the CAs of several.
+    /// The organisation, if the node holds the CA keys of several.
     #[arg(long, value_name = "NAME")]
     organisation: Option<String>,
     /// The node's configuration.
@@ -39,14 +40,14 @@ pub(crate) struct AdminSecret {
     pub(crate) config: PathBuf,
 }
 
-/// Copies, restores or gives up the CA that a node carries.
+/// Backs up, restores or gives up a CA key that a node holds.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Ca {
-    /// Writes key and root of the CA to a file, under a passphrase.
+    /// Writes the key and root certificate of the CA to a file, under a passphrase.
     Backup(Backing),
-    /// Puts a CA from such a file into this node's data directory; a running node notices it.
+    /// Restores a CA key from such a file to this node's data directory; a running node detects it.
     Restore(Backing),
-    /// Says that this node carries a CA no more, because its directory is lost and no copy exists.
+    /// Records that this node no longer holds a CA key, because its directory is lost and no backup exists.
     GiveUp {
         /// The organisation.
         organisation: String,
@@ -56,15 +57,15 @@ pub(crate) enum Ca {
     },
 }
 
-/// A copy and its passphrase.
+/// A backup and its passphrase.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Backing {
-    /// The file of the copy.
+    /// File of the backup.
     file: PathBuf,
-    /// The organisation, where the node carries the CAs of several.
+    /// The organisation, if the node holds the CA keys of several.
     #[arg(long, value_name = "NAME")]
     organisation: Option<String>,
-    /// A file whose first line is the passphrase; otherwise LEDGERD_PASSPHRASE, otherwise it is asked for.
+    /// File whose first line is the passphrase; otherwise LEDGERD_PASSPHRASE, otherwise a prompt.
     #[arg(long, value_name = "FILE")]
     passphrase_file: Option<PathBuf>,
     /// The node's configuration.
@@ -86,9 +87,9 @@ impl AdminSecret {
         let asked = if organisation == own.organisation { name.clone() } else { format!("{organisation}/{name}") };
         let Own { address, fingerprint, .. } = own;
         Ok(format!(
-            "admin    {organisation}/{name}, to enrol within {} days\n\nnext, while the node runs:\n  \
-             ledgerctl enroll {asked} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n  \
-             (where a context {name} exists already: add --force, and it is replaced)",
+            "admin    {organisation}/{name}, to enrol within {} days\n\nnext, while the node runs:\n  ledgerctl \
+             enroll {asked} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n  (if a context {name} \
+             exists: add --force to replace it)",
             config.ca.secret_days
         ))
     }
@@ -125,13 +126,13 @@ impl Backing {
         }
         backup::write(&authority, &passphrase(self.passphrase_file.as_deref(), true)?, &self.file)?;
         Ok(format!(
-            "CA       {}, sha256 {}\ncopy     {}, good as long as the CA is: key and root never change\n\n\
-             Keep file and passphrase apart, and both away from this machine.\nto restore, at any node of {0}:\n  \
-             ledgerd ca restore {} --config FILE",
+            "CA       {}, sha256 {}\nbackup   {}, valid as long as the CA: key and root certificate never \
+             change\n\nStore the file and the passphrase separately, and both away from this machine.\nto restore, at \
+             any node of {0}:\n  ledgerd ca restore {} --config FILE",
             authority.organisation(),
             authority.fingerprint(),
             self.file.display(),
-            self.file.display(),
+            shell::path(&self.file),
         ))
     }
 
@@ -147,8 +148,8 @@ impl Backing {
         let authority = CertificateAuthority::install(&directory, &organisation, &key, &root)?;
         let _absent = fs::remove_file(given_up_file(&config.data, &organisation));
         Ok(format!(
-            "CA       {organisation}, sha256 {}, restored in {}\n\n\
-             A running node notices it within seconds, one that is stopped when it starts; ledgerctl ca status shows it.",
+            "CA       {organisation}, sha256 {}, restored in {}\n\nA running node detects it within seconds, a \
+             stopped one when it starts; ledgerctl ca status shows it.",
             authority.fingerprint(),
             directory.display()
         ))
@@ -166,10 +167,10 @@ fn open(data: &Path, own: &Own, wanted: Option<&str>) -> Result<CertificateAutho
     let Some(chosen) = chosen else {
         let found = if names.is_empty() { "no CA".to_owned() } else { format!("the CA of {}", names.join(", ")) };
         let wanted = wanted.unwrap_or(&own.organisation);
-        return Err(Rejection::new(Code::NotFound, format!("this node does not carry the CA of {wanted}"))
+        return Err(Rejection::new(Code::NotFound, format!("this node does not hold the CA key of {wanted}"))
             .found(format!("{found} in {}", data.join(DIRECTORY).display()))
-            .wanted("a node that carries it: ledgerctl ca status shows which")
-            .next("type the command at that node's machine"));
+            .wanted("a node that holds it: ledgerctl ca status")
+            .next("run the command on the machine of that node"));
     };
     CertificateAuthority::open(&data.join(DIRECTORY).join(chosen))
 }
@@ -178,21 +179,22 @@ fn give_up(data: &Path, organisation: &str) -> Result<String, Rejection> {
     Own::read(data)?;
     let directory = data.join(DIRECTORY).join(organisation);
     if organisation.contains('/') || organisation.starts_with('.') {
-        return Err(Rejection::new(Code::BadArgument, format!("{organisation:?} is no organisation"))
+        return Err(Rejection::new(Code::BadArgument, format!("{organisation:?} is not an organisation"))
             .wanted("the name of the organisation whose CA is lost"));
     }
     if fs::symlink_metadata(&directory).is_ok() {
-        return Err(Rejection::new(Code::BadFile, format!("{} is there", directory.display()))
-            .found("a CA that is not lost")
-            .wanted("no such directory")
-            .next("move the directory to a safe place first, if this node shall not carry the CA any more"));
+        return Err(Rejection::new(Code::BadFile, format!("{} exists", directory.display()))
+            .found("a CA key that is not lost")
+            .wanted("a directory that does not exist")
+            .next("move the directory to a safe place first, if this node must no longer hold the CA key"));
     }
     let mark = given_up_file(data, organisation);
     ledger_base::durable::create_directory(&data.join(DIRECTORY))?;
     ledger_base::durable::replace(&mark, b"", ledger_base::durable::SECRET_MODE)?;
     Ok(format!(
-        "the CA of {organisation} is given up at this node; the ledger learns it when the node runs\n\n\
-         Other nodes that carry it go on issuing: ledgerctl ca status. If none does, nobody can enrol or renew any more."
+        "the CA key of {organisation} is given up at this node; it is recorded on the ledger when the node \
+         runs\n\nOther nodes with the key continue to issue certificates: ledgerctl ca status. If there is none, \
+         enrolment and renewal end permanently."
     ))
 }
 
@@ -232,7 +234,7 @@ impl Own {
                 let node = genesis.node(&founder.name, &name);
                 (founder.name.clone(), node.map(|node| node.address.clone()).unwrap_or_default())
             }
-            (None, None) => return Err(bad("the certificate of no node of this network".into())),
+            (None, None) => return Err(bad("a certificate that belongs to no node of this network".into())),
         };
         let founders = genesis.organisations.iter().flat_map(|founder| &founder.roots).map(|root| root.to_vec());
         let roots = std::iter::once(root.to_vec()).chain(founders).collect();
@@ -244,9 +246,9 @@ impl Own {
         if self.roots.contains(&backup.root) {
             return Ok(());
         }
-        Err(Rejection::new(Code::BadFile, "the copy is of another CA")
+        Err(Rejection::new(Code::BadFile, "the backup is of another CA")
             .found(format!("the CA of {}, sha256 {}", backup.organisation, backup.fingerprint()))
             .wanted(format!("the CA of {}, sha256 {}", self.organisation, self.fingerprint))
-            .next("take the copy to a node of its own organisation"))
+            .next("restore the backup at a node of its own organisation"))
     }
 }

@@ -63,15 +63,16 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     let played = tokio::select! {
         played = play(seconds) => played,
         () = stop_signal() => {
-            Err(Rejection::new(Code::ShuttingDown, "interrupted; everything that was started has been ended"))
+            Err(Rejection::new(Code::ShuttingDown, "interrupted; all started processes have been ended"))
         }
     };
     let summary = played.inspect_err(|rejection| {
         if options.json {
-            print_line(&failure(rejection));
+            // The exit code and standard error say it as well.
+            let _lost = print_line(&failure(rejection));
         }
     })?;
-    print_line(&if options.json { summary.json()? } else { summary.table() });
+    print_line(&if options.json { summary.json()? } else { summary.table() })?;
     summary.check()
 }
 
@@ -95,16 +96,16 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     set_up(&network.owner).await?;
 
     let refused = must_fail(acquire(&farhad, "Husky").await, Code::MissingAttribute, "Farhad acquired the Husky")?;
-    say(&format!("Farhad asks for the Husky and is refused: {}", refused.message));
+    say(&format!("Farhad tries to acquire the Husky and is denied: {}", refused.message));
     summary.refused(&refused);
     acquire(&salma, SERVICE).await?;
     say("Salma acquires the Turtlebot4");
     let refused =
         must_fail(acquire(&farhad, SERVICE).await, Code::Held, "Farhad acquired the Turtlebot4, which Salma holds")?;
-    say(&format!("Farhad asks for the Turtlebot4 and is refused: {}", refused.message));
+    say(&format!("Farhad tries to acquire the Turtlebot4 and is rejected: {}", refused.message));
     summary.refused(&refused);
 
-    say("three ROS 2 graphs come up, each with a bridge to its organisation's node: Salma's, Farhad's, the robot's");
+    say("three ROS 2 graphs start, each with a bridge to its organisation's node: Salma's, Farhad's, the robot's");
     let [of_salma, of_farhad, of_robot] = domains()?;
     let plan = |name, domain, direction| Plan { name, domain, routes: direction, via: None };
     network.start_bridges(&[
@@ -130,7 +131,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     summary.controlled = Phase::count(&received, seconds, Some(User::Farhad));
     network.check()?;
 
-    say(&format!("open: the owner lets both publish, for {} s (the paper's comparison)", seconds.as_secs()));
+    say(&format!("open: the owner permits both to publish, for {} s (the paper's comparison)", seconds.as_secs()));
     set_mode(&network.owner, "open").await?;
     robot.take();
     let first_farhad = farhad_node.next_number();
@@ -141,7 +142,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     summary.open = Phase::count(&received, seconds, None);
     network.check()?;
 
-    say("exclusive again: Salma takes the robot, releases it (the robot gets a stop message), Farhad acquires it");
+    say("exclusive again: Salma acquires the robot, releases it (the robot gets a stop message), Farhad acquires it");
     set_mode(&network.owner, "exclusive").await?;
     acquire(&salma, SERVICE).await?;
     robot.take();
@@ -151,10 +152,10 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     summary.handed_over = hand_over(&robot, &mut farhad_node).await?;
     summary.ros_to_ros_ms = ros_to_ros.percentiles();
 
-    say("the bridges and nodes are asked what they saw");
+    say("collecting the counters of bridges and nodes");
     network.report(&mut summary).await?;
     network.stop().await?;
-    say("everything is cleaned up");
+    say("cleaned up");
     Ok(summary)
 }
 

@@ -41,10 +41,10 @@ const CONSOLE_PORT: u16 = 7452;
 /// `ledgerd dev`
 #[derive(clap::Args)]
 pub(crate) struct Options {
-    /// Keep the network in this directory, and go on with it next time; otherwise it is temporary.
+    /// Keep the network in this directory and continue with it next time; by default it is temporary.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Where to listen; port 0 takes a free one.
+    /// Listen address; port 0 selects a free port.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:7450")]
     listen: String,
     /// Print the facts as one line of JSON.
@@ -166,7 +166,7 @@ fn plan(data: &Path, address: &str) -> NetworkPlan {
 fn bound(listen: &str) -> Result<(Host, String), Rejection> {
     let listener = TcpListener::bind(listen).map_err(|error| {
         let next = match error.kind() {
-            ErrorKind::AddrInUse => "end the process that uses it, or take a free port: --listen 127.0.0.1:0",
+            ErrorKind::AddrInUse => "end the process that uses it, or use a free port: --listen 127.0.0.1:0",
             _ => "choose another address with --listen",
         };
         Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}"))
@@ -242,23 +242,17 @@ pub(crate) fn paper_robots(mode: &str) -> Vec<(&'static str, serde_json::Value)>
 fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection> {
     if as_json {
         let line = serde_json::to_string(facts).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        print_line(&line);
-        return Ok(());
+        return print_line(&line);
     }
     let [admin, owner] = ORGANISATIONS.map(context_name);
     print_line(&format!(
-        "ledgerd {version} · a network for playing, ready\n\n  \
-         address         {address}\n  \
-         admin page      {page}/metrics\n  \
-         console         {console} (ledgerctl --context {owner} console prints a link for a browser)\n  \
-         CA fingerprint  {fingerprint}\n  \
-         data            {data}{kept}\n  \
-         contexts        {admin} (Org1), {owner} (Org2, owns Turtlebot4, Husky and OptiTrack)\n\n\
-         Next, in another terminal:\n\n  \
-         ledgerctl --context {admin} identity register Salma --attr Turtlebot4 --attr Husky\n  \
-         ledgerctl enroll Salma --node {address} --ca-fingerprint {fingerprint} --secret SECRET\n  \
-         ledgerctl --context Salma acquire Turtlebot4\n\n\
-         (SECRET is what the first command prints. cargo build --release builds ledgerctl beside ledgerd.) Ctrl-C ends it.",
+        "ledgerd {version} · a network for trials, ready\n\n  address         {address}\n  monitoring      \
+         {page}/metrics\n  console         {console} (ledgerctl --context {owner} console prints a link for a \
+         browser)\n  CA fingerprint  {fingerprint}\n  data            {data}{kept}\n  contexts        {admin} (Org1), \
+         {owner} (Org2, owns Turtlebot4, Husky and OptiTrack)\n\nNext, in another terminal:\n\n  ledgerctl --context \
+         {admin} identity register Salma --attr Turtlebot4 --attr Husky\n  ledgerctl enroll Salma --node {address} \
+         --ca-fingerprint {fingerprint} --secret SECRET\n  ledgerctl --context Salma acquire Turtlebot4\n\n(The first \
+         command prints SECRET. cargo build --release also builds ledgerctl.) Ctrl-C ends the network.",
         version = facts.version,
         address = facts.address,
         page = facts.admin,
@@ -266,8 +260,7 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
         fingerprint = facts.ca_fingerprint,
         data = facts.data.display(),
         kept = if temporary { " (removed at the end; --data DIR keeps it)" } else { "" },
-    ));
-    Ok(())
+    ))
 }
 
 /// Removes the contexts of a network that is gone, unless somebody has put another network's in their places.
@@ -276,7 +269,8 @@ fn forget_contexts(home: &Path, written: &Written) {
         if Context::load(home, Some(name)).is_ok_and(|context| context.network == written.network)
             && let Err(rejection) = Context::remove(home, name)
         {
-            tracing::warn!(code = rejection.code.name(), reason = %rejection, "cannot remove a context of the old network");
+            tracing::warn!(code = rejection.code.name(), reason = %rejection, "cannot remove a context of the \
+                                                                               previous network");
         }
     }
 }

@@ -32,6 +32,7 @@ use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Credentials, Enrolment, Options};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use place::JoinDirectory;
 use serde::Deserialize;
 use std::io::ErrorKind;
@@ -51,26 +52,27 @@ const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 /// The arguments of `ledgerd join`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct JoinOptions {
-    /// The word that ledgerctl network invite printed; @FILE for the first line of a file, - for standard input. Other users of this machine
-    /// can read arguments, with --run as long as the node runs.
+    /// Token printed by ledgerctl network invite; @FILE for the first line of a file, - for standard input. Other users
+    /// of this machine can read arguments, with --run as long as the node runs.
     #[arg(value_name = "TOKEN")]
     token: String,
-    /// The node's configuration; made if it does not exist.
+    /// The node's configuration; created if it does not exist.
     #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
     pub config: PathBuf,
-    /// The data directory, if the configuration is made; beside it if left out.
+    /// Data directory, if the configuration is created; next to it by default.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Where clients and other nodes reach the node; as before for a node that comes back, else the setting `listen`.
+    /// Address under which clients and other nodes reach the node; by default that of a returning node, else the
+    /// setting `listen`.
     #[arg(long, value_name = "HOST:PORT")]
     address: Option<String>,
-    /// Where the node listens, if the configuration is made; where the address leads if left out.
+    /// Listen address, if the configuration is created; by default derived from the address.
     #[arg(long, value_name = "HOST:PORT")]
     listen: Option<String>,
-    /// A new organisation: name of its first admin, who receives a one-time secret.
+    /// For a new organisation: name of its first admin, who gets a one-time secret.
     #[arg(long, value_name = "NAME", default_value = "admin")]
     admin: String,
-    /// Go on as the running node.
+    /// Continue as the running node.
     #[arg(long)]
     pub run: bool,
 }
@@ -164,7 +166,7 @@ fn check_clock(theirs: u64, address: &str) -> Result<(), Rejection> {
     Err(Rejection::new(Code::BadConfiguration, "the clocks of this machine and of the network differ")
         .found(format!("this one {} s {way} that of the node at {address}", ours.abs_diff(theirs) / 1_000_000))
         .wanted(format!("at most {} s between them", CLOCK_DIFFERENCE_MAX / 1_000_000))
-        .next("set the clock of this machine, for example with NTP, and type the same command again"))
+        .next("set the clock of this machine, for example with NTP, and run the command again"))
 }
 
 /// A configuration that is another node's already is not taken for this one.
@@ -179,7 +181,7 @@ fn check_own(config: &Config, token: &JoinToken) -> Result<(), Rejection> {
     Err(Rejection::new(Code::BadConfiguration, format!("{file} is the configuration of another node"))
         .found(format!("node {node} of network {network}, in the section [member]"))
         .wanted(format!("node {wanted} of network {}, as the token says", token.network))
-        .next("choose another file with --config, or ask for a token for that node"))
+        .next("choose another file with --config, or request a token for that node"))
 }
 
 /// That the address is somebody else's is better told before anything is used up. The token may name the address of a
@@ -274,22 +276,25 @@ async fn enter(
     if let Some(running) = replaced.filter(|own| own.address != address)
         && answers(&running.address).await
     {
-        return Err(Rejection::new(Code::AlreadyExists, format!("node {} runs elsewhere", running.full_name()))
-            .found(format!("node {}, which answers at {}", running.id, running.address))
-            .wanted("a node that is gone, whose place is taken, or another name")
-            .next(format!(
-                "stop that node, or invite one of another name: ledgerctl network invite --node NAME; or remove it first: \
-                 ledgerctl network remove {}",
-                running.full_name()
-            )));
+        return Err(Rejection::new(
+            Code::AlreadyExists,
+            format!("node {} is running on another machine", running.full_name()),
+        )
+        .found(format!("node {}, which answers at {}", running.id, running.address))
+        .wanted("a lost node to be replaced, or another name")
+        .next(format!(
+            "stop that node, or invite one with another name: ledgerctl network invite --node NAME; or remove it \
+                 first: ledgerctl network remove {}",
+            running.full_name()
+        )));
     }
     let argument = serde_json::json!({ "address": address, "replace": replaced.is_some() }).to_string();
     let done = client.invoke(MSP, "join_node", vec![argument.into()]).await.map_err(|refused| {
         match live().find(|record| record.address == address && record.full_name() != format!("{organisation}/{name}"))
         {
             Some(other) if refused.code == Code::AlreadyExists => refused.next(format!(
-                "if {0} is gone for good, an admin types ledgerctl network remove {0}; then type the same command \
-                 again. Else choose another address: --address HOST:PORT",
+                "if {0} is permanently lost, an admin runs ledgerctl network remove {0}; then run the command again. \
+                 Otherwise choose another address: --address HOST:PORT",
                 other.full_name()
             )),
             _ => refused,
@@ -314,21 +319,21 @@ async fn come_back(
     if place.is_running() {
         return Err(Rejection::new(
             Code::AlreadyExists,
-            format!("node {}/{} runs already: there is nothing to join", token.organisation, token.node),
+            format!("node {}/{} is running already: it cannot join again", token.organisation, token.node),
         )
         .found(format!("{} is in use", config.data.display()))
-        .wanted("the data directory of a node that is stopped, or one that does not exist yet")
-        .next("ledgerctl status, to see the node; to join another one, choose another --config and --data"));
+        .wanted("the data directory of a stopped node, or one that does not exist yet")
+        .next("ledgerctl status shows the node; to join another one, choose another --config and --data"));
     }
     check_member(place, token, &joined, config).await?;
     if token.kind == JoinKind::Node && place.renewal_due(wall())? {
         let contact = Contact::find(token).await?;
         identity::replaced(place, token, &contact.enrolment).await?;
         return Ok(format!(
-            "node {}/{} has a new certificate; its data are as they were\n\nnext:\n  ledgerd run --config {}",
+            "node {}/{} has a new certificate; its data are unchanged\n\nnext:\n  ledgerd run --config {}",
             token.organisation,
             token.node,
-            options.config.display()
+            shell::path(&options.config)
         ));
     }
     told(&joined, &label, token, options, config)
@@ -362,7 +367,7 @@ async fn check_member(
     )
     .found(format!("{data} is the data directory of node {}, which is no longer a member", joined.id))
     .wanted("a directory that does not exist yet: the node joins with a new number")
-    .next(format!("move {data} away, and type the same command again")))
+    .next(format!("move {data} away, and run the command again")))
 }
 
 /// The text that the user reads in the end: it tells the outcome, and every command that is still to be typed.
@@ -381,7 +386,7 @@ fn told(
     );
     let mut next = String::new();
     if !options.run {
-        next += &format!("  ledgerd run --config {}\n", options.config.display());
+        next += &format!("  ledgerd run --config {}\n", shell::path(&options.config));
     }
     let mut context = String::new();
     if token.kind == JoinKind::Organisation {
@@ -399,8 +404,8 @@ fn told(
         }
     }
     Ok(format!(
-        "{facts}\nnext:\n{next}  ledgerctl {context}network promote {organisation}/{name}\n\
-         The last one lets the node vote, once it has caught up. With several organisations it prints what an admin of \
-         another\none types to approve."
+        "{facts}\nnext:\n{next}  ledgerctl {context}network promote {organisation}/{name}\nThe last command makes the \
+         node a voter once its log is up to date. With several organisations, it prints the command\nwith which an \
+         admin of another one approves."
     ))
 }

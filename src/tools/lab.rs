@@ -19,6 +19,7 @@ use layout::{Layout, NodeLayout, Person};
 use ledger_api::Client;
 use ledger_api::context::Context;
 use ledger_base::rejection::{Class, Code, Rejection};
+use ledger_base::shell;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tracing_subscriber::filter::LevelFilter;
@@ -34,10 +35,10 @@ const LOOK: Duration = Duration::from_millis(200);
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  ledgerd lab --organisations 4 --voters 4")]
 pub(crate) struct Options {
-    /// Organisations: Org1, Org2 and so on. Each has a node and a CA of its own.
+    /// Organisations: Org1, Org2 and so on. Each has its own node and CA.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=COUNT_MAX))]
     organisations: u64,
-    /// Voters, dealt to the organisations in turn. The node of an organisation without a voter is a learner.
+    /// Voters, assigned to the organisations in turn. The node of an organisation without a voter is a learner.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=COUNT_MAX))]
     voters: u64,
     /// Print the facts as one line of JSON.
@@ -59,10 +60,10 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     let mut nodes = Vec::new();
     let started = tokio::select! {
         started = start(&layout, &mut nodes) => started,
-        () = &mut stop => Err(Rejection::new(Code::ShuttingDown, "interrupted; everything that was started has been ended")),
+        () = &mut stop => Err(Rejection::new(Code::ShuttingDown, "interrupted; all started processes have been ended")),
     };
     let facts = started?;
-    print_line(&if options.json { facts.json()? } else { facts.text() });
+    print_line(&if options.json { facts.json()? } else { facts.text() })?;
     tokio::select! {
         () = watch(&layout, &mut nodes) => {}
         () = stop => {}
@@ -148,7 +149,7 @@ async fn ready(admin: &Context, node: &NodeLayout, nodes: &mut [Process], deadli
         match status.await {
             Ok(status) if status.leader_id != 0 => return Ok(()),
             Ok(_) if Instant::now() > deadline => {
-                return Err(Rejection::new(Code::Unreachable, format!("{} knows no leader", node.name))
+                return Err(Rejection::new(Code::Unreachable, format!("{} has no leader", node.name))
                     .wanted(format!("a leader within {START_TIME_MAX:?}"))
                     .next("end other programs that keep the machine busy, or start fewer voters: --voters 1"));
             }
@@ -185,7 +186,7 @@ async fn watch(layout: &Layout, nodes: &mut [Process]) {
         for ((process, node), ended) in nodes.iter_mut().zip(&layout.nodes).zip(&mut has_ended) {
             if let Some(status) = process.ended().filter(|_| !*ended) {
                 *ended = true;
-                let config = node.config.display();
+                let config = shell::path(&node.config);
                 eprint_line(&format!(
                     "{} has ended ({status}); to start it again: ledgerd run --config {config}",
                     node.name
@@ -202,7 +203,7 @@ async fn end(nodes: Vec<Process>) {
         if node.ended().is_none()
             && let Err(rejection) = node.stop().await
         {
-            tracing::warn!(code = rejection.code.name(), reason = %rejection, "a node did not end in order");
+            tracing::warn!(code = rejection.code.name(), reason = %rejection, "a node did not shut down cleanly");
         }
     });
     futures::future::join_all(ends).await;

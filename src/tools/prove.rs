@@ -28,11 +28,11 @@ pub(crate) enum Policy {
     Prove(Options),
 }
 
-/// Proves what policies can never permit, or shows a request that they permit. Needs the solver cvc5, and no network.
+/// Proves what policies can never permit, or shows a request that they permit. Needs the solver cvc5, but no network.
 ///
-/// Without files it looks at the built-in policy, which is in force for an organisation that has none of its own. Directories
-/// stand for their files *.cedar. Exits with 0 if it is proved, with 1 if there is a counterexample, and with another code if it
-/// could not be decided. The variable CVC5 names the solver: cvc5 1.3.1 or newer (https://github.com/cvc5/cvc5/releases).
+/// Without files, it uses the built-in policy, which is in force for organisations without policies. A directory means
+/// its files *.cedar. Exits with 0 if proved, with 1 if there is a counterexample, and with another code if undecided.
+/// The variable CVC5 names the solver: cvc5 1.3.1 or newer (https://github.com/cvc5/cvc5/releases).
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -43,10 +43,10 @@ pub(crate) struct Options {
     /// Files with policies, or directories of them; the built-in policy if there are none.
     #[arg(value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Nobody without this attribute can do it; NAME=VALUE also counts another value as missing.
+    /// No one without this attribute can do it; NAME=VALUE also counts other values as missing.
     #[arg(long, value_name = "NAME[=VALUE]", group = "question", requires = "can")]
     nobody_without: Option<String>,
-    /// Nobody of this organisation can do it.
+    /// No one of this organisation can do it.
     #[arg(long, value_name = "ORGANISATION", group = "question", requires = "can")]
     nobody_of: Option<String>,
     /// These policies permit at most what those permit.
@@ -55,16 +55,16 @@ pub(crate) struct Options {
     /// The action: drive (acquire and publish), acquire, publish, subscribe, override, confirm, stop or resume.
     #[arg(long, value_name = "ACTION", value_parser = question::actions)]
     can: Option<question::Actions>,
-    /// The robot, or one of its topics: ROBOT/TOPIC; any if it is not named.
+    /// The robot, or one of its topics: ROBOT/TOPIC; any by default.
     #[arg(long, value_name = "ROBOT[/TOPIC]")]
     robot: Option<String>,
-    /// The owner of the robot; any if it is not named.
+    /// The owner of the robot; any by default.
     #[arg(long, value_name = "ORGANISATION")]
     owner: Option<String>,
-    /// The attribute that the robot requires (`ledgerctl robot show`); any if it is not named.
+    /// The attribute that the robot requires (`ledgerctl robot show`); any by default.
     #[arg(long = "requires", value_name = "NAME[=VALUE]")]
     requires_attribute: Option<String>,
-    /// An organisation whose attributes the owner trusts; give each of them. Any if none is named.
+    /// An organisation whose attributes the owner trusts; may be given several times. Any by default.
     #[arg(long, value_name = "ORGANISATION")]
     trusted: Vec<String>,
 }
@@ -79,11 +79,11 @@ pub(crate) fn run(Policy::Prove(options): Policy) -> Result<bool, Rejection> {
     let solver = Cvc5::find()?;
     // Compiling policies recurses as deeply as they are nested.
     let thread = std::thread::Builder::new().name("prove".to_owned()).stack_size(STACK_BYTES);
-    let failed = |found: String| Rejection::new(Code::Internal, "the proof has failed").found(found);
+    let failed = |found: String| Rejection::new(Code::Internal, "the proof failed").found(found);
     let proving =
         thread.spawn(move || prove(&solver, &policies, &question)).map_err(|error| failed(error.to_string()))?;
     let Answer { text, is_proved } = proving.join().map_err(|_| failed("a panic".to_owned()))??;
-    print_line(&text);
+    print_line(&text)?;
     Ok(is_proved)
 }
 
@@ -123,7 +123,7 @@ fn texts(paths: &[PathBuf]) -> Result<Analysis, Rejection> {
     for path in paths {
         for file in files(path)? {
             let bytes = read(&file, POLICY_BYTES_MAX)?;
-            let text = String::from_utf8(bytes).map_err(|_| bad(&file, "bytes that are no text"))?;
+            let text = String::from_utf8(bytes).map_err(|_| bad(&file, "bytes that are not text"))?;
             // Some editors write a mark in front of the text.
             let text = text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned();
             found.push((file.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned()), text));

@@ -25,6 +25,7 @@ use bytes::Bytes;
 use ledger::members::Membership;
 use ledger::msp::Recovery;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_storage::entry::{Entry, EntryKind, HardState};
 use ledger_storage::layout::GENESIS_FILE;
 use std::collections::BTreeSet;
@@ -42,13 +43,13 @@ const READ_BYTES: usize = 8 * 1024 * 1024;
     after_help = "Example:\n  ledgerd recover --force-single --config ledgerd.toml --confirm fleet --reason \"fire in hall 2\""
 )]
 pub(crate) struct RecoverOptions {
-    /// This node becomes the only voter. Blocks that only the lost voters had are gone.
+    /// This node becomes the only voter. Blocks that only the lost voters stored are lost.
     #[arg(long, required = true)]
     force_single: bool,
-    /// The label of the network. Without it the command says what would be done and lost, and does nothing.
+    /// Label of the network, as confirmation. Without it, the command only shows what would be done and lost.
     #[arg(long, value_name = "LABEL")]
     confirm: Option<String>,
-    /// Why, for whoever reads the ledger later.
+    /// Reason; recorded on the ledger.
     #[arg(long, value_name = "TEXT", default_value = "")]
     reason: String,
     /// The node's configuration.
@@ -126,8 +127,8 @@ impl Survivor {
         }
         Err(Rejection::new(Code::AlreadyExists, "no voter is lost")
             .found(format!("{}, the only voter", self.me.full_name()))
-            .wanted("a network in which other nodes vote, too, and most are lost for good")
-            .next(format!("ledgerd run --config {}", config.file.display())))
+            .wanted("a network in which other nodes also vote, and most of them are permanently lost")
+            .next(format!("ledgerd run --config {}", shell::path(&config.file))))
     }
 
     /// Those that answer and this one could order: then nothing is lost, and nothing is forced.
@@ -139,10 +140,10 @@ impl Survivor {
             return Ok(());
         }
         let names: Vec<_> = answers.iter().map(|answer| self.name(answer.id)).collect();
-        let file = config.file.display();
+        let file = shell::path(&config.file);
         Err(Rejection::new(Code::AlreadyExists, "a majority of the voters is not lost")
             .found(format!("{} of {} voters, with this one: {} answer", alive + own, voters.len(), names.join(", ")))
-            .wanted("most voters silent, because they are lost for good")
+            .wanted("most voters unreachable, because they are permanently lost")
             .next(format!(
                 "ledgerd run --config {file}, or ledgerd rejoin --config {file} if this node cannot start as it is"
             )))
@@ -158,7 +159,7 @@ impl Survivor {
         Err(Rejection::new(Code::AlreadyExists, "another node that answers has more blocks")
             .found(format!("{name} with blocks up to {}, this node up to {}", newer.last, self.last))
             .wanted("the node with the newest blocks")
-            .next(format!("stop {name}, and type ledgerd recover --force-single there")))
+            .next(format!("stop {name}, and run ledgerd recover --force-single there")))
     }
 
     fn check_confirmed(&self, options: &RecoverOptions, config: &Config) -> Result<(), Rejection> {
@@ -173,7 +174,7 @@ impl Survivor {
             .next(format!(
                 "look for another node, a disk or a newer backup first; then ledgerd recover --force-single --config {} \
                  --confirm {label:?} --reason TEXT",
-                config.file.display()
+                shell::path(&config.file)
             )))
     }
 
@@ -185,14 +186,14 @@ impl Survivor {
         let others = self.voters().into_iter().filter(|id| *id != self.me.id).map(|id| self.name(id));
         let others: Vec<_> = others.collect();
         if others.is_empty() {
-            return format!("{me}; blocks that are in no copy are lost");
+            return format!("{me}; blocks without another copy are lost");
         }
         let heights = confirmed_heights(&config.data);
         let lost = match heights.values().max().filter(|height| **height > self.last) {
-            Some(height) => format!("blocks {} to {height}, which others had confirmed, are lost", self.last + 1),
-            None => "blocks that only the others had are lost".to_owned(),
+            Some(height) => format!("blocks {} to {height}, which other voters had confirmed, are lost", self.last + 1),
+            None => "blocks that only the others stored are lost".to_owned(),
         };
-        format!("{me}; {} {vote} no more; {lost}", others.join(", "))
+        format!("{me}; {} {vote} no longer; {lost}", others.join(", "))
     }
 
     /// Writes the change of members behind the log, as committed, in a new term.
@@ -229,14 +230,13 @@ impl Survivor {
         store.flush()?;
         unmark(config)?;
         let recorded = self.last + 1 + u64::from(self.ordering.is_joint());
-        let file = config.file.display();
+        let file = shell::path(&config.file);
         Ok(format!(
-            "RECOVERED BY FORCE: {consequences}.\n\
-             The ledger says so from block {recorded} on, for ever: event members_forced.\n\n\
-             next:\n  ledgerd run --config {file}\n\
-             Never start one of the others as it is. On each that comes back: ledgerd rejoin --config FILE --node {}\n\
-             For each that is lost: ledgerctl network remove NODE. Gates and checkpoints from before believe nothing that this \
-             node alone signs: docs/operations.md says how they begin anew.",
+            "FORCED RECOVERY: {consequences}.\nThis is recorded on the ledger from block {recorded} on: event \
+             members_forced.\n\nnext:\n  ledgerd run --config {file}\nNever start one of the others unchanged. On \
+             each that returns: ledgerd rejoin --config FILE --node {}\nFor each that is lost: ledgerctl network \
+             remove NODE. Gates and earlier checkpoints reject blocks that this node alone signs; docs/operations.md \
+             describes how they start again.",
             self.me.address
         ))
     }

@@ -135,7 +135,7 @@ fn check(plan: &NetworkPlan) -> Result<(), Rejection> {
     for node in &plan.nodes {
         let named = &node.name;
         check_name(named)
-            .map_err(|error| wrong(format!("node {named:?} cannot be named so")).found(error.to_string()))?;
+            .map_err(|error| wrong(format!("the node name {named:?} is not usable")).found(error.to_string()))?;
         if !organisations.contains(&node.organisation) {
             return Err(wrong(format!("node {named:?} is of an unknown organisation"))
                 .found(format!("organisation {:?}", node.organisation))
@@ -153,11 +153,11 @@ fn check(plan: &NetworkPlan) -> Result<(), Rejection> {
         if fs::symlink_metadata(&node.data).is_ok() {
             return Err(Rejection::new(Code::BadFile, format!("{} exists already", node.data.display()))
                 .wanted(format!("a data directory for node {named:?} that does not exist yet"))
-                .next("choose another directory, or move it away; nothing is ever overwritten"));
+                .next("choose another directory, or move this one away; existing data are never overwritten"));
         }
     }
     if !plan.nodes.iter().any(|node| node.voter) {
-        return Err(wrong("no node of the network would order".into())
+        return Err(wrong("the network would have no voter".into())
             .found(format!("{} nodes, none of them a voter", plan.nodes.len()))
             .wanted("at least one voter"));
     }

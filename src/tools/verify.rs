@@ -18,7 +18,8 @@ pub(crate) struct Options {
     /// The node's data directory, a copy of it, or an archive.
     #[arg(value_name = "DIR")]
     directory: PathBuf,
-    /// A checkpoint that `ledgerctl light --checkpoint` has made: the chain must give what voters have signed there.
+    /// A checkpoint written by `ledgerctl light --checkpoint`: the chain must match the block that voters have signed
+    /// there.
     #[arg(long, value_name = "CHECKPOINT")]
     against: Option<PathBuf>,
     /// Print the report as one line of JSON.
@@ -54,11 +55,10 @@ pub(crate) fn run(builder: &NodeBuilder, options: &Options) -> Result<(), Reject
     if options.json {
         let line =
             serde_json::to_string(&verified).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        print_line(&line);
+        print_line(&line)
     } else {
-        print_line(&text(&verified));
+        print_line(&text(&verified))
     }
-    Ok(())
 }
 
 /// Verifies a directory; tells people how far it is.
@@ -87,7 +87,7 @@ pub(crate) fn verified(
 fn text(verified: &Verified<'_>) -> String {
     let Report { network, height, block_hash, state_digest, transactions, verdicts, .. } = &verified.report;
     let report = &verified.report;
-    let mut text = format!("{} is right, up to block {height}", verified.directory.display());
+    let mut text = format!("{} is valid, up to block {height}", verified.directory.display());
     let mut pair = |name: &str, value: String| {
         let _infallible = write!(text, "\n  {name:<18}{value}");
     };
@@ -95,7 +95,7 @@ fn text(verified: &Verified<'_>) -> String {
     if let Some(begun) = &report.begun {
         let by: Vec<_> = begun.attested_by.iter().map(String::as_str).collect();
         pair("begins after", format!("the snapshot at height {}, {}", begun.height, begun.content));
-        pair("attested by", if by.is_empty() { "nobody, in these blocks".into() } else { by.join(", ") });
+        pair("attested by", if by.is_empty() { "no nodes, in these blocks".into() } else { by.join(", ") });
     }
     let verdicts: Vec<_> = verdicts.iter().map(|(name, count)| format!("{name} {count}")).collect();
     pair("block hash", block_hash.to_string());
@@ -105,14 +105,14 @@ fn text(verified: &Verified<'_>) -> String {
     pair("results compared", report.results_compared.to_string());
     pair("state compared", if report.state_compared { "yes" } else { "no" }.into());
     if let Some(height) = report.against {
-        pair("against", format!("the checkpoint at block {height}: as voters have signed"));
+        pair("against", format!("the checkpoint at block {height}: matches what voters signed"));
     }
     pair("attestations", format!("{} agree", report.attestations_agreeing));
     for Dissent { height, node, digest, .. } in &report.dissents {
         pair("differs", format!("{node} attested state digest {digest} at height {height}"));
     }
     if report.uncommitted > 0 {
-        pair("uncommitted", format!("{} entries that are not known to be committed", report.uncommitted));
+        pair("uncommitted", format!("{} entries that may be uncommitted", report.uncommitted));
     }
     if report.torn_bytes > 0 {
         pair("torn", format!("{} bytes of a write that was never acknowledged", report.torn_bytes));

@@ -154,12 +154,12 @@ impl CertificateAuthority {
                 format!("{name} is already registered at {}", self.organisation()),
             )
             .found(format!("role {}, certificates: {}", known.role, known.certificates.len()))
-            .wanted("a new name"));
+            .wanted("an unused name"));
         }
         if self.registry.identities.len() >= IDENTITIES_MAX {
-            return Err(Rejection::new(Code::LimitExceeded, "no more names can be registered at this CA")
+            return Err(Rejection::new(Code::LimitExceeded, "this CA cannot register more names")
                 .found(format!("{IDENTITIES_MAX} names"))
-                .next("register the rest over the network: ledgerctl identity register NAME"));
+                .next("register the others over the network: ledgerctl identity register NAME"));
         }
         let (secret, text) = self.new_secret(now)?;
         let registered =
@@ -320,8 +320,8 @@ impl CertificateAuthority {
 
     /// Why enrolment is refused: the same words whatever is wrong, so that nobody learns which names exist.
     pub fn refusal() -> Rejection {
-        Rejection::new(Code::EnrolmentRefused, "enrolment is refused")
-            .found("a name and secret that do not belong together, or a secret that was used, has expired or is void")
+        Rejection::new(Code::EnrolmentRefused, "enrolment is rejected")
+            .found("a name and secret that do not match, or a secret that was used, has expired or was cancelled")
             .wanted("a registered name (or ORGANISATION/NAME) and its unused one-time secret")
     }
 

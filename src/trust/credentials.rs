@@ -24,7 +24,7 @@ impl NodeCredentials {
     pub(crate) fn read(config: &Config) -> Result<Self, Rejection> {
         check_secret(
             &config.data.join(KEY_FILE),
-            "if others may have read it, remove the node and let it join anew with another key",
+            "if others may have read it, remove the node from the network, and join it again with a new key",
         )?;
         let identity = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()).next("restore the file from a copy"))?;

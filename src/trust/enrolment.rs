@@ -299,13 +299,14 @@ impl Shared {
         let carried = self.authorities.organisations();
         let own = if carried.is_empty() { "no CA".into() } else { format!("the CA of {}", carried.join(", ")) };
         let refused =
-            Rejection::new(Code::CaElsewhere, format!("this node does not carry the CA of {organisation}")).found(own);
+            Rejection::new(Code::CaElsewhere, format!("this node does not hold the CA key of {organisation}"))
+                .found(own);
         if named.is_empty() {
-            return refused
-                .wanted(format!("a node that carries the CA of {organisation}; none is known"))
-                .next("restore it from a copy, at a node of the organisation: ledgerd ca restore FILE --config FILE");
+            return refused.wanted(format!("a node that holds the CA key of {organisation}; none is known")).next(
+                "restore it from a backup, at a node of the organisation: ledgerd ca restore FILE --config FILE",
+            );
         }
-        refused.wanted(named.join(", ")).next(format!("ask {}", named.join(" or ")))
+        refused.wanted(named.join(", ")).next(format!("use {}", named.join(" or ")))
     }
 
     /// The nodes that carry the CA of an organisation, with their addresses.

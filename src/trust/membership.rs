@@ -64,7 +64,7 @@ impl Joined {
         serde_json::from_slice(&ledger_base::durable::read(&path, JOINED_BYTES_MAX)?).map(Some).map_err(|error| {
             Rejection::new(Code::BadFile, format!("{} cannot be read", path.display()))
                 .found(error.to_string())
-                .next("restore it from a copy, or join anew with another data directory")
+                .next("restore it from a copy, or join again with another data directory")
         })
     }
 
@@ -88,10 +88,10 @@ pub(crate) fn own_membership(
 ) -> Result<Member, Rejection> {
     let (organisation, name) = verified(tls, ledger, joined)?;
     if let Some(joined) = joined.filter(|joined| joined.organisation != organisation || joined.name != name) {
-        return Err(Rejection::new(Code::BadFile, "node.pem and node.json are of two nodes")
+        return Err(Rejection::new(Code::BadFile, "node.pem and node.json belong to different nodes")
             .found(format!("the certificate of {organisation}/{name} in node.pem"))
-            .wanted(format!("that of {}/{}, which node.json names", joined.organisation, joined.name))
-            .next("put the files of one node together again, each node in a data directory of its own"));
+            .wanted(format!("the certificate of {}/{}, which node.json names", joined.organisation, joined.name))
+            .next("put the files of one node together; each node has its own data directory"));
     }
     let own = joined;
     let expected = own.map(|own| own.id).or_else(|| genesis.node(&organisation, &name).map(|node| node.id));
@@ -105,17 +105,17 @@ pub(crate) fn own_membership(
         Some(known) if own.is_some_and(|own| own.id > known.id) => {
             own.map(Member::from).ok_or_else(|| no_member(&name))
         }
-        Some(known) => Err(Rejection::new(Code::BadFile, "the place of this node was given to another data directory")
-            .found(format!("node {} in this one, node {} on the ledger", expected.unwrap_or_default(), known.id))
+        Some(known) => Err(Rejection::new(Code::BadFile, "another data directory has replaced this one")
+            .found(format!("node {} here, node {} on the ledger", expected.unwrap_or_default(), known.id))
             .wanted(format!("the data directory of node {}", known.id))
-            .next("start the node with that directory, or join anew with a name of its own")),
+            .next("start the node with that directory, or join again under another name")),
         None => own.map(|own| own.into()).ok_or_else(|| {
             let known: Vec<_> =
                 members.iter().map(|member| format!("{}/{}", member.organisation, member.name)).collect();
-            Rejection::new(Code::BadFile, "the node's certificate is of no node of the network")
+            Rejection::new(Code::BadFile, "the node's certificate belongs to no node of the network")
                 .found(format!("{organisation}/{name}"))
                 .wanted(format!("one of {}", known.join(", ")))
-                .next("ledgerctl network invite --node NAME makes a token, with which ledgerd join brings a node in")
+                .next("ledgerctl network invite --node NAME creates a token for ledgerd join")
         }),
     }
 }
@@ -135,7 +135,7 @@ pub(crate) async fn removed(me: Member, mut members: watch::Receiver<Arc<[Member
 
 fn no_member(name: &str) -> Rejection {
     Rejection::new(Code::NotAMember, format!("{name} was removed from the network"))
-        .next(format!("to bring it in again as a new node: {REJOIN}"))
+        .next(format!("to bring it back as a new node: {REJOIN}"))
 }
 
 impl From<&Joined> for Member {
@@ -150,7 +150,7 @@ impl From<&Joined> for Member {
 fn verified(tls: &TlsIdentity, ledger: &Ledger, joined: Option<&Joined>) -> Result<(String, String), Rejection> {
     let own = tls.own();
     let (certificate, presented) =
-        own.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
+        own.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem contains no certificate"))?;
     let stranger = |_: &&Joined| ledger.msps().verify_for(Usage::Server, certificate, presented, wall()).is_err();
     let newcomer = joined.filter(|joined| ledger.msps().get(&joined.organisation).is_none()).filter(stranger);
     let identity = match newcomer {
@@ -162,7 +162,7 @@ fn verified(tls: &TlsIdentity, ledger: &Ledger, joined: Option<&Joined>) -> Resu
         None => ledger.msps().verify_for(Usage::Server, certificate, presented, wall())?,
     };
     if identity.role != Role::Node {
-        return Err(Rejection::new(Code::WrongRole, "the node's certificate is not a node's")
+        return Err(Rejection::new(Code::WrongRole, "the node's certificate does not have the role of a node")
             .found(format!("{} with role {}", identity.id(), identity.role))
             .wanted("role node"));
     }

@@ -60,7 +60,7 @@ impl Renewer {
                     }
                 }
                 Err(reason) => {
-                    tracing::error!(code = reason.code.name(), %reason, "the node's certificate cannot be read");
+                    tracing::error!(code = reason.code.name(), %reason, "cannot read the node certificate");
                     LOOK_MAX
                 }
             };
@@ -75,15 +75,16 @@ impl Renewer {
                 let until = format!("{} days", not_after.saturating_sub(wall()) / DAY);
                 // The end of an outage has the level of the outage.
                 match std::mem::take(failed) {
-                    true => tracing::warn!(until, "the node's certificate is renewed after all"),
-                    false => tracing::info!(until, "the node's certificate is renewed"),
+                    true => tracing::warn!(until, "node certificate renewed after earlier failures"),
+                    false => tracing::info!(until, "node certificate renewed"),
                 }
                 RETRY_PAUSE.0
             }
             Err(reason) => {
                 *failed = true;
                 let days = left / DAY;
-                tracing::warn!(code = reason.code.name(), %reason, "the node's certificate cannot be renewed; it ends in {days} days; trying again");
+                tracing::warn!(code = reason.code.name(), %reason, "cannot renew the node certificate, which expires \
+                                                                    in {days} days; retrying");
                 Duration::from_micros(left / 10).clamp(RETRY_PAUSE.0, RETRY_PAUSE.1)
             }
         }
@@ -118,7 +119,7 @@ impl Renewer {
 /// [`Code::BadFile`] if they cannot be used, or are those of another identity; the fault of the certificate.
 pub(crate) fn read_again(data: &Path, identity: &TlsIdentity, msps: &Msps) -> Result<bool, Rejection> {
     let (certificate, key) = (data.join(CERTIFICATE_FILE), data.join(KEY_FILE));
-    check_secret(&key, "if others may have read it, take another key")?;
+    check_secret(&key, "if others may have read it, replace the key, and revoke its certificate")?;
     let lies_there = TlsIdentity::from_pem_files(&certificate, &key)
         .map_err(|error| Rejection::new(Code::BadFile, error.to_string()).next("restore the file from a copy"))?;
     if lies_there.own().certificate() == identity.own().certificate() {
@@ -155,13 +156,13 @@ pub(crate) fn revive(
         let Identity { organisation, name, .. } = &own;
         return Err(Rejection::new(
             Code::CertificateExpired,
-            format!("the certificate of node {} ran out while it was away", own.id()),
+            format!("the certificate of node {} expired while the node was stopped", own.id()),
         )
-        .found(format!("the end of its validity {} days ago", (now - not_after) / 86_400_000_000))
-        .wanted("a node that runs for some time in the last third of its certificate's life, to renew it")
+        .found(format!("a validity that ended {} days ago", (now - not_after) / 86_400_000_000))
+        .wanted("a node that runs in the last third of its certificate's validity, and renews it")
         .next(format!(
-            "an admin of {organisation} types ledgerctl network invite --node {name}; \
-             then type here ledgerd join TOKEN --config FILE, which keeps the data"
+            "an admin of {organisation} runs ledgerctl network invite --node {name}; then run here: ledgerd join \
+             TOKEN --config FILE, which keeps the data"
         )));
     };
     let renewal = Renewal::begin(identity)?;
@@ -169,7 +170,7 @@ pub(crate) fn revive(
     let renewed = renewal.finish_at(&certificate, msps, now)?;
     store(data, identity, &renewed)?;
     identity.renew(&renewed);
-    tracing::warn!("the node's certificate had expired; its own CA has renewed it");
+    tracing::warn!("node certificate had expired; renewed by the CA key of this node");
     Ok(())
 }
 

@@ -87,7 +87,7 @@ impl Cluster {
     pub fn start(&mut self, node: usize) {
         let place = &self.fleet.nodes[node];
         let command = (self.enter[node])(place.command());
-        assert!(self.nodes[node].is_none(), "{} runs already", place.name);
+        assert!(self.nodes[node].is_none(), "{} is running already", place.name);
         self.nodes[node] = Some(Process::start(&place.name, self.fleet.path(), command));
     }
 

@@ -50,5 +50,5 @@ fn the_example_of_two_organisations_on_three_machines_runs_as_it_stands() {
         Command::new("kill").arg(pid.trim()).status().unwrap();
     }
     assert!(ran.status.success(), "{told}\n{}\n{}", String::from_utf8_lossy(&ran.stderr), logs.join("\n"));
-    assert!(told.contains("Turtlebot4/cmd_vel is yours alone") && told.contains("3 of 3"), "{told}");
+    assert!(told.contains("Turtlebot4/cmd_vel is acquired (exclusive)") && told.contains("3 of 3"), "{told}");
 }

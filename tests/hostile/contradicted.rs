@@ -80,7 +80,10 @@ impl Scene {
         .await;
         let (acquired, noted) = acquired;
         // On this side nothing is certified, and the answer says so.
-        assert!(acquired["certified"] == false && noted.contains("executed, not certified yet"), "{acquired} {noted}");
+        assert!(
+            acquired["certified"] == false && noted.contains("executed, but not certified yet"),
+            "{acquired} {noted}"
+        );
         until("the other side is certified", || async {
             let held = self.certified.light(&self.farhad).await.ok()?;
             (held == "Org1/Farhad").then_some(())
@@ -196,7 +199,7 @@ fn a_node_that_a_strict_certificate_contradicts_stops_and_comes_back_by_the_comm
         let (code, _, refused) = scene.certified.run(&nima, &["robot", "list"]).await;
         assert!(code == 4 && refused.contains("LGR-4001"), "{code} {refused}");
         let (_, shown, _) = scene.certified.run(&scene.salma, &["light", "Turtlebot4"]).await;
-        assert!(shown.contains("since block 0, on the whole way from the genesis"), "{shown}");
+        assert!(shown.contains("since block 0, for the whole chain from the genesis"), "{shown}");
 
         let back = programs::said(&scene.rejoin().output().unwrap());
         assert!(back.contains(&lost) && back.contains("dead-branch-1"), "{back}");
@@ -303,7 +306,7 @@ fn where_no_history_is_certified_any_more_recover_takes_the_people_through_it() 
             &["recover", "--force-single", "--confirm", "test", "--reason", "Org1 lied"],
             kept,
         ));
-        assert!(done.contains("RECOVERED BY FORCE") && done.contains("ledgerd rejoin"), "{done}");
+        assert!(done.contains("FORCED RECOVERY") && done.contains("ledgerd rejoin"), "{done}");
         let _kept = kept.start_as(twice.sides[0].within(&kept.command()));
         twice.sides[0].does(&twice.users[0], &["robot", "list"]).await;
         let backup = twice.fleet.path().join("backup");
@@ -396,7 +399,7 @@ fn a_rejoin_drops_nothing_that_a_strict_certificate_of_its_node_covers() {
         command.args(["rejoin", "--config"]).arg(&node4.config);
         let refused = programs::refused(
             &second.within(&command).output().unwrap(),
-            &["LGR-5009", "two strict certificates contradict each other; nothing was changed", "people decide"],
+            &["LGR-5009", "two strict certificates contradict each other; nothing was changed", "people must choose"],
         );
         let certified = own.certificate.statement;
         assert!(refused.contains(&format!("block {} at height {}", certified.block, certified.height)), "{refused}");

@@ -60,7 +60,7 @@ async fn leadership_moves_on_demand_of_organisations_with_voters_and_not_often()
         match boss.transfer_leadership(0).await {
             Ok(_) => done += 1,
             Err(refused) if refused.code == Code::Overloaded => {
-                assert!(refused.wanted.contains("10 s") && refused.advice().contains("ask again in"), "{refused}");
+                assert!(refused.wanted.contains("10 s") && refused.advice().contains("try again in"), "{refused}");
                 refused_in_time += 1;
             }
             // A voter has just come up, or hears of the new leader in a moment.

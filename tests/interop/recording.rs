@@ -166,7 +166,7 @@ fn a_recording_has_exactly_the_blocks_between_two_moments() {
     };
     refused(&["--since", &moment(4), "--until", &moment(2)]).refused(3, &["LGR-1011", "would end before it begins"]);
     refused(&["--until", "10m"]).refused(3, &["LGR-1011", "give --since"]);
-    refused(&["--since", "2999-01-01T00:00:00Z"]).refused(3, &["LGR-1011", "lies in the future"]);
+    refused(&["--since", "2999-01-01T00:00:00Z"]).refused(3, &["LGR-1011", "is in the future"]);
     refused(&["--since", "100000"]).refused(3, &["LGR-1011", "does not exist yet", "--follow"]);
 }
 

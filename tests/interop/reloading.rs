@@ -54,11 +54,11 @@ fn on_sighup_routes_come_and_go_and_the_others_are_not_touched() {
         // A mistake changes nothing.
         world.config_of("Salma", &format!("{HEAD}{up}{down}topik = '/x'\n"));
         bridge.signal(Signal::HUP);
-        world.line("Salma", &["ERROR", "topik", "was not taken over"]).await;
+        world.line("Salma", &["ERROR", "topik", "configuration rejected on reload"]).await;
 
         world.config_of("Salma", &format!("{HEAD}node_name = 'other'\n{down}"));
         bridge.signal(Signal::HUP);
-        world.line("Salma", &["WARN", "only routes change while the bridge runs"]).await;
+        world.line("Salma", &["WARN", "only routes can be reloaded"]).await;
         world.line("Salma", &["route 1 has ended"]).await;
         world.line("Salma", &["1 routes ended, 0 started"]).await;
         until_matched(writer.matched(), 0).await;
@@ -82,7 +82,7 @@ fn on_sighup_a_node_reads_the_routes_of_its_bridge_again_and_goes_on() {
         world.line("Org2", &["route 2: Rover/cmd_vel -> /renamed"]).await;
         world.line("Org2", &["1 routes ended, 1 started"]).await;
         world.change_node(0, "Org1", |text| text);
-        world.line("Org1", &["this node has no bridge"]).await;
+        world.line("Org1", &["no bridge on this node"]).await;
         // Both nodes still answer.
         call(&world.salma, "acquire", &["Rover/cmd_vel", "60000"]).await;
     });

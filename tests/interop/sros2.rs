@@ -191,12 +191,12 @@ fn an_export_that_would_close_nothing_or_replace_a_file_is_refused() {
         let keystore = Keystore::new(&world.path("home"));
         let to = world.path("home").join("exported");
         let refused = export_in(&world, &keystore, &to, 3, &[]).unwrap_err();
-        assert!(refused.contains("in the domain that is to be secured"), "{refused}");
+        assert!(refused.contains("in the domain to be secured"), "{refused}");
         export(&world, &keystore, &to, &[]).unwrap();
         let again = export(&world, &keystore, &to, &[]).unwrap_err();
         assert!(again.contains("ALREADY_EXISTS") && again.contains("--force"), "{again}");
         export(&world, &keystore, &to, &["--force"]).unwrap();
         let none = export(&world, &Keystore(world.path("net")), &to, &["--force"]).unwrap_err();
-        assert!(none.contains("is no keystore of SROS2"), "{none}");
+        assert!(none.contains("is not an SROS2 keystore"), "{none}");
     });
 }

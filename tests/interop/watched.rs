@@ -158,7 +158,7 @@ fn the_page_is_there_while_a_bridge_waits_and_says_for_what() {
         // The page tells who may command what: without a certificate it is for the machine only.
         let elsewhere = settings(1, "to_ledger", "0.0.0.0:7461");
         let refused = world.bridge_refuses("Salma", &elsewhere);
-        for word in ["for its own machine only", "admin.listen = \"0.0.0.0:7461\"", "loopback", "TLS"] {
+        for word in ["limited to its own machine", "admin.listen = \"0.0.0.0:7461\"", "loopback", "TLS"] {
             assert!(refused.contains(word), "{word}: {refused}");
         }
         let half = elsewhere.replace("[admin]\n", "[admin]\ncertificate = \"page.pem\"\n");

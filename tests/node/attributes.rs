@@ -25,7 +25,7 @@ fn two_attributes_in_one_and_a_value_in_a_name_are_rejected_with_what_was_meant(
         crate::support::network::now() + 60_000_000
     );
     let register = ["invoke", "msp", "register", &call];
-    admin.run(&register).refused(3, &["LGR-1011", "this is no attribute", "did you mean level=3?"]);
+    admin.run(&register).refused(3, &["LGR-1011", "this is not an attribute", "did you mean level=3?"]);
     // A registrar may give attributes by their names.
     dev.user("Farhad", &[], "ed25519");
     let registrar = ["identity", "registrar", "Farhad", "--affiliation", "sales", "--attr", "Turtlebot4,Husky"];
@@ -71,16 +71,16 @@ fn policies_with_the_mark_of_an_editor_are_read_and_other_files_are_named() {
     let powershell = file("powershell.cedar", &utf16);
     for path in [&notepad, &powershell] {
         let checked = owner.run(&["policy", "check", path]).ok().stdout;
-        assert!(checked.contains(": fine"), "{checked}");
+        assert!(checked.contains(": no errors"), "{checked}");
         owner.run(&["policy", "put", "default", &format!("@{path}")]).ok();
         assert_eq!(owner.run(&["policy", "show", "default"]).ok().stdout.trim(), text.trim());
     }
     owner.run(&["policy", "apply", &notepad]).ok();
     let fleet = file("fleet.toml", b"\xef\xbb\xbforganisation = \"Org2\"\n");
     owner.run(&["diff", &fleet]).ok();
-    owner.run(&["policy", "apply", &fleet]).refused(3, &["has no policies", "ledgerctl apply "]);
+    owner.run(&["policy", "apply", &fleet]).refused(3, &["contains no policies", "ledgerctl apply "]);
     let fleet = file("robots.toml", b"[robot.Husky]\ntrust = [\"Org1\", \"Org2\"]\n");
-    owner.run(&["policy", "apply", &fleet]).refused(3, &["has no policies", "ledgerctl apply "]);
+    owner.run(&["policy", "apply", &fleet]).refused(3, &["contains no policies", "ledgerctl apply "]);
     owner.run(&["apply", &notepad]).refused(3, &["ledgerctl policy apply "]);
     let spaces = file("guests (1).cedar", text.as_bytes());
     owner.run(&["policy", "apply", &spaces]).refused(3, &["mv ", "guests-1.cedar"]);

@@ -143,6 +143,10 @@ async fn ledgerctl_shows_the_audit_and_the_history_with_decoded_values() {
     let mut story = Story::play().await;
     let ctl = |who: &Context| story.fleet.ctl().as_(&who.name);
     let lines = |text: &str| text.lines().map(|line| serde_json::from_str(line).unwrap()).collect::<Vec<Value>>();
+    for command in [&["audit"][..], &["history", "Turtlebot4/cmd_vel"]] {
+        let future = [command, &["--since", "2999-01-01T00:00:00Z"]].concat();
+        ctl(&story.owner).run(&future).refused(3, &["LGR-1011", "--since is in the future", "time zone"]);
+    }
     let shown = ctl(&story.owner).run(&["audit", "--robot", "Turtlebot4", "--since", "10m", "-o", "json"]).ok();
     let shown = lines(&shown.stdout);
     let used = shown.iter().find(|row| row["decision"] == "used").unwrap();

@@ -96,7 +96,7 @@ fn with_the_first_carriers_disk_lost_another_one_issues_and_any_node_registers_a
     });
     // The node whose disk is lost is forgotten, and the last carrier does not leave without a question.
     third.run(&["ca", "forget", "node1"]).ok();
-    third.run(&["network", "remove", "node2"]).refused(3, &["--i-mean-it", "enrol or renew", "ca carry"]);
+    third.run(&["network", "remove", "node2"]).refused(3, &["--i-mean-it", "enrolment and renewal", "ca carry"]);
 }
 
 #[test]
@@ -221,7 +221,7 @@ fn a_key_that_others_can_read_and_a_missing_ca_refuse_the_start_and_say_what_to_
         (ran.code == 0 && ran.json()["carriers"].as_array().unwrap().is_empty()).then_some(())
     });
     let told = ctl.run(&["ca", "status"]).ok().stdout;
-    assert!(told.contains("no node carries the CA of Org1"), "{told}");
+    assert!(told.contains("no node holds the CA key of Org1"), "{told}");
 }
 
 #[test]
@@ -245,7 +245,7 @@ fn an_enrolment_that_breaks_off_anywhere_is_finished_by_the_same_command_with_th
     let user = Ctl::at(&home);
     fs::create_dir_all(home.join("contexts")).unwrap();
     fs::write(home.join("contexts/.Salma.new"), "in the way").unwrap();
-    user.run(&salma).refused(3, &["LGR-7002", "type the same command again"]);
+    user.run(&salma).refused(3, &["LGR-7002", "run the same command again"]);
     let first = state(&ctl, "Salma")["certificates"].clone();
     assert_eq!(first.as_array().unwrap().len(), 1);
     fs::remove_file(home.join("contexts/.Salma.new")).unwrap();
@@ -268,7 +268,7 @@ fn an_enrolment_that_breaks_off_anywhere_is_finished_by_the_same_command_with_th
     let _ended = child.kill();
     child.wait().unwrap();
     let ran = user.run(&farhad);
-    assert!(ran.code == 0 || ran.stderr.contains("there is a context"), "{ran:?}");
+    assert!(ran.code == 0 || ran.stderr.contains("exists already"), "{ran:?}");
     user.as_("Farhad").run(&["robot", "list"]).ok();
     assert_eq!(state(&ctl, "Farhad")["certificates"].as_array().unwrap().len(), 1);
 }
@@ -282,7 +282,7 @@ fn what_is_pending_is_listed_and_cancelled() {
     eventually("the node is there", || (ctl.run(&["status"]).code == 0).then_some(()));
     let salma = invited(&ctl, "Salma");
     let listed = ctl.run(&["identity", "list"]).ok().stdout;
-    assert!(listed.lines().any(|line| line.contains("Salma") && line.contains("may enrol until")), "{listed}");
+    assert!(listed.lines().any(|line| line.contains("Salma") && line.contains("can enrol until")), "{listed}");
     ctl.run(&["identity", "cancel", "Salma"]).ok();
     fleet.ctl().run(&salma).refused(2, &["LGR-2007"]);
     ctl.run(&["identity", "cancel", "Salma"]).refused(3, &["LGR-1013"]);
@@ -350,11 +350,11 @@ fn an_admin_copies_restores_and_moves_the_ca_with_a_passphrase_and_the_ledger_kn
     assert!(record.contains("copied") && record.contains("Org1/Admin"), "{record}");
 
     // It moves: the second node has it, and the first one has no key any more.
-    second.run(&["ca", "move", "node2"]).refused(3, &["--i-mean-it", "gives up the key"]);
+    second.run(&["ca", "move", "node2"]).refused(3, &["--i-mean-it", "removes the CA key"]);
     second.run(&["ca", "move", "node2", "--i-mean-it"]).ok();
     assert_eq!(carriers(&second), ["Org1/node2"]);
     assert!(!fleet.nodes[0].data.join("ca/Org1").exists());
-    second.run(&["ca", "move", "node2", "--i-mean-it"]).refused(4, &["no other node carries"]);
+    second.run(&["ca", "move", "node2", "--i-mean-it"]).refused(4, &["no other node holds"]);
     fleet.ctl().run(&invited(&second, "Salma")).ok();
     // The first node starts again without it.
     nodes[0].kill();
@@ -371,7 +371,7 @@ fn an_admin_copies_restores_and_moves_the_ca_with_a_passphrase_and_the_ledger_kn
     eventually("a leader is elected", || (third.run(&["robot", "list"]).code == 0).then_some(()));
     restore(wrong.to_str().unwrap()).refused(3, &["another passphrase"]);
     restore(words_text).ok();
-    restore(words_text).refused(3, &["carries this CA already"]);
+    restore(words_text).refused(3, &["holds this CA key already"]);
     carried(&third, 2);
     fleet.ctl().run(&invited(&admin(&fleet, 3), "Farhad")).ok();
     // The ledger still names the second node, whose disk is lost. The last key is not given up to it.

@@ -130,7 +130,7 @@ async fn a_voter_that_hears_a_majority_does_not_wait_for_a_silent_node() {
     one.interrupt();
     one = fleet.nodes[0].start();
     eventually("it orders before the learner has said anything", || {
-        (said(&one, "begins without the answer of silent nodes") > 0).then_some(())
+        (said(&one, "starting without the answer of unreachable nodes") > 0).then_some(())
     });
     let height = blocks(&fleet, &users, 0, 3).await;
     agree(&at(&fleet, &owner, 0).await, &at(&fleet, &owner, 1).await, height).await;
@@ -186,7 +186,7 @@ async fn a_learner_that_was_away_fetches_blocks_and_goes_on_after_a_kill() {
     }
     // The first time it may have had all blocks when it was killed, without the time to say so.
     println!("catch_up: {} blocks, fetched {} times", after, said(&learner, "fetching blocks"));
-    assert!(said(&learner, "fetching blocks") >= 3 && said(&learner, "caught up") >= 2, "{}", learner.stderr());
+    assert!(said(&learner, "fetching blocks") >= 3 && said(&learner, "up to date") >= 2, "{}", learner.stderr());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -279,7 +279,7 @@ async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_
         copies.iter().for_each(Copy::put_back);
     };
     assert!(log.contains("Org1/node1 has another block at height"), "{log}");
-    assert_eq!(log.matches("caught up").count(), 1, "{log}");
+    assert_eq!(log.matches("up to date").count(), 1, "{log}");
 }
 
 /// A copy of what a stopped node has stored.
@@ -324,7 +324,7 @@ async fn a_newcomer_takes_a_snapshot_that_two_organisations_attest_when_the_bloc
     let enough = blocks(&fleet, &users, 0, 2 * BLOCKS).await;
     let mut height = enough;
     while snapshot(&fleet.nodes[0]).is_none_or(|(made, _)| made < enough) {
-        assert!(height < 100 * BLOCKS, "no snapshot is made");
+        assert!(height < 100 * BLOCKS, "no snapshot: storing");
         height = blocks(&fleet, &users, 0, EVERY).await;
     }
     agree(&at(&fleet, &owner, 0).await, &at(&fleet, &owner, 1).await, height).await;

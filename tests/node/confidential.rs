@@ -72,7 +72,7 @@ fn a_reader_reads_from_its_first_key_until_it_is_taken_out_and_hears_of_what_is_
         (dev.user("Salma", &["Turtlebot4"], "ed25519"), dev.user("Farhad", &["Turtlebot4"], "ed25519"));
     let service = "Turtlebot4/cmd_vel";
     let set = dev.owner().run(&["robot", "set", service, "confidential=true"]).ok();
-    assert!(set.stderr.contains("you are one of its readers"), "{}", set.stderr);
+    assert!(set.stderr.contains("you are now one of its readers"), "{}", set.stderr);
     assert!(dev.owner().run(&["robot", "list"]).ok().stdout.contains("exclusive, confidential"));
     salma.json(&["acquire", service]);
     publish(&salma, service, &twist("01"));

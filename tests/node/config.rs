@@ -102,14 +102,17 @@ fn a_log_in_a_file_is_json_unless_somebody_wants_text() {
     };
     let is_json = |line: &str| {
         let line = serde_json::from_str::<serde_json::Value>(line).ok()?;
-        line["fields"]["message"].as_str().map(|message| message.starts_with("admin page"))
+        line["fields"]["message"].as_str().map(|message| message.starts_with("monitoring"))
     };
     assert_eq!(is_json(&said("", None)), Some(true));
     assert_eq!(is_json(&said("", Some("json"))), Some(true));
     assert_eq!(is_json(&said("[log]\nformat = 'json'\n", Some("text"))), Some(true));
     for (log, wanted) in [("", Some("text")), ("[log]\nformat = 'text'\n", None)] {
         let line = said(log, wanted);
-        assert!(line.contains("INFO admin page") && !line.contains('{') && !line.contains('\u{1b}'), "{line}");
+        assert!(
+            line.contains("INFO monitoring endpoint listening") && !line.contains('{') && !line.contains('\u{1b}'),
+            "{line}"
+        );
     }
 }
 
@@ -179,4 +182,41 @@ fn init_run_and_enrol_work_as_printed() {
     node.check();
     node.interrupt();
     println!("config: 2 commands repeated");
+}
+
+#[test]
+fn a_file_without_its_option_is_shown_behind_it() {
+    let place = TempDir::new().unwrap();
+    for (command, file, tip) in [
+        ("bridge", "salma.toml", "did you mean '--config salma.toml'?"),
+        ("check", "my node.toml", "did you mean '--config 'my node.toml''?"),
+    ] {
+        let done = ledgerd(&[command, file], place.path());
+        assert_eq!(done.status.code(), Some(64), "{done:?}");
+        let told = text(&done.stderr);
+        assert!(told.contains(tip) && !told.contains("'-- "), "{told}");
+    }
+}
+
+#[test]
+fn results_that_cannot_be_written_are_an_error() {
+    let place = TempDir::new().unwrap();
+    for arguments in [&["completions", "bash"][..], &["--help"], &["--version"]] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let done = programs::node().args(arguments).current_dir(place.path()).stdout(full).output().unwrap();
+        let told = text(&done.stderr);
+        assert_eq!(done.status.code(), Some(3), "{arguments:?}: {told}");
+        assert!(told.contains("cannot write the results to standard output") && told.contains("LGR-7002"), "{told}");
+    }
+}
+
+#[test]
+fn a_command_that_is_printed_quotes_an_odd_path() {
+    let place = TempDir::new().unwrap();
+    let data = place.path().join("data of node 1");
+    let file = place.path().join("node 1.toml");
+    fs::write(&file, format!("data = {data:?}\n")).unwrap();
+    let done = ledgerd(&["run", "--config", file.to_str().unwrap()], place.path());
+    let told = text(&done.stderr);
+    assert!(told.contains(&format!("--config '{}'", file.display())), "{told}");
 }

@@ -40,7 +40,7 @@ fn a_second_dev_refuses_before_it_touches_anything_of_the_first() {
         let second = dev(first.home.path(), listen).output().unwrap();
         let said = String::from_utf8(second.stderr).unwrap();
         assert!(!second.status.success(), "{said}");
-        for words in ["another ledgerd dev runs", first.fact("address"), "LEDGERD_HOME=DIR"] {
+        for words in ["another ledgerd dev is running", first.fact("address"), "LEDGERD_HOME=DIR"] {
             assert!(said.contains(words), "{words:?} is missing in {said}");
         }
         assert_eq!(files(first.home.path()), before);
@@ -102,7 +102,7 @@ fn dev_never_replaces_a_context_that_it_has_not_made() {
     let before = files(&fleet.home());
     let refused = dev(&fleet.home(), "127.0.0.1:0").output().unwrap();
     let said = String::from_utf8(refused.stderr).unwrap();
-    assert!(!refused.status.success() && said.contains("that ledgerd dev has not made"), "{said}");
+    assert!(!refused.status.success() && said.contains("was not created by ledgerd dev"), "{said}");
     assert_eq!(files(&fleet.home()), before);
 }
 
@@ -186,7 +186,7 @@ fn a_renewal_that_fails_is_a_warning_and_an_end_that_has_come_says_what_to_do() 
     let files = fs::read_dir(fleet.home().join("contexts").join("Salma")).unwrap();
     let files: Vec<_> = files.map(|file| file.unwrap().path()).filter(|file| file.is_file()).collect();
     let old: Vec<_> = files.into_iter().map(|file| (fs::read(&file).unwrap(), file)).collect();
-    crate::support::eventually("the certificate is renewed at use", || {
+    crate::support::eventually("the certificate is renewed when it is used", || {
         ctl.as_("Salma").run(&["robot", "list"]);
         (end(&fleet, "Salma") > now() + 300 * DAY).then_some(())
     });

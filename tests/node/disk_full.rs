@@ -96,7 +96,7 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
     node.no_panic();
     // The state goes to the disk again too: nothing was said to the contrary after the last time that it was full.
     let log = node.stderr();
-    let after = log.rsplit("there is space on the disk again").next().unwrap();
+    let after = log.rsplit("disk space available again").next().unwrap();
     assert!(!after.contains("cannot store"), "{after}");
     let mut node = start();
     let client = connect(&owner).await;

@@ -35,8 +35,8 @@ fn a_network_that_lacks_nothing_is_well_and_stops_side_doors_and_revocations_are
         ("clock", "agrees with the nodes"),
         ("quorum", "1 of 1 answers"),
         ("peers", "Org1/node1"),
-        ("side doors", "none is reported of 3 robots"),
-        ("policy", "the built-in one decides"),
+        ("side doors", "none reported for 3 robots"),
+        ("policy", "the built-in policy decides"),
     ];
     eventually("nothing is lacking", || {
         let well = findings(&salma);
@@ -53,7 +53,7 @@ fn a_network_that_lacks_nothing_is_well_and_stops_side_doors_and_revocations_are
     let robot = dev.ctl().as_("Turtlebot4");
     robot.run(&["invoke", "abac", "report_side_door", "Turtlebot4/cmd_vel", "/cmd_vel", "2"]).ok();
     let door = findings(&salma);
-    let words = "2 publish on /cmd_vel of Turtlebot4/cmd_vel beside the bridge, told by Org2/Turtlebot4";
+    let words = "2 publish on /cmd_vel of Turtlebot4/cmd_vel in addition to the bridge, reported by Org2/Turtlebot4";
     assert!(has(&door, "side doors", "wrong", words, "ros2 topic info -v /cmd_vel"), "{door:#?}");
     dev.owner().run(&["stop", "Husky", "--reason", "cell is open"]).ok();
     let stopped = findings(&salma);
@@ -64,7 +64,7 @@ fn a_network_that_lacks_nothing_is_well_and_stops_side_doors_and_revocations_are
 
     dev.owner().run(&["policy", "put", "night", "permit(principal, action, resource);"]).ok();
     let own = findings(&dev.owner());
-    assert!(has(&own, "policy", "ok", "1 of Org2, all without a fault", ""), "{own:#?}");
+    assert!(has(&own, "policy", "ok", "1 of Org2, none with errors", ""), "{own:#?}");
 
     dev.admin().run(&["identity", "revoke", "Salma"]).ok();
     let revoked = findings(&salma);

@@ -204,7 +204,7 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     };
     import("plain", "plain").ok();
     import("gone", "gone").ok();
-    import("gone", "plain").refused(3, &["LGR-7002", "the key is not that of the certificate"]);
+    import("gone", "plain").refused(3, &["LGR-7002", "the key does not belong to the certificate"]);
     import("stranger", "stranger").refused(3, &["no role in the units \"member\""]);
     let (salma, plain, gone) = (ctl.as_("Salma"), ctl.as_("plain"), ctl.as_("gone"));
     plain.run(&["acquire", "Rover"]).refused(2, &["LGR-3001"]);
@@ -217,7 +217,7 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     salma.run(&["can", "salma", "acquire", "Rover"]).ok();
     let could = chief.run(&["can", "chief", "acquire", "Rover", "--who-could"]);
     assert_eq!(could.code, 2, "{could:?}");
-    assert!(could.stdout.contains("the ledger lists nobody of your organisation"), "{could:?}");
+    assert!(could.stdout.contains("the ledger lists no identity of your organisation"), "{could:?}");
     let matrix = chief.run(&["can", "--matrix"]).ok().stdout;
     assert!(matrix.contains("Org3/chief") && !matrix.contains("salma"), "{matrix}");
 
@@ -255,7 +255,10 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     // Nobody waits for a list: an admin revokes a person by name.
     plain.run(&["whoami"]).ok();
     let shown = chief.run(&["identity", "revoke", "plain", "--reason", "laptop stolen"]).ok().stdout;
-    assert!(shown.contains("certificates of plain that begin before") && shown.contains("compare how it"), "{shown}");
+    assert!(
+        shown.contains("certificates of plain whose validity begins before") && shown.contains("check the spelling"),
+        "{shown}"
+    );
     plain.run(&["acquire", "Rover"]).refused(2, &["LGR-2004"]);
 
     // All of it is there after a restart.

@@ -116,7 +116,7 @@ async fn after_a_voter_was_set_back_the_node_with_the_other_history_stops_and_al
     let ended = second.wait();
     let log = second.stderr();
     assert_eq!(ended.code(), Some(7), "{ended}\n{log}");
-    assert!(log.contains("LGR-5008") && log.contains("most voters have another history"), "{log}");
+    assert!(log.contains("LGR-5008") && log.contains("the history of most voters differs"), "{log}");
     for node in [0, 2] {
         let observer = network.at(node, &network.owner).await;
         until("the others show it", || async {
@@ -153,7 +153,7 @@ async fn a_voter_that_was_set_back_does_not_start_where_a_peer_remembers_what_it
         network.start_again(0);
         let mut first = network.nodes[0].take().unwrap();
         let ends = eventually("the first node ends, or begins", || {
-            let begins = first.stderr().split_off(before).contains("begins without the answer of silent nodes");
+            let begins = first.stderr().split_off(before).contains("starting without the answer of unreachable nodes");
             if first.is_running() { begins.then_some(false) } else { Some(true) }
         });
         if ends {
@@ -189,7 +189,7 @@ async fn a_learner_that_makes_up_what_a_voter_had_confirmed_keeps_it_from_nothin
         let after = network.publish(1, next..next + 10).await;
         network.reaches(0, after).await;
         let log = network.fleet.nodes[0].logged().split_off(before);
-        if log.contains("shows no receipt") && log.contains("Org2/node4") {
+        if log.contains("without showing a receipt") && log.contains("Org2/node4") {
             break;
         }
         // On a busy machine the learner's answer came too late.

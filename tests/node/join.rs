@@ -199,7 +199,7 @@ async fn an_invited_organisation_joins_with_its_own_ca_and_its_admin_enrols() {
     };
     let invite = Bytes::from(serde_json::to_vec(&invite).unwrap());
     let proposed = leader.invoke("msp", "invite_organisation", vec![invite]).await.unwrap();
-    newcomer.join(&token.to_string()).refused(&["no invitation that was approved"]);
+    newcomer.join(&token.to_string()).refused(&["no approved invitation"]);
     let proposal: serde_json::Value = serde_json::from_slice(&proposed.response).unwrap();
     let proposal = proposal["proposal"]["id"].as_str().or(proposal["id"].as_str()).unwrap().to_owned();
     connect(&owner).await.invoke("msp", "approve", vec![proposal.into()]).await.unwrap();
@@ -235,14 +235,14 @@ async fn what_cannot_join_is_told_why() {
     let good = token(&fleet, &leader, "Org1", "node2").await;
     let newcomer = Newcomer::new(&fleet, "second");
     let text = good.to_string();
-    newcomer.join(&text[..text.len() - 9]).refused(&["this is no join token", "ask an admin"]);
+    newcomer.join(&text[..text.len() - 9]).refused(&["this is not a join token", "ask an admin"]);
     // The node of another network has another CA; one with the right CA has another genesis.
     let elsewhere = JoinToken { addresses: vec![other.nodes[0].address.clone()], ..good.clone() };
-    newcomer.join(&elsewhere.to_string()).refused(&["is not accepted", &good.ca.to_string()]);
+    newcomer.join(&elsewhere.to_string()).refused(&["is not trusted", &good.ca.to_string()]);
     let renamed = JoinToken { network: Hash([1; 32]), ..good.clone() };
     newcomer.join(&renamed.to_string()).refused(&["of another network"]);
     let wrong = JoinToken { secret: "00".repeat(16), ..good.clone() };
-    newcomer.join(&wrong.to_string()).refused(&["enrolment is refused", "ledgerctl network invite --node node2"]);
+    newcomer.join(&wrong.to_string()).refused(&["enrolment is rejected", "ledgerctl network invite --node node2"]);
     let taken = Newcomer { address: fleet.nodes[0].address.clone(), ..Newcomer::new(&fleet, "taken") };
     taken.join(&text).refused(&["another process uses the address", "--address"]);
     std::fs::create_dir_all(newcomer.data()).unwrap();
@@ -274,7 +274,7 @@ async fn the_identity_files_of_another_node_refuse_the_start_and_both_nodes_are_
     }
     let mut node = newcomer.run("node2", &fleet);
     assert!(!node.wait().success());
-    for word in ["node.pem and node.json are of two nodes", "Org1/org1-node", "Org1/node2"] {
+    for word in ["node.pem and node.json belong to different nodes", "Org1/org1-node", "Org1/node2"] {
         assert!(node.stderr().contains(word), "{word:?} is missing in: {}", node.stderr());
     }
 }

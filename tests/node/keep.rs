@@ -71,21 +71,21 @@ fn the_end_of_a_kept_grant_has_its_reason_and_an_exit_code_of_its_kind() {
 
     let mut kept = keep(&salma, logs.path(), "stopped", &[SERVICE]);
     let stopped = owner.run(&["stop", "Turtlebot4"]).ok().stdout;
-    assert!(stopped.contains("after `ledgerctl resume` they acquire again"), "{stopped}");
+    assert!(stopped.contains("the holders must acquire again after `ledgerctl resume`"), "{stopped}");
     ended(&mut kept, 5, &["the robot was stopped", "[LGR-3020]", "once it is resumed: ledgerctl acquire"]);
     let resumed = owner.run(&["resume", "Turtlebot4"]).ok().stdout;
-    assert!(resumed.contains("grants that the stop ended do not come back: acquire again"), "{resumed}");
+    assert!(resumed.contains("grants that the stop ended are not restored"), "{resumed}");
 
     let mut kept = keep(&salma, logs.path(), "taken", &[SERVICE]);
     owner.run(&["take", SERVICE, "--reason", "test"]).ok();
-    ended(&mut kept, 2, &["Org2/Admin took it in an emergency", "[LGR-3006]"]);
+    ended(&mut kept, 2, &["overridden by Org2/Admin in an emergency", "[LGR-3006]"]);
     owner.run(&["release", SERVICE]).ok();
 
     // Of several grants that are kept together, the loss of one ends the other.
     let both = ["Turtlebot4", "Husky", "--all-or-none"];
     let mut kept = keep(&salma, logs.path(), "together", &both);
     owner.run(&["release", SERVICE, "--holder", "Org1/Salma"]).ok();
-    ended(&mut kept, 2, &["Turtlebot4/cmd_vel is yours no longer: its owner took it back"]);
+    ended(&mut kept, 2, &["Turtlebot4/cmd_vel is no longer held: its owner revoked the grant"]);
     assert_eq!(expires(&salma, "Husky/cmd_vel"), None);
 
     let mut kept = keep(&salma, logs.path(), "terminated", &["Husky", "--for", "5m"]);

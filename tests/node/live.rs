@@ -86,7 +86,7 @@ fn top_shows_robots_and_nodes_and_a_key_stops_the_chosen_robot_and_asks_before_i
     keys.write_all(b"u").unwrap();
     eventually("the reason is asked for", || screen().contains("resume Husky: why?").then_some(()));
     keys.write_all(b"\x1b").unwrap();
-    eventually("Esc cancels", || screen().contains("nothing is resumed").then_some(()));
+    eventually("Esc cancels", || screen().contains("not resumed").then_some(()));
     assert!(is_stopped());
     keys.write_all(b"u").unwrap();
     eventually("the reason is asked for again", || {

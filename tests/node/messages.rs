@@ -49,10 +49,11 @@ fn what_the_type_does_not_admit_is_refused_before_it_costs_anything() {
     for (message, words) in [
         ("{linaer: {x: 0.5}}", ["LGR-6003", "did you mean \"linear\"?"]),
         ("{linear: {w: 0.5}}", ["linear: geometry_msgs/msg/Vector3 has no field w", "x, y, z"]),
+        ("{linear: {x: 0,5}}", ["has no field 5", "write decimals with a point: 0.5"]),
         ("{linear: {x: fast}}", ["linear.x: this is no float64", "\"fast\""]),
         ("{linear: 1}", ["geometry_msgs/msg/Vector3", "{x: …, y: …, z: …}"]),
         ("{linear: {x: 0.5}", ["not understood as YAML", "quotes"]),
-        ("", ["the message is empty", "{} is a message with nothing but defaults"]),
+        ("", ["the message is empty", "{} is a message with default values"]),
         ("0.5", ["this is no geometry_msgs/msg/Twist", "{linear: {x: 0.0"]),
     ] {
         publish(&[message]).refused(3, &words);

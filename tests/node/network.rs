@@ -46,10 +46,12 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     let mut second = newcomer.run("second", &fleet);
     becomes(&boss, "second", "learner").await;
     // The same command changes nothing of a node that runs, and says so.
-    newcomer.join(invited["token"].as_str().unwrap()).refused(&["runs already: there is nothing to join", "is in use"]);
+    newcomer
+        .join(invited["token"].as_str().unwrap())
+        .refused(&["is running already: it cannot join again", "is in use"]);
     for (node, id) in [("second", "node 2, a learner"), (&*first, "node 1, a voter")] {
         let refused = boss.run(&["network", "invite", "--node", node]);
-        refused.refused(3, &["runs: there is nothing to join", id, "ledgerd renew"]);
+        refused.refused(3, &["is running: it cannot join again", id, "ledgerd renew"]);
     }
 
     salma
@@ -64,7 +66,7 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     );
     let id = &waits["proposal"]["id"].as_str().unwrap()[..12];
     let done = owner.run(&["network", "approve", id]).ok().stdout;
-    assert_eq!(done, "approved and done: make node Org1/second (id 2) a voter\n");
+    assert_eq!(done, "approved and executed: make node Org1/second (id 2) a voter\n");
     becomes(&boss, "second", "voter").await;
 
     // A leader hands over on demand only after it has led for a while, and says when.
@@ -72,7 +74,7 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
         let ran = boss.run(&["network", "transfer", "second", "-o", "json"]);
         // On a busy machine nobody leads for a moment, or the other node does not take over in time.
         if ran.code != 0 && !["LGR-4002", "LGR-4004"].iter().any(|code| ran.stderr.contains(code)) {
-            ran.refused(4, &["LGR-4003", "in 10 s", "ask again in"]);
+            ran.refused(4, &["LGR-4003", "in 10 s", "try again in"]);
             return None;
         }
         (ran.code == 0).then(|| ran.json())
@@ -117,7 +119,7 @@ async fn an_invitation_of_an_organisation_names_who_must_approve_and_can_be_take
     owner.run(&["network", "withdraw", &id]).refused(3, &["LGR-1013", "Org2 has not approved this"]);
     boss.run(&["network", "withdraw", &id]).ok();
     owner.run(&["network", "approve", &id]).refused(3, &["LGR-1013", "no such proposal"]);
-    assert_eq!(boss.run(&["network", "proposals"]).ok().stdout, "nothing waits for approval\n");
+    assert_eq!(boss.run(&["network", "proposals"]).ok().stdout, "no proposal waits for approval\n");
 
     let again = boss.json(&["network", "invite", "--organisation", "Org3", "--first-node", "edge"]);
     let id = again["decision"]["proposal"]["id"].as_str().unwrap();

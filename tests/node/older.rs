@@ -73,11 +73,13 @@ async fn story() {
     assert_eq!(status.code(), Some(1), "{}", learner.stderr());
     let told = learner.stderr();
     for part in [
-        &format!("error: this release of ledgerd does not speak rules {newest}, by which block {height} is executed"),
+        &format!(
+            "error: this release of ledgerd does not support rules {newest}, with which block {height} is executed"
+        ),
         "[LGR-5007]",
         &format!("found   rules {newest} from block {height} on"),
         &format!("wanted  rules {first}"),
-        "which Org1/org1-node runs, or a later release, and start the node again with its data as it is",
+        "which Org1/org1-node runs, or a later release, and start the node again; its data stay as they are",
     ] {
         assert!(told.contains(part), "{part:?} in {told}");
     }

@@ -78,7 +78,7 @@ fn no_revocation_list_is_taken_for_a_certificate_near_its_end() {
 fn the_configuration_of_the_example_robot_is_accepted() {
     let config = repository().join("examples/networks/robot/ledgerd.toml");
     let told = text(&ran(programs::node().args(["check", "--config"]).arg(config)));
-    assert!(told.contains("is fine"), "{told}");
+    assert!(told.contains("is valid"), "{told}");
 }
 
 #[test]
@@ -96,7 +96,7 @@ fn the_network_of_the_example_laptop_runs_as_it_stands() {
     Command::new("kill").arg(node.trim()).status().unwrap();
     let told = String::from_utf8_lossy(&done.stdout).into_owned();
     assert!(done.status.success(), "{told}\n{}", String::from_utf8_lossy(&done.stderr));
-    assert!(told.contains("Turtlebot4/cmd_vel is yours alone"), "{told}");
+    assert!(told.contains("Turtlebot4/cmd_vel is acquired (exclusive)"), "{told}");
 }
 
 /// Makes the package of these programs.
@@ -210,8 +210,8 @@ fn image_of(package: &Path, place: &Path) {
         "--config",
         "/config/ledgerd.toml",
     ];
-    assert!(inside(&founded).contains("is founded"));
-    assert!(inside(&["/usr/bin/ledgerd", "check", "--config", "/config/ledgerd.toml"]).contains("is fine"));
+    assert!(inside(&founded).contains("is created"));
+    assert!(inside(&["/usr/bin/ledgerd", "check", "--config", "/config/ledgerd.toml"]).contains("is valid"));
 }
 
 fn hex(content: &[u8]) -> String {

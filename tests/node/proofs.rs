@@ -149,7 +149,7 @@ fn without_a_solver_or_with_an_old_one_the_way_to_get_it_is_said() {
     refused(&place, "the variable CVC5 is not set");
     for (script, found) in [
         ("echo 'This is cvc5 version 1.2.0 [git]'", "version 1.2.0"),
-        ("echo 'Z3 version 4.13'", "tells no version of cvc5"),
+        ("echo 'Z3 version 4.13'", "reports no version of cvc5"),
     ] {
         let program = place.0.path().join("old");
         fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();

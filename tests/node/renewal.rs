@@ -68,7 +68,7 @@ async fn a_node_whose_certificate_ran_out_comes_back_by_its_own_ca_or_says_how()
     let mut stranded = fleet.nodes[1].start();
     assert!(!stranded.wait().success());
     let told = stranded.stderr();
-    for word in ["ran out", "ledgerctl network invite --node node2", "ledgerd join TOKEN"] {
+    for word in ["expired while", "ledgerctl network invite --node node2", "ledgerd join TOKEN"] {
         assert!(told.contains(word), "{word:?} is missing in {told}");
     }
     let _node = fleet.nodes[0].start();
@@ -96,8 +96,10 @@ async fn a_node_renews_soon_after_its_machine_wakes_also_if_its_certificate_has_
         std::fs::write(&suspended, (sleeps * HOUR / 1000).to_string()).unwrap();
         ends_after(hours).await;
     }
-    until("its own CA has renewed it", || async { node.stderr().contains("its own CA has renewed it").then_some(()) })
-        .await;
+    until("renewed by the CA key of this node", || async {
+        node.stderr().contains("renewed by the CA key of this node").then_some(())
+    })
+    .await;
     node.check();
     node.interrupt();
 }
@@ -113,7 +115,7 @@ async fn a_valid_certificate_of_a_node_that_runs_is_replaced_by_a_command_and_sh
         let of = Context { nodes: vec![place.address.clone()], ..admin.clone() };
         let (first, first_key) = (shown(&of).await, std::fs::read(place.data.join("node.key")).unwrap());
         let renewed = said(&run_ledgerd(&["renew"], &place.config));
-        assert!(renewed.contains(&format!("node Org1/{} has another key and certificate", place.name)), "{renewed}");
+        assert!(renewed.contains(&format!("node Org1/{} has a new key and certificate", place.name)), "{renewed}");
         assert_ne!(std::fs::read(place.data.join("node.key")).unwrap(), first_key);
         node.send(Signal::HUP);
         until("the node shows it", || async { (shown(&of).await != first).then_some(()) }).await;
@@ -149,7 +151,7 @@ async fn sighup_takes_over_the_level_of_the_log_and_a_certificate_put_there_by_h
     assert_eq!(shown(&admin).await, first);
 
     // With the level of errors nothing is told of it; with the level of before it is.
-    let told = || node.stderr().contains("the node shows the certificate that lies in its data directory now");
+    let told = || node.stderr().contains("using the new node certificate from the data directory");
     fleet.nodes[0].configure("[log]\nlevel = \"error\"");
     put(&fleet.issue("Org1", "node1", Role::Node, &[]));
     node.send(Signal::HUP);

@@ -63,10 +63,10 @@ async fn organisations_activate_the_rules_that_nodes_speak_and_old_blocks_keep_t
     boss.run(&["network", "rules", "--activate", "77"]).refused(3, &["LGR-3017", "Org1/org1-node"]);
     assert!(boss.run(&activate).ok().stdout.starts_with(&format!("proposed: activate rules {newest}\n")));
     let done = owner.run(&activate).ok().stdout;
-    assert_eq!(done, format!("rules {newest} are activated; ledgerctl network rules shows from which block on\n"));
+    assert_eq!(done, format!("rules {newest} are activated; ledgerctl network rules shows from which block\n"));
     let shown = rules(&boss, "they are in force", |shown| shown["active"] == newest).await;
     assert_eq!(shown["activations"][0]["number"], newest, "{shown}");
-    boss.run(&activate).refused(3, &["LGR-1011", "rules are never taken back"]);
+    boss.run(&activate).refused(3, &["LGR-1011", "rules are never reverted"]);
 
     proposals(&boss, &owner);
 

@@ -99,7 +99,7 @@ fn a_fleet_is_a_file_that_changes_nothing_when_it_is_applied_again() {
     // Pruned to what was there before.
     fs::write(&path, &exported).unwrap();
     let pruned = owner.run(&["apply", file, "--prune", "--yes"]).ok();
-    assert!(pruned.stdout.contains("robot Spot is taken out of service"), "{pruned:?}");
+    assert!(pruned.stdout.contains("robot Spot is removed"), "{pruned:?}");
     assert_eq!(owner.run(&["export"]).ok().stdout, exported);
     salma.run(&["apply", file, "--prune", "--yes"]).refused(2, &[]);
 }
@@ -111,8 +111,8 @@ fn a_robot_and_its_identity_are_registered_in_one_step_and_a_name_in_another_cas
     let spot = ["robot", "add", "Spot", "--attr-required", "Spot", "--service", "/cmd_vel=geometry_msgs/msg/Twist"];
     owner
         .run(&["identity", "register", "husky", "--role", "robot"])
-        .refused(3, &["robot Husky", "case of its letters"]);
-    owner.run(&[&["robot", "add", "husky"], &spot[3..]].concat()).refused(3, &["robot Husky", "case of its letters"]);
+        .refused(3, &["robot Husky", "upper and lower case"]);
+    owner.run(&[&["robot", "add", "husky"], &spot[3..]].concat()).refused(3, &["robot Husky", "upper and lower case"]);
     let added = owner.run(&[&spot[..], &["--enrol"]].concat()).ok();
     assert!(
         added.stdout.contains("registered Org2/Spot") && added.stdout.contains("ledgerctl enroll Spot --node"),

@@ -40,7 +40,7 @@ fn people_wait_in_line_until_the_service_is_theirs_or_until_they_leave() {
     // Without --wait the place is told, and the exit code says that others hold the service.
     let joined = maria.run(&["acquire", "Turtlebot4", "--for", "5s"]);
     assert_eq!(joined.code, 5, "{joined:?}");
-    for part in ["Turtlebot4/cmd_vel is held by others: you are in line", "position  1", "ledgerctl release"] {
+    for part in ["Turtlebot4/cmd_vel is held by others: you are in the queue", "position  1", "ledgerctl release"] {
         assert!(joined.stdout.contains(part), "{part:?} in {joined:?}");
     }
     maria.run(&["release", "Turtlebot4"]).ok();
@@ -76,7 +76,7 @@ fn people_wait_in_line_until_the_service_is_theirs_or_until_they_leave() {
     let vain = begin(&salma, &["acquire", "Turtlebot4", "--wait", "1s"]);
     let (code, _, stderr) = ended(vain);
     assert_eq!(code, 5, "{stderr}");
-    assert!(stderr.contains("others held it as long as you waited") && stderr.contains("timed_out"), "{stderr}");
+    assert!(stderr.contains("others held it for your whole waiting time") && stderr.contains("timed_out"), "{stderr}");
     dev.process.check();
     dev.process.interrupt();
 }

@@ -13,7 +13,7 @@ fn tasks_of_two_users_run_one_after_the_other() {
     let [salma, farhad] = ["Salma", "Farhad"].map(|name| dev.user(name, &["Turtlebot4"], "ed25519"));
     dev.owner().run(&["robot", "set", "Turtlebot4/cmd_vel", "on-conflict=queue", "lease=10m"]).ok();
     let submit = ["task", "submit", "Turtlebot4", "--points"];
-    salma.run(&[&submit[..], &["nan,0"]].concat()).refused(64, &["x \"nan\" is no finite number", "x,y,yaw"]);
+    salma.run(&[&submit[..], &["nan,0"]].concat()).refused(64, &["x \"nan\" is not finite", "x,y,yaw"]);
     assert!(salma.run(&["task", "list"]).ok().stdout.contains("there are no tasks"));
 
     let first = salma.json(&[&submit[..], &["1,0;1,-2.5,1.570796", "--deadline", "1h"]].concat());
@@ -28,7 +28,7 @@ fn tasks_of_two_users_run_one_after_the_other() {
     let queue = salma.run(&["queue", "Turtlebot4"]).ok().stdout;
     assert!(queue.contains("Org1/Salma (task 1)") && queue.contains("Org1/Farhad (task 2)"), "{queue}");
 
-    farhad.run(&["task", "progress", "1", "1"]).refused(2, &["may not report about task 1", "Org1/Salma"]);
+    farhad.run(&["task", "progress", "1", "1"]).refused(2, &["may not report on task 1", "Org1/Salma"]);
     farhad.run(&["task", "progress", "2", "1"]).refused(3, &["task 2 is not running"]);
     let half = salma.run(&["task", "progress", "1", "1"]).ok().stdout;
     assert!(half.contains("task 1 for Turtlebot4/cmd_vel is running; 1 of 2 points reached"), "{half}");

@@ -201,7 +201,7 @@ async fn a_torn_tail_is_told_and_a_cut_before_what_was_durable_is_refused() {
     let mut torn = right.clone();
     torn[middle.offset as usize..].fill(0);
     fs::write(&path, &torn).unwrap();
-    verify(&data).refused(1, &["LGR-5004", "not there"]);
+    verify(&data).refused(1, &["LGR-5004", "missing"]);
     // The file itself shortened.
     fs::write(&path, &right[..middle.offset as usize + 3]).unwrap();
     verify(&data).refused(1, &["LGR-500"]);

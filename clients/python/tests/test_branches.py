@@ -32,8 +32,8 @@ class Branches(unittest.TestCase):
                     await robot.call("abac", "acquire", SERVICE.encode(), b"600000")
                 found = raised.exception
                 self.assertEqual((found.code, found.name), ("LGR-5009", "CONTRADICTED"))
-                self.assertIn("the network does not have it", found.message)
-                self.assertIn("call again what is still wanted", found.next)
+                self.assertIn("is not part of the network's chain", found.message)
+                self.assertIn("repeat calls that are still wanted", found.next)
                 # A node that cannot answer now has said nothing about the branch.
                 silent = refusal("UNREACHABLE", "no node answers")
                 with mock.patch.object(robot, "certified", side_effect=silent):

@@ -142,7 +142,7 @@ class Enemies(unittest.TestCase):
         other = certificate.Organisation("Org1", (der(made("ca", "ca", key)),))
         found = self.refused(replace(self.context(), organisations=(other,), known=Known()))
         self.assertEqual((found.name, found.kind), ("UNTRUSTED", ledgerd.Kind.DENIED))
-        self.assertIn("is not accepted", found.message)
+        self.assertIn("is not trusted", found.message)
 
     def test_a_certificate_that_no_organisation_issued_is_refused_with_a_reason(self) -> None:
         key = ec.generate_private_key(ec.SECP256R1())

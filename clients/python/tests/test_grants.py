@@ -99,7 +99,7 @@ class Grants(unittest.TestCase):
             grant = robot.acquire("Husky/cmd_vel")
             with self.assertRaises(ledgerd.Conflict) as refused:
                 other.acquire("Husky/cmd_vel", wait=0.4)
-            self.assertIn("as long as you waited", refused.exception.message)
+            self.assertIn("your whole waiting time", refused.exception.message)
             self.assertEqual(self.line("Husky/cmd_vel"), [])
 
             async def gives_up() -> None:
@@ -184,6 +184,16 @@ class Grants(unittest.TestCase):
                 told = next(stream)
                 self.assertEqual((told.name, json.loads(told.payload)["epoch"]), ("granted", grant.epoch))
             self.assertEqual(next(stream).name, "released")
+
+    def test_a_span_that_is_no_number_of_seconds_is_rejected(self) -> None:
+        spans: list[Any] = ["10m", "10", None, float("nan"), float("inf"), -1.0, True]
+        with self.connect() as client:
+            for span in spans:
+                if span is not None:
+                    with self.assertRaisesRegex(ValueError, "lease is not usable: .*, wanted a number of seconds"):
+                        client.acquire(SERVICE, lease=span)
+                with self.assertRaisesRegex(ValueError, "wait is not usable: .*, wanted a number of seconds"):
+                    client.acquire(SERVICE, wait=span)
 
     def test_an_open_service_needs_no_grant(self) -> None:
         self.network.ctl(Dev.OWNER, "robot", "set", "Husky/cmd_vel", "on-conflict=default", "mode=open")

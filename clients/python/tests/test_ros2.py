@@ -60,7 +60,7 @@ class Ros2(unittest.TestCase):
     def test_a_robot_is_acquired_shown_and_released(self) -> None:
         status, out, err = self.ros2("acquire", SERVICE, "--context", "Salma", "--lease", "60")
         self.assertEqual((status, err), (0, ""))
-        self.assertIn(f"{SERVICE} is yours: epoch", out)
+        self.assertIn(f"{SERVICE} is acquired: epoch", out)
         status, out, _ = self.ros2("status", "--context", "Salma")
         self.assertEqual(status, 0)
         self.assertRegex(out, rf"Org1/Salma at Org1/node1 .* leader, block \d+")

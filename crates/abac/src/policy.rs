@@ -229,7 +229,7 @@ impl Engine {
         if more > 0 {
             faults.push(format!("{more} more"));
         }
-        Err(invalid("policy is not acceptable", faults.join("; "), "Cedar policies that validate against the schema"))
+        Err(invalid("the policy is not acceptable", faults.join("; "), "Cedar policies that match the schema"))
     }
 
     /// The faults of this text as a policy, with their places, or the meaning of its policies.
@@ -240,9 +240,9 @@ impl Engine {
         let (reply, answer) = sync_channel(1);
         let asked = self.jobs.send(Job::Diagnose(text.to_owned(), reply)).ok();
         asked.and_then(|()| answer.recv().ok()).ok_or_else(|| {
-            Rejection::new(Code::Internal, "the policy cannot be looked at")
+            Rejection::new(Code::Internal, "the policy cannot be analysed")
                 .found("no answer of the policy thread")
-                .wanted("its faults, or none")
+                .wanted("a result of the analysis")
         })
     }
 
@@ -314,7 +314,7 @@ fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
     Rejection::new(Code::PolicyInvalid, message)
         .found(found)
         .wanted(wanted)
-        .next("see the default policy: ledgerctl policy list")
+        .next("see the built-in policy: ledgerctl policy list")
 }
 
 /// A parsed set. It never leaves the thread: dropping it recurses as well.
@@ -393,7 +393,7 @@ fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
         .parse()
         .map_err(|fault: cedar_policy::ParseErrors| fault.iter().map(|fault| fault.to_string()).collect::<Vec<_>>())?;
     if policies.num_of_templates() > 0 {
-        return Err(vec!["a template with ?principal or ?resource, which nothing here fills in".to_owned()]);
+        return Err(vec!["a template with ?principal or ?resource, which is never instantiated".to_owned()]);
     }
     if policies.is_empty() {
         return Err(vec!["no policy in the text".to_owned()]);

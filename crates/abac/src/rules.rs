@@ -132,8 +132,8 @@ impl Table {
     /// [`Code::AlreadyExists`] if its mode has one.
     pub(crate) fn add(&mut self, rule: Arc<dyn Rule>) -> Result<(), Rejection> {
         if self.find(&rule.mode()).is_some() {
-            return Err(Rejection::new(Code::AlreadyExists, format!("the mode {} has a rule", rule.mode()))
-                .wanted("a name of its own for each rule"));
+            return Err(Rejection::new(Code::AlreadyExists, format!("the mode {} already has a rule", rule.mode()))
+                .wanted("a unique name for each rule"));
         }
         self.0.push(rule);
         Ok(())
@@ -151,7 +151,7 @@ impl Table {
         self.find(mode).ok_or_else(|| {
             let modes: Vec<Mode> = self.0.iter().map(|rule| rule.mode()).collect();
             let names: Vec<&str> = modes.iter().map(Mode::name).collect();
-            Rejection::new(Code::BadArgument, "no rule has this mode")
+            Rejection::new(Code::BadArgument, "there is no rule with this mode")
                 .found(crate::arguments::shown(mode.name()))
                 .wanted(format!("mode {}", names.join(" or ")))
                 .next(did_you_mean(mode.name(), names, "ledgerctl robot set ROBOT/TOPIC mode=NAME"))

@@ -17,7 +17,7 @@ pub(crate) const CONNECT_MAX: Duration = Duration::from_secs(3);
 /// A certificate signing request (PKCS #10) in DER.
 pub(crate) fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> {
     let fault =
-        |error: rcgen::Error| Rejection::new(Code::Internal, format!("no signing request can be made: {error}"));
+        |error: rcgen::Error| Rejection::new(Code::Internal, format!("cannot create a signing request: {error}"));
     let algorithm = match key.kind() {
         KeyKind::Ed25519 => &PKCS_ED25519,
         KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,

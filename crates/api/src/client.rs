@@ -295,9 +295,9 @@ fn lost(done: &Committed) -> Rejection {
     let Committed { id, height, .. } = done;
     Rejection::new(
         Code::Contradicted,
-        format!("transaction {id} was executed by a node, and the network does not have it"),
+        format!("transaction {id} was executed by a node, but is not part of the network's chain"),
     )
     .found(format!("an answer for block {height} that is not certified"))
     .wanted("a certified outcome")
-    .next("look at ledgerctl network status, and call again what is still wanted")
+    .next("check ledgerctl network status, and repeat calls that are still wanted")
 }

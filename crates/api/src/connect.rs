@@ -109,7 +109,7 @@ impl Connection {
         let tcp = TcpStream::connect(address).await.map_err(|error| unreachable(address, &error.to_string()))?;
         tcp.set_nodelay(true).map_err(|error| unreachable(address, &error.to_string()))?;
         let name = server_name(network)
-            .map_err(|error| Rejection::new(Code::Internal, format!("the name for TLS is wrong: {error}")))?;
+            .map_err(|error| Rejection::new(Code::Internal, format!("the TLS server name is not usable: {error}")))?;
         let secured = TlsConnector::from(tls)
             .connect(name, tcp)
             .await
@@ -152,7 +152,7 @@ pub(crate) fn unreachable(address: &str, reason: &str) -> Rejection {
         .found(reason)
         .wanted("a running node that accepts connections")
         .next(format!(
-            "check that ledgerd runs there and that nothing blocks the port: nc -vz {}",
+            "check that ledgerd is running there and that no firewall blocks the port: nc -vz {}",
             address.replace(':', " ")
         ))
 }
@@ -175,7 +175,7 @@ pub(crate) fn origin(address: &str) -> Result<Uri, Rejection> {
 fn handshake((address, network): (&str, Option<&Hash>), certificate: &[u8], error: &std::io::Error) -> Rejection {
     if let Some(refused) = refusal(error) {
         let mut rejection = Rejection::from(refused.clone());
-        rejection.message = format!("the node at {address} is not accepted: {}", rejection.message);
+        rejection.message = format!("the node at {address} is not trusted: {}", rejection.message);
         return rejection;
     }
     match Fault::of(error) {
@@ -196,7 +196,7 @@ fn not_served(address: &str, network: Option<&Hash>) -> Rejection {
         None => refused("serves several networks, and the call names none")
             .found("TLS alert UnrecognisedName")
             .wanted("the name of one of its networks")
-            .next("take a join token, which names the network, or ask at a node that serves one network"),
+            .next("use a join token, which names the network, or a node that serves one network"),
     }
 }
 
@@ -205,7 +205,7 @@ fn not_served(address: &str, network: Option<&Hash>) -> Rejection {
 fn alerted(address: &str, certificate: &[u8], alert: AlertDescription) -> Rejection {
     if let Some(outdated) = outdated(certificate) {
         let mut rejection = Rejection::from(outdated);
-        rejection.message = format!("the node at {address} refuses the connection: {}", rejection.message);
+        rejection.message = format!("the node at {address} rejects the connection: {}", rejection.message);
         return rejection;
     }
     let (code, what, next) = match alert {
@@ -216,7 +216,7 @@ fn alerted(address: &str, certificate: &[u8], alert: AlertDescription) -> Reject
         ),
         AlertDescription::UnknownCA => (
             Code::Untrusted,
-            "is not of an organisation of its network",
+            "belongs to no organisation of its network",
             "check that the context is of this node's network",
         ),
         AlertDescription::CertificateRevoked => (Code::Revoked, "was revoked", "ask an admin of your organisation"),
@@ -225,11 +225,11 @@ fn alerted(address: &str, certificate: &[u8], alert: AlertDescription) -> Reject
         | AlertDescription::CertificateUnknown
         | AlertDescription::UnsupportedCertificate
         | AlertDescription::AccessDenied => {
-            (Code::Untrusted, "is not accepted", "look into the node's log for the reason, then enrol again")
+            (Code::Untrusted, "is not accepted", "check the node's log for the reason, then enrol again")
         }
         other => return unreachable(address, &format!("the other side ended the TLS connection with {other:?}")),
     };
-    Rejection::new(code, format!("the node at {address} refuses the connection: our certificate {what}"))
+    Rejection::new(code, format!("the node at {address} rejects the connection: our certificate {what}"))
         .found(format!("TLS alert {alert:?}"))
         .wanted("a valid certificate of an organisation of the network")
         .next(next)

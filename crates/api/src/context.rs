@@ -110,7 +110,7 @@ impl Context {
             toml::from_str(&text).map_err(|error| bad_file(&path, error.to_string().trim_end().replace('\n', " ")))?;
         if settings.name != name || settings.nodes.is_empty() {
             return Err(bad_file(&path, format!("name {:?} and {} nodes", settings.name, settings.nodes.len()))
-                .wanted(format!("name = {name:?}, as its directory is called, and at least one node")));
+                .wanted(format!("name = {name:?}, the name of its directory, and at least one node")));
         }
         let chain_path = directory.join(files::CERTIFICATE);
         let chain = files::certificates(&chain_path, &files::read(&chain_path)?)?;
@@ -168,7 +168,7 @@ impl Context {
             renew: self.renew,
         };
         let settings = toml::to_string(&settings)
-            .map_err(|error| Rejection::new(Code::Internal, format!("context.toml cannot be written: {error}")))?;
+            .map_err(|error| Rejection::new(Code::Internal, format!("context.toml cannot be encoded: {error}")))?;
         let mut content = vec![
             (files::SETTINGS, settings),
             (files::CERTIFICATE, files::pem(&self.chain)),

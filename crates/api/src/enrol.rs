@@ -60,10 +60,13 @@ impl Enrolment {
         let document = answer.map_err(|status| connection.refusal(&status))?.into_inner().genesis;
         let (genesis, network) = Genesis::from_bytes(&document)?;
         if network != *wanted {
-            return Err(Rejection::new(Code::Untrusted, format!("the node at {} is of another network", self.node))
-                .found(format!("network {network}"))
-                .wanted(format!("network {wanted}"))
-                .next("check the address; the token is of another network"));
+            return Err(Rejection::new(
+                Code::Untrusted,
+                format!("the node at {} belongs to another network", self.node),
+            )
+            .found(format!("network {network}"))
+            .wanted(format!("network {wanted}"))
+            .next("check the address; the token is for another network"));
         }
         Ok((genesis, document))
     }
@@ -120,11 +123,12 @@ impl Enrolment {
                 // The first node is the one that the caller named; of the others one may be down.
                 Err(unreachable) if next == 1 => return Err(unreachable),
                 Err(unreachable) => {
-                    tracing::debug!(door, code = unreachable.code.name(), reason = %unreachable, "a node that carries the CA does not answer");
+                    tracing::debug!(door, code = unreachable.code.name(), reason = %unreachable, "a node with the CA \
+                                                                                                  key does not answer");
                 }
             }
         }
-        Err(elsewhere.unwrap_or_else(|| Rejection::new(Code::Internal, "no node was asked")))
+        Err(elsewhere.unwrap_or_else(|| Rejection::new(Code::Internal, "no node was queried")))
     }
 
     /// Makes a context of a certificate (first, with issuers that are not declared behind it) and its key, which exist already. The
@@ -140,13 +144,14 @@ impl Enrolment {
         self.check_pinned(&msps)?;
         let own = chain.first().map(AsRef::as_ref).unwrap_or_default();
         let identity = msps.verify(own, chain.get(1..).unwrap_or_default(), now())?;
-        let id = Hash::from_slice(&network.network)
-            .ok_or_else(|| Rejection::new(Code::Malformed, format!("the node at {} names no network", self.node)))?;
+        let id = Hash::from_slice(&network.network).ok_or_else(|| {
+            Rejection::new(Code::Malformed, format!("the node at {} sends no network name", self.node))
+        })?;
         if identity.public_key != key.public_key() {
-            return Err(Rejection::new(Code::BadFile, "the key is not that of the certificate")
+            return Err(Rejection::new(Code::BadFile, "the key does not belong to the certificate")
                 .found(format!("{:?}", key.public_key()))
                 .wanted(format!("{:?}", identity.public_key))
-                .next("take the key that was made for this certificate: keystore beside signcerts"));
+                .next("use the key of this certificate: keystore, next to signcerts"));
         }
         let mut roots = network
             .organisations
@@ -179,17 +184,17 @@ impl Enrolment {
         let unfit = |found: String| {
             Rejection::new(
                 Code::Untrusted,
-                format!("the node at {} certified something else than was asked", self.node),
+                format!("the certificate from the node at {} does not match the request", self.node),
             )
             .found(found)
             .wanted(format!("a certificate of {name:?} with our key, issued below CA {}", self.ca_fingerprint))
-            .next("enrol at another node of the organisation, and tell its admin")
+            .next("enrol at another node of the organisation, and inform its admin")
         };
         let network = answer.network.ok_or_else(|| unfit("no description of the network".into()))?;
         let msps = msps_of(&network.organisations)?;
-        let organisation = msps
-            .get(&answer.organisation)
-            .ok_or_else(|| unfit(format!("organisation {:?}, which the network does not have", answer.organisation)))?;
+        let organisation = msps.get(&answer.organisation).ok_or_else(|| {
+            unfit(format!("organisation {:?}, which is not part of the network", answer.organisation))
+        })?;
         self.check_pinned(&msps)?;
         let identity = verify(organisation, &answer.certificate, &answer.chain)?;
         if identity.public_key != key.public_key() {

@@ -30,10 +30,10 @@ impl PageBound {
         if self.items <= ITEMS_MAX && self.empty <= EMPTY_MAX {
             return Ok(());
         }
-        Err(Rejection::new(Code::TooLarge, format!("{what} of this node do not end"))
+        Err(Rejection::new(Code::TooLarge, format!("the pages of {what} of this node do not end"))
             .found(format!("{} so far, {} pages without any", self.items, self.empty))
             .wanted(format!("at most {ITEMS_MAX}, and {EMPTY_MAX} pages without any"))
-            .next("ask another node, or for less"))
+            .next("ask another node, or narrow the query"))
     }
 }
 
@@ -65,10 +65,10 @@ impl WayBound {
         if self.bytes <= self.bytes_max && self.empty <= EMPTY_STEPS_MAX {
             return Ok(());
         }
-        Err(Rejection::new(Code::TooLarge, "the steps of this node to those who govern do not end")
+        Err(Rejection::new(Code::TooLarge, "the changes of voters that this node sends do not end")
             .found(format!("{} bytes so far, {} steps without content", self.bytes, self.empty))
             .wanted(format!("at most {} bytes, and {EMPTY_STEPS_MAX} steps without content", self.bytes_max))
-            .next("ask another node, or begin at a checkpoint"))
+            .next("ask another node, or start at a checkpoint"))
     }
 }
 
@@ -100,7 +100,7 @@ pub async fn follow<T: DeserializeOwned, A: Future<Output = Result<Bytes, Reject
 fn unreadable(what: &str, error: &serde_json::Error) -> Rejection {
     Rejection::new(Code::Malformed, format!("{what} cannot be read"))
         .found(error.to_string())
-        .wanted("the JSON that this version knows")
+        .wanted("JSON that this version understands")
         .next("use the same version for client and node")
 }
 

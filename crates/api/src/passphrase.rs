@@ -24,12 +24,12 @@ pub fn passphrase(file: Option<&Path>, new: bool) -> Result<String, Rejection> {
     }
     if !io::stdin().is_terminal() {
         return Err(Rejection::new(Code::BadArgument, "there is no passphrase")
-            .found("no terminal to ask for it")
+            .found("no terminal for a prompt")
             .wanted(format!("--passphrase-file FILE, or {VARIABLE} in the environment")));
     }
     let passphrase = ask("passphrase: ")?;
-    if new && ask("once more: ")? != passphrase {
-        return Err(Rejection::new(Code::BadArgument, "the two passphrases differ").next("type the command again"));
+    if new && ask("repeat: ")? != passphrase {
+        return Err(Rejection::new(Code::BadArgument, "the two passphrases differ").next("run the command again"));
     }
     Ok(passphrase)
 }
@@ -75,8 +75,9 @@ fn text_of(bytes: &[u8]) -> String {
 /// Asks on the terminal, without showing what is typed.
 fn ask(prompt: &str) -> Result<String, Rejection> {
     use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
-    let failed =
-        |error: io::Error| Rejection::new(Code::BadFile, "the terminal cannot be asked").found(error.to_string());
+    let failed = |error: io::Error| {
+        Rejection::new(Code::BadFile, "the terminal cannot be used for a prompt").found(error.to_string())
+    };
     let input = io::stdin();
     let shown = tcgetattr(&input).map_err(|error| failed(error.into()))?;
     let mut hidden = shown.clone();

@@ -64,7 +64,7 @@ impl Renewal {
         credentials: &Credentials,
         msps: &Msps,
     ) -> Result<TlsIdentity, Rejection> {
-        let mut refused = Rejection::new(Code::NotFound, "no node is known that could renew the certificate");
+        let mut refused = Rejection::new(Code::NotFound, "no known node could renew the certificate");
         let (mut doors, mut next) = (nodes.to_vec(), 0);
         while let Some(address) = doors.get(next).cloned() {
             next += 1;
@@ -112,10 +112,10 @@ impl Renewal {
     /// As [`Renewal::finish`].
     pub fn finish_at(&self, certificate: &[u8], msps: &Msps, now: u64) -> Result<TlsIdentity, Rejection> {
         let unfit = |found: String| {
-            Rejection::new(Code::Untrusted, "the CA certified something else than was asked")
+            Rejection::new(Code::Untrusted, "the certificate does not match the request")
                 .found(found)
                 .wanted(format!("a certificate of {:?} with our new key", self.name))
-                .next("tell the admin of the organisation; the present certificate stays in use")
+                .next("inform the admin of the organisation; the current certificate stays in use")
         };
         let own = self.present.own();
         let renewed = msps.verify(certificate, own.chain.get(1..).unwrap_or_default(), now)?;
@@ -125,7 +125,7 @@ impl Renewal {
         }
         let after = Certificate::parse(certificate)?;
         if (&after.subject_name, &after.issuer_name) != (&before.subject_name, &before.issuer_name) {
-            return Err(unfit(format!("{:?}, issued by another authority or for another name", after.subject)));
+            return Err(unfit(format!("{:?}, issued by another CA or for another name", after.subject)));
         }
         let mut chain = own.chain.clone();
         if let Some(first) = chain.first_mut() {

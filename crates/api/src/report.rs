@@ -57,7 +57,7 @@ impl From<&Rejection> for v1::Verdict {
 pub fn accepted(verdict: Option<&v1::Verdict>) -> Result<(), Rejection> {
     let Some(verdict) = verdict else {
         return Err(Rejection::new(Code::Internal, "the node answered without a verdict")
-            .next("check that the address is a node's, and that its version is not older than this program's"));
+            .next("check that the address is that of a node, and that its version is not older than this program"));
     };
     if verdict.code == 0 {
         return Ok(());
@@ -65,7 +65,7 @@ pub fn accepted(verdict: Option<&v1::Verdict>) -> Result<(), Rejection> {
     let code = u16::try_from(verdict.code).ok().and_then(Code::from_number);
     let message = match code {
         Some(_) => verdict.message.clone(),
-        None => format!("{} (code {}, which this version does not know)", verdict.message, verdict.code),
+        None => format!("{} (code {}, unknown to this version)", verdict.message, verdict.code),
     };
     Err(Rejection::new(code.unwrap_or(Code::Internal), message)
         .found(verdict.found.clone())
@@ -127,15 +127,15 @@ pub fn from_status(address: &str, status: &Status) -> Rejection {
         tonic::Code::Unavailable | tonic::Code::Unknown | tonic::Code::Cancelled | tonic::Code::Aborted => {
             (Code::Unreachable, "")
         }
-        tonic::Code::DeadlineExceeded => (Code::Timeout, "try again, or another node"),
+        tonic::Code::DeadlineExceeded => (Code::Timeout, "try again, or use another node"),
         tonic::Code::Unauthenticated => (Code::CertificateRequired, ""),
         tonic::Code::PermissionDenied => (Code::Untrusted, "ask an admin of your organisation"),
-        tonic::Code::NotFound => (Code::NotFound, "check what was asked for"),
+        tonic::Code::NotFound => (Code::NotFound, "check the arguments"),
         tonic::Code::ResourceExhausted => (Code::Overloaded, ""),
-        tonic::Code::OutOfRange => (Code::TooLarge, "send it in several parts"),
-        tonic::Code::InvalidArgument => (Code::Malformed, "check what was sent"),
-        tonic::Code::Unimplemented => (Code::Internal, "upgrade the node: it does not know this call"),
-        _ => (Code::Internal, "look into the log of the node"),
+        tonic::Code::OutOfRange => (Code::TooLarge, "split it into several calls"),
+        tonic::Code::InvalidArgument => (Code::Malformed, "check the arguments"),
+        tonic::Code::Unimplemented => (Code::Internal, "upgrade the node: it does not support this call"),
+        _ => (Code::Internal, "check the log of the node"),
     };
     Rejection::new(code, format!("the call to {address} failed")).found(said).next(next)
 }

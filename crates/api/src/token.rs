@@ -68,9 +68,9 @@ impl FromStr for JoinToken {
     /// Reads a token as it was copied, spaces and line breaks around or inside it forgiven.
     fn from_str(text: &str) -> Result<Self, Rejection> {
         let unusable = |found: String| {
-            Rejection::new(Code::BadArgument, "this is no join token")
+            Rejection::new(Code::BadArgument, "this is not a join token")
                 .found(found)
-                .wanted("the one word that ledgerctl network invite printed, whole")
+                .wanted("the complete token that ledgerctl network invite printed")
                 .next("copy it again, or ask an admin of the network for a new one")
         };
         if text.len() > TOKEN_CHARS_MAX {
@@ -78,10 +78,10 @@ impl FromStr for JoinToken {
         }
         let text: String = text.split_whitespace().collect();
         let content =
-            text.strip_prefix(PREFIX).ok_or_else(|| unusable(format!("a word that does not begin with {PREFIX}")))?;
-        let content = URL_SAFE_NO_PAD.decode(content).map_err(|error| unusable(format!("a damaged word: {error}")))?;
+            text.strip_prefix(PREFIX).ok_or_else(|| unusable(format!("a word that does not start with {PREFIX}")))?;
+        let content = URL_SAFE_NO_PAD.decode(content).map_err(|error| unusable(format!("a damaged token: {error}")))?;
         let token: Self =
-            serde_json::from_slice(&content).map_err(|error| unusable(format!("a damaged word: {error}")))?;
+            serde_json::from_slice(&content).map_err(|error| unusable(format!("a damaged token: {error}")))?;
         if token.addresses.is_empty() || token.addresses.len() > ADDRESSES_MAX {
             return Err(unusable(format!("{} addresses, wanted 1 to {ADDRESSES_MAX}", token.addresses.len())));
         }

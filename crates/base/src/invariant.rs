@@ -152,8 +152,8 @@ fn read(panic: &PanicHookInfo<'_>) -> Option<(String, String)> {
 fn end(found: &str, at: Option<&Location<'_>>, wanted: &str) -> ! {
     let at = at.map_or_else(String::new, |at| format!(" ({}:{})", at.file(), at.line()));
     let text = format!(
-        "error: this process ends, because its memory contradicts itself\n  found   {found}{at}\n  wanted  {wanted}\n  \
-         try     start it again: it reads and checks what is on its disk; report these lines with the log\n"
+        "error: this process ends, because its memory is inconsistent\n  found   {found}{at}\n  wanted  {wanted}\n  \
+         try     start it again: it reads and verifies its disk; report these lines with the log\n"
     );
     // If even that fails the exit code says enough.
     let _told = std::io::stderr().write_all(text.as_bytes());

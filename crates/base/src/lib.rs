@@ -11,6 +11,7 @@
 //! | [`settings`] | TOML files, read setting by setting |
 //! | [`nearest`] | "did you mean" |
 //! | [`progress`] | progress of long commands on a terminal |
+//! | [`shell`] | words of a shell, for commands that are printed |
 //! | [`shared_results`] | results of pure functions that simulated nodes share |
 //! | [`text`] | text files as editors write them |
 //! | [`units`] | spans of time and sizes as text |
@@ -27,5 +28,6 @@ pub mod progress;
 pub mod rejection;
 pub mod settings;
 pub mod shared_results;
+pub mod shell;
 pub mod text;
 pub mod units;

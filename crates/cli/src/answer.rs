@@ -12,7 +12,7 @@ pub(crate) fn parse<T: DeserializeOwned>(bytes: &Bytes, what: &str) -> Result<T,
     serde_json::from_slice(bytes).map_err(|error| {
         Rejection::new(Code::Malformed, format!("the node's answer cannot be read as {what}"))
             .found(error.to_string())
-            .wanted(format!("the form that ledgerctl {} knows", env!("CARGO_PKG_VERSION")))
+            .wanted(format!("the form that ledgerctl {} understands", env!("CARGO_PKG_VERSION")))
             .next("compare the versions: ledgerctl --version, ledgerctl status")
     })
 }

@@ -16,7 +16,7 @@ pub(crate) fn confirm(what: &str, lost: &[String], i_mean_it: bool) -> Result<()
         Rejection::new(Code::LastOne, format!("{what} was not done"))
             .found(lost.join("; "))
             .wanted(found)
-            .next("if you mean it: the same command with --i-mean-it")
+            .next("to do it anyway: the same command with --i-mean-it")
     };
     ask(lost, refused)
 }
@@ -32,20 +32,20 @@ pub(crate) fn agree(what: &str, yes: bool) -> Result<(), Rejection> {
     ask(&[], |wanted| {
         Rejection::new(Code::LastOne, format!("{what} was not put in force"))
             .wanted(wanted)
-            .next("to put it in force without being asked: the same command with --yes")
+            .next("to skip this question: the same command with --yes")
     })
 }
 
 fn ask(sentences: &[String], refused: impl Fn(&str) -> Rejection) -> Result<(), Rejection> {
     let mut answer = String::new();
     if !io::stdin().is_terminal() {
-        return Err(refused("a terminal, to ask whether that is meant"));
+        return Err(refused("a terminal for the confirmation"));
     }
     let mut screen = io::stderr();
     for sentence in sentences {
         let _shown = writeln!(screen, "{sentence}");
     }
-    let _asked = write!(screen, "type yes if you mean it: ").and_then(|()| screen.flush());
+    let _asked = write!(screen, "type yes to confirm: ").and_then(|()| screen.flush());
     let _nothing = io::stdin().lock().read_line(&mut answer);
     if answer.trim() == "yes" { Ok(()) } else { Err(refused("yes")) }
 }

@@ -37,8 +37,8 @@ impl From<io::Error> for Failure {
             _ => Self::Refused(
                 Rejection::new(Code::BadFile, "cannot write the results to standard output")
                     .found(error.to_string())
-                    .wanted("a terminal, a pipe or a file with room for them")
-                    .next("write somewhere else, and look first whether the command is done already"),
+                    .wanted("a terminal, a pipe, or a file with free space")
+                    .next("write to another place; check first whether the command has taken effect"),
             ),
         }
     }
@@ -48,7 +48,7 @@ impl From<io::Error> for Failure {
 pub(crate) fn unreadable(path: &std::path::Path, error: &io::Error) -> Rejection {
     Rejection::new(Code::BadFile, format!("cannot read {}", path.display()))
         .found(error.to_string())
-        .next("check the path and the rights on it")
+        .next("check the path and its permissions")
 }
 
 /// The same facts as the four lines, for `-o json`.
@@ -96,8 +96,8 @@ fn render(rejection: &Rejection, format: Format) -> String {
 /// with 64. To whoever asked for JSON it is told as one object.
 pub(crate) fn usage(error: &clap::Error, format: Format) -> ExitCode {
     if !error.use_stderr() {
-        let _printed = error.print();
-        return ExitCode::SUCCESS;
+        let printed = error.print().and_then(|()| io::stdout().flush());
+        return printed.map_or_else(|error| Failure::from(error).report(format), |()| ExitCode::SUCCESS);
     }
     if format == Format::Json {
         let told = serde_json::to_string(&misused(error)).unwrap_or_else(|_| error.to_string());
@@ -134,6 +134,7 @@ fn misused(error: &clap::Error) -> Misuse {
     let usage = told(&[ContextKind::Usage]);
     let usage = usage.trim_start_matches("Usage: ").trim();
     let near = told(&[ContextKind::SuggestedSubcommand, ContextKind::SuggestedArg, ContextKind::SuggestedValue]);
+    let tip = told(&[ContextKind::Suggested]);
     Misuse {
         code: "LGR-USAGE",
         name: "USAGE",
@@ -143,10 +144,10 @@ fn misused(error: &clap::Error) -> Misuse {
             none if none.is_empty() => usage.to_owned(),
             values => format!("one of {values}"),
         },
-        r#try: if near.is_empty() {
-            "the same command with --help".to_owned()
-        } else {
-            format!("did you mean {near}?")
+        r#try: match (near.as_str(), tip.as_str()) {
+            ("", "") => "the same command with --help".to_owned(),
+            ("", tip) => tip.to_owned(),
+            (near, _) => format!("did you mean {near}?"),
         },
     }
 }

@@ -18,10 +18,11 @@ const EXIT_NO_QUORUM: u8 = 4;
 /// For monitoring.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Check {
-    /// For monitoring: end with 0 if all is well, with 1 if something needs attention
+    /// For monitoring: exit with 0 if there are no conditions to report, and with 1 otherwise
     ///
-    /// Each node lists what needs attention: docs/operations.md has the table. So do a node that does not answer, and your own
-    /// certificate near its end. Without a quorum the exit code is 4 with and without this.
+    /// Each node reports conditions that need attention: docs/operations.md lists them. An unreachable node and your
+    /// own certificate close to its expiry are conditions, too. Without a quorum, the exit code is 4 with and without
+    /// this option.
     #[arg(long)]
     check: bool,
 }
@@ -64,7 +65,7 @@ impl Voters {
         let answer = if voters_reachable == 1 { "answers" } else { "answer" };
         let mut text = format!("{voters_reachable} of {voters} {answer}");
         if !quorum && voters_reachable > voters / 2 {
-            return text + "; no leader is known";
+            return text + "; no leader";
         }
         if !quorum {
             return text + &format!("; {} are needed to order", voters / 2 + 1);
@@ -226,7 +227,7 @@ mod tests {
         assert_eq!(told(3, 3, true), "3 of 3 answer; failures tolerated: 1");
         assert_eq!(told(3, 2, true), "2 of 3 answer; failures tolerated: none (1 with all of them)");
         assert_eq!(told(3, 1, false), "1 of 3 answers; 2 are needed to order");
-        assert_eq!(told(3, 2, false), "2 of 3 answer; no leader is known");
+        assert_eq!(told(3, 2, false), "2 of 3 answer; no leader");
         assert_eq!(told(5, 5, true), "5 of 5 answer; failures tolerated: 2");
     }
 

@@ -48,7 +48,7 @@ pub(crate) async fn until_in_force<T, F: Future<Output = Result<T, Rejection>>>(
     };
     let found = tokio::select! {
         done = progress.call(session, described, output, attempt) => return done.map_err(Failure::from),
-        () = end => "the timeout is over",
+        () = end => "the timeout expired",
         _ = tokio::signal::ctrl_c() => "it was interrupted",
     };
     Err(described.not_in_force(found, &progress).into())
@@ -112,9 +112,9 @@ impl Progress {
     fn note(&mut self, is_told: bool, described: &Described<'_>, output: &Output) {
         let what = &described.what;
         if is_told && !self.is_told {
-            output.note(&format!("{what} is sent to the robots, not in force yet; it is sent again until it is"));
+            output.note(&format!("{what} is sent to the robots, not in force yet; it is repeated until it is"));
         } else if !self.is_told && !self.is_noted {
-            output.note(&format!("{what} is not in force yet; it is sent again until it is"));
+            output.note(&format!("{what} is not in force yet; it is repeated until it is"));
         }
         (self.is_told, self.is_noted) = (self.is_told || is_told, true);
     }

@@ -15,6 +15,7 @@ mod format;
 mod global;
 mod health;
 mod in_force;
+mod misuse;
 mod nodes;
 mod output;
 mod printable;
@@ -25,12 +26,14 @@ mod time;
 mod upkeep;
 mod words;
 
-use clap::{CommandFactory, Parser};
+use clap::CommandFactory;
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     complete::answer(cli::Cli::command);
-    match cli::Cli::try_parse() {
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    match misuse::parse(&arguments) {
         Ok(cli) => {
             let format = cli.global.format();
             match cli.run() {
@@ -38,6 +41,6 @@ fn main() -> ExitCode {
                 Err(failure) => failure.report(format),
             }
         }
-        Err(error) => failure::usage(&error, argument::destination::asked(std::env::args_os())),
+        Err(error) => failure::usage(&error, argument::destination::asked(arguments)),
     }
 }

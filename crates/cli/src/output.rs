@@ -109,20 +109,26 @@ pub(crate) fn warn(format: Format, message: &str, next: &str) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
+/// JSON for people on one line, with times in local time; none if it is not JSON.
+pub(crate) fn brief(json: &str) -> Option<String> {
+    Tree::read(json).ok().map(|tree| tree.to_brief())
+}
+
 /// Columns of text, each as wide as its widest cell.
 pub(crate) struct Table {
     rows: Vec<Vec<String>>,
+    has_headings: bool,
 }
 
 impl Table {
     /// A table with these headings.
     pub(crate) fn new<const N: usize>(headings: [&str; N]) -> Self {
-        Self { rows: vec![headings.map(str::to_owned).to_vec()] }
+        Self { rows: vec![headings.map(str::to_owned).to_vec()], has_headings: true }
     }
 
     /// Lines of a name and a value, without headings.
     pub(crate) fn pairs() -> Self {
-        Self { rows: Vec::new() }
+        Self { rows: Vec::new(), has_headings: false }
     }
 
     /// Adds a row.
@@ -139,6 +145,11 @@ impl Table {
 
     /// Writes it, each line behind `indent` spaces.
     pub(crate) fn write(&self, out: &mut dyn Write, indent: usize) -> io::Result<()> {
+        self.write_within(out, indent, screen::width().map(|room| room.saturating_sub(indent)))
+    }
+
+    /// The same for a terminal with this many columns behind the indent; none for a file or a pipe.
+    fn write_within(&self, out: &mut dyn Write, indent: usize, room: Option<usize>) -> io::Result<()> {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let width = |column: usize| {
             self.rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
@@ -147,12 +158,36 @@ impl Table {
         let cells = |column: usize| self.rows.iter().filter_map(move |row| row.get(column));
         let word = |column: usize| cells(column).map(|cell| screen::longest_word(cell)).max().unwrap_or_default();
         let least: Vec<usize> = (0..columns).map(word).collect();
-        let widths = match screen::width() {
-            Some(room) => screen::fitted(widths, &least, room.saturating_sub(indent)),
+        let widths = match room {
+            Some(room) => {
+                let fitted = screen::fitted(widths, &least, room);
+                if self.has_headings && self.rows.len() > 1 && screen::whole(&fitted) > room {
+                    return self.write_stacked(out, indent, room);
+                }
+                fitted
+            }
             None => widths,
         };
         for row in &self.rows {
             self::row(out, row, &widths, indent)?;
+        }
+        // Headings alone look like an answer that was cut off.
+        if self.has_headings && self.rows.len() == 1 { writeln!(out, "{}(none)", " ".repeat(indent)) } else { Ok(()) }
+    }
+
+    /// For a terminal that is too narrow for the columns: each row as lines of a heading and a cell, with an empty line between
+    /// rows. Empty cells are left out.
+    fn write_stacked(&self, out: &mut dyn Write, indent: usize, room: usize) -> io::Result<()> {
+        let Some((headings, rows)) = self.rows.split_first() else { return Ok(()) };
+        let name = headings.iter().map(|heading| heading.chars().count()).max().unwrap_or_default();
+        let widths = [name, room.saturating_sub(name + screen::GAP).max(screen::COLUMN_MIN)];
+        for (at, cells) in rows.iter().enumerate() {
+            if at > 0 {
+                writeln!(out)?;
+            }
+            for (heading, cell) in headings.iter().zip(cells).filter(|(_, cell)| !cell.is_empty()) {
+                row(out, &[heading.clone(), cell.clone()], &widths, indent)?;
+            }
         }
         Ok(())
     }
@@ -194,6 +229,31 @@ mod tests {
         let mut table = Table::new(["NAME", "MODE"]);
         table.row(["Turtlebot4".into(), "exclusive".into()]).row(["Häschen".into(), "open".into()]);
         assert_eq!(written(&table, 0), "NAME        MODE\nTurtlebot4  exclusive\nHäschen     open\n");
+    }
+
+    #[test]
+    fn a_table_that_is_wider_than_the_terminal_is_stacked() {
+        let mut table = Table::new(["SERVICE", "TYPE", "RULE", "OWNER", "HOLDER", "WAITING"]);
+        let cells = ["Turtlebot4/cmd_vel", "geometry_msgs/msg/Twist", "exclusive", "Org2", "Org1/Salma", ""];
+        table.row(cells.map(str::to_owned)).row(cells.map(str::to_owned));
+        let within = |room| {
+            let mut out = Vec::new();
+            table.write_within(&mut out, 0, Some(room)).unwrap();
+            String::from_utf8(out).unwrap()
+        };
+        assert!(within(80).starts_with("SERVICE"), "{}", within(80));
+        let record = "SERVICE  Turtlebot4/cmd_vel\nTYPE     geometry_msgs/msg/Twist\nRULE     exclusive\nOWNER    Org2\nHOLDER   Org1/Salma\n";
+        assert_eq!(within(40), format!("{record}\n{record}"));
+        for room in 24..100 {
+            let widest = within(room).lines().map(|line| line.chars().count()).max().unwrap();
+            assert!(widest <= room, "{widest} columns on {room}");
+        }
+    }
+
+    #[test]
+    fn a_table_without_rows_is_said_to_have_none() {
+        assert_eq!(written(&Table::new(["NODE", "STATE"]), 2), "  NODE  STATE\n  (none)\n");
+        assert_eq!(written(&Table::pairs(), 0), "");
     }
 
     #[test]

@@ -50,9 +50,10 @@ impl Session {
         let Committed { id, certified, certificate_due, .. } = done;
         if *certificate_due && !certified {
             let message = format!(
-                "transaction {id} is executed, not certified yet: if the leader lies, only certified outcomes are final"
+                "transaction {id} is executed, but not certified yet: if the leader lies, only certified outcomes are \
+                 final"
             );
-            warn(self.format, &message, &format!("look again: ledgerctl tx {id}"));
+            warn(self.format, &message, &format!("check again: ledgerctl tx {id}"));
         }
     }
 
@@ -79,9 +80,9 @@ impl Session {
     /// SHA-256 of the root certificate of an organisation.
     pub(crate) fn ca_fingerprint(&self, organisation: &str) -> Result<Hash, Rejection> {
         self.context.ca_fingerprint(organisation).ok_or_else(|| {
-            Rejection::new(Code::NotFound, format!("the context does not know the CA of {organisation}"))
+            Rejection::new(Code::NotFound, format!("the context has no CA of {organisation}"))
                 .wanted(format!("a root certificate of {organisation}"))
-                .next("learn the organisations of the network, then try again: ledgerctl context refresh")
+                .next("update the organisations of the context, then try again: ledgerctl context refresh")
         })
     }
 }
@@ -92,6 +93,6 @@ impl Session {
 /// [`Code::Internal`] if it cannot be written.
 pub(crate) fn argument(value: &impl Serialize) -> Result<Bytes, Rejection> {
     serde_json::to_vec(value).map(Bytes::from).map_err(|error| {
-        Rejection::new(Code::Internal, "an argument cannot be written as JSON").found(error.to_string())
+        Rejection::new(Code::Internal, "an argument cannot be encoded as JSON").found(error.to_string())
     })
 }

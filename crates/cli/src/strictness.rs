@@ -5,15 +5,16 @@
 pub(crate) fn strictness(since: Option<u64>, began_at: u64) -> String {
     let began = beginning(began_at);
     match since {
-        None => "no: one organisation that lies can have another block certified".to_owned(),
+        None => "no: one lying organisation could have another block certified".to_owned(),
         Some(since) if since <= began_at => {
             format!(
-                "since block {since}, on the whole way from {began}: no organisation alone can have another block certified"
+                "since block {since}, for the whole chain from {began}: no single organisation can have another block \
+                 certified"
             )
         }
         Some(since) => format!(
-            "since block {since}, and not between {began} and block {since}: one organisation that lied then could have other \
-             blocks certified"
+            "since block {since}, but not between {began} and block {since}: a lying organisation could have had \
+             other blocks certified then"
         ),
     }
 }
@@ -29,10 +30,10 @@ mod tests {
 
     #[test]
     fn a_way_that_was_strict_in_part_is_shown_as_such() {
-        assert!(strictness(None, 0).starts_with("no: one organisation that lies"));
-        assert!(strictness(Some(0), 0).starts_with("since block 0, on the whole way from the genesis: "));
-        assert!(strictness(Some(7), 9).starts_with("since block 7, on the whole way from block 9: "));
-        assert!(strictness(Some(7), 0).starts_with("since block 7, and not between the genesis and block 7: "));
-        assert!(strictness(Some(7), 5).starts_with("since block 7, and not between block 5 and block 7: "));
+        assert!(strictness(None, 0).starts_with("no: one lying organisation"));
+        assert!(strictness(Some(0), 0).starts_with("since block 0, for the whole chain from the genesis: "));
+        assert!(strictness(Some(7), 9).starts_with("since block 7, for the whole chain from block 9: "));
+        assert!(strictness(Some(7), 0).starts_with("since block 7, but not between the genesis and block 7: "));
+        assert!(strictness(Some(7), 5).starts_with("since block 7, but not between block 5 and block 7: "));
     }
 }

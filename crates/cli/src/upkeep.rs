@@ -72,17 +72,17 @@ fn warn_of_end(format: Format, context: &Context, now: u64, failed: Option<&str>
         RenewalRule::Auto => format!("ledgerctl identity renew --context {name}"),
         // It may be of a CA that is another software.
         RenewalRule::Never => format!(
-            "ledgerctl identity renew --context {name}; or, if another CA issued it, get one there and type \
+            "ledgerctl identity renew --context {name}; or, if another CA issued it, get a new one there and run \
              ledgerctl identity import --force"
         ),
     };
     match failed {
         _ if now > own.not_after => {
-            warn(format, &format!("the certificate of {id} has expired: it ended {ends}"), &context.way_back());
+            warn(format, &format!("the certificate of {id} has expired: {ends}"), &context.way_back());
         }
         Some(reason) => {
             let message = format!("the certificate of {id} ends {ends} and could not be renewed: {reason}");
-            warn(format, &message, &format!("{again}, when that is cured"));
+            warn(format, &message, &format!("{again}, once that is fixed"));
         }
         None if now >= warning_due(own.not_before, own.not_after) => {
             warn(format, &format!("the certificate of {id} ends {ends}"), &again);

@@ -3,6 +3,7 @@
 
 use crate::time;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 
 /// The words of the command line for the arguments of a function.
 pub(crate) struct Words {
@@ -37,12 +38,7 @@ impl Words {
 
 /// The text as one word of a shell.
 pub(crate) fn shell_word(text: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:@%+=,".contains(c);
-    if !text.is_empty() && text.chars().all(plain) && !text.starts_with('-') {
-        text.to_owned()
-    } else {
-        format!("'{}'", text.replace('\'', r"'\''"))
-    }
+    shell::word(text).into_owned()
 }
 
 /// Thousandths as a decimal number.

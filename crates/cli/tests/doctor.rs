@@ -74,7 +74,7 @@ fn a_key_that_others_can_read_is_wrong() {
     machine.enrolled("Salma", &closed_address());
     let key = machine.home.path().join("contexts/Salma/key.pem");
     fs::set_permissions(&key, fs::Permissions::from_mode(0o644)).unwrap();
-    found(&findings(&machine, &[], &[]), "context", "wrong", "others can read", "chmod 600");
+    found(&findings(&machine, &[], &[]), "context", "wrong", "other users can read", "chmod 600");
 }
 
 #[test]
@@ -127,7 +127,7 @@ fn apart(machine: &Machine, spaces: &str, line: &str) -> Vec<Value> {
 fn without_an_interface_there_is_neither_dds_nor_multicast() {
     let findings = apart(&Machine::new(), "-n", "exec \"$0\" doctor --json");
     found(&findings, "DDS interfaces", "wrong", "over none", "ip link set lo up");
-    found(&findings, "multicast", "wrong", "does not come back", "multicast on");
+    found(&findings, "multicast", "wrong", "not received", "multicast on");
 }
 
 #[test]
@@ -141,5 +141,5 @@ fn a_bridge_for_other_hosts_is_told_that_there_is_no_way_to_them() {
 fn a_full_disk_of_the_contexts_is_wrong() {
     let line = "mount -t tmpfs -o size=64k none \"$LEDGERD_HOME\" && exec \"$0\" doctor --json";
     let findings = apart(&Machine::new(), "-m", line);
-    found(&findings, "own disk", "wrong", "free for contexts", "make room");
+    found(&findings, "own disk", "wrong", "free for contexts", "free disk space");
 }

@@ -77,7 +77,7 @@ fn without_a_context_people_are_told_how_to_get_one() {
         machine.run(args).refused(3, "LGR-7003", &["no context is selected", "ledgerctl enroll NAME"]);
     }
     let list = machine.run(&["context", "list"]);
-    assert_eq!((list.code, list.stdout.as_str()), (0, "no context yet; `ledgerctl enroll` makes one\n"));
+    assert_eq!((list.code, list.stdout.as_str()), (0, "no contexts; `ledgerctl enroll` creates one\n"));
     assert_eq!(machine.run(&["context", "list", "-o", "json"]).stdout, "[]\n");
 }
 
@@ -145,9 +145,13 @@ fn a_reader_that_goes_away_is_no_error() {
 
 #[test]
 fn output_that_cannot_be_written_is_an_error() {
-    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let output = Machine::new().command(&["explain", "HELD"]).stdout(full).output().unwrap();
-    transcript(&output).refused(3, "LGR-7002", &["cannot write the results to standard output"]);
+    for args in
+        [&["explain", "HELD"][..], &["completions", "bash"], &["--help"], &["--version"], &["acquire", "--help"]]
+    {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = Machine::new().command(args).stdout(full).output().unwrap();
+        transcript(&output).refused(3, "LGR-7002", &["cannot write the results to standard output"]);
+    }
 }
 
 #[test]

@@ -136,9 +136,9 @@ impl TryFrom<ServiceState> for Service {
 
 fn not_known(state: &ServiceState, found: String) -> Rejection {
     let (service, mode) = (&state.service, &state.mode);
-    Rejection::new(Code::UnknownMode, format!("{service} is in mode {mode}, and this bridge does not know its rule"))
+    Rejection::new(Code::UnknownMode, format!("{service} is in mode {mode}, which this bridge does not support"))
         .found(found)
-        .wanted("a mode whose capabilities this version knows")
+        .wanted("a mode that this version supports")
 }
 
 /// Reads the payload of an event; none if it is not what this version knows.

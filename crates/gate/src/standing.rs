@@ -73,7 +73,7 @@ impl Standing {
         let declared: Declaration = serde_json::from_slice(answer).map_err(|error| {
             Rejection::new(Code::Malformed, "the answer to abac declare cannot be read")
                 .found(error.to_string())
-                .wanted("the JSON that this version knows")
+                .wanted("JSON that this version understands")
                 .next("use the same version for node and bridge")
         })?;
         let Declaration { robot: RobotAsset { services, stopped, .. }, grants, tasks, settled } = declared;
@@ -100,7 +100,7 @@ impl Standing {
             Rejection::new(Code::UnknownService, format!("there is no service {id}"))
                 .found(format!("{} services of its robot", self.services.len()))
                 .wanted("a service of a registered robot")
-                .next("ask the owner: ledgerctl robot show tells the services")
+                .next("ask the owner: ledgerctl robot show lists the services")
         })?;
         Service::try_from(state.clone())
     }

@@ -25,7 +25,7 @@ pub fn check_readable(name: &str) -> Result<(), Rejection> {
         None if !name.is_single_script() => "letters of several scripts".to_owned(),
         None => return Ok(()),
     };
-    Err(Rejection::new(Code::BadName, format!("the name {name:?} could deceive those who read it"))
+    Err(Rejection::new(Code::BadName, format!("the name {name:?} could be mistaken for another"))
         .found(found)
         .wanted("letters of one script in composed form (NFC), digits and signs, nothing invisible (UTS 39)"))
 }

@@ -114,13 +114,13 @@ fn check_extensions(extensions: &[X509Extension<'_>], known: &[Oid<'_>]) -> Resu
         let oid = &extension.oid;
         if extension.parsed_extension().error().is_some() || !seen.insert(oid.to_id_string()) {
             return Err(malformed(
-                format!("an extension {oid} of a revocation list that is unreadable or stands twice"),
+                format!("an extension {oid} of a revocation list that is unreadable or duplicate"),
                 "each extension once, in its form",
             ));
         }
         if extension.critical && !known.contains(oid) {
             return Err(malformed(
-                format!("a critical extension {oid} of a revocation list that is not known here"),
+                format!("an unknown critical extension {oid} of a revocation list"),
                 "a complete list of one issuer; no list of changes, and none that speaks for others",
             ));
         }

@@ -41,14 +41,14 @@ impl Payload {
     /// [`Code::Malformed`] if the bytes are no payload, [`Code::TooLarge`] beyond the limits.
     pub fn from_bytes(data: Bytes) -> Result<Self, Rejection> {
         if data.len() > PAYLOAD_BYTES_MAX + TRANSACTIONS_MAX * 8 {
-            return Err(Rejection::new(Code::TooLarge, "block payload is too large")
+            return Err(Rejection::new(Code::TooLarge, "the block payload is too large")
                 .found(format!("{} bytes", data.len()))
                 .wanted(format!("at most {PAYLOAD_BYTES_MAX} bytes")));
         }
         let payload = Self::decode(data)
-            .map_err(|error| Rejection::new(Code::Malformed, format!("block payload cannot be read: {error}")))?;
+            .map_err(|error| Rejection::new(Code::Malformed, format!("the block payload cannot be read: {error}")))?;
         if payload.transactions.len() > TRANSACTIONS_MAX {
-            return Err(Rejection::new(Code::TooLarge, "block has too many transactions")
+            return Err(Rejection::new(Code::TooLarge, "the block has too many transactions")
                 .found(payload.transactions.len().to_string())
                 .wanted(format!("at most {TRANSACTIONS_MAX}")));
         }

@@ -50,9 +50,9 @@ impl CertifiedBranch {
         if is_chain && leads && headers.len() <= HEADERS_MAX {
             return Ok(Self { headers, certificate });
         }
-        Err(Rejection::new(Code::Malformed, "headers do not lead to the certified block")
+        Err(Rejection::new(Code::Malformed, "the headers do not lead to the certified block")
             .found(format!("{} headers, and a certificate of block {}", headers.len(), statement.height))
-            .wanted(format!("1 to {HEADERS_MAX} headers, each of which follows the one before, up to that block")))
+            .wanted(format!("1 to {HEADERS_MAX} headers, each following the one before, up to that block")))
     }
 
     /// The lowest height of which it names the block.

@@ -32,10 +32,10 @@ impl FromStr for CallRef {
             Some(Self { id: Hash::from_hex(id)?, not_after: not_after.parse().ok()? })
         });
         read.ok_or_else(|| {
-            Rejection::new(Code::Malformed, "the name of a call cannot be read")
+            Rejection::new(Code::Malformed, "the reference to a call cannot be read")
                 .found(format!("{:?}", text.chars().take(120).collect::<String>()))
                 .wanted("ID:NOT_AFTER, an id of 64 hexadecimal digits and microseconds")
-                .next("take it from the open stops of ledgerctl status")
+                .next("copy it from the open stops in ledgerctl status")
         })
     }
 }

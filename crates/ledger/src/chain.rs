@@ -151,9 +151,9 @@ impl Ledger {
             state.commit(writes, first.clone(), false);
         }
         let tip = state.tip().filter(|tip| tip.height > 0 || *tip == first).ok_or_else(|| {
-            Rejection::new(Code::Corrupt, "the world state is of another network")
+            Rejection::new(Code::Corrupt, "the world state belongs to another network")
                 .wanted(format!("network {network}"))
-                .next("delete the state directory; the node rebuilds it from the blocks")
+                .next("delete the directory state/ while the node is stopped; it is rebuilt from the blocks")
         })?;
         results.align(&tip)?;
         let mut window = Window::default();

@@ -133,10 +133,10 @@ impl Evidence {
         let (content, end) = content.unwrap_or((bytes, &[]));
         let mut reader = Reader::new("evidence", EVIDENCE_BYTES_MAX, DOMAIN, content)?;
         if Hash::from_slice(end) != Some(Hash::of(&[content])) {
-            return Err(Rejection::new(Code::Corrupt, "the file was changed or is not whole")
-                .found("bytes with another hash than the one at their end")
+            return Err(Rejection::new(Code::Corrupt, "the file was changed or is incomplete")
+                .found("bytes that do not match the hash at their end")
                 .wanted("the bytes as they were written")
-                .next("copy the file again, or make it again: ledgerctl prove TX"));
+                .next("copy the file again, or create it again: ledgerctl prove TX"));
         }
         let mut steps = Vec::new();
         for _ in 0..reader.u32()? {

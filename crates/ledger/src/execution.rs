@@ -150,10 +150,7 @@ impl Executor<'_> {
         // A change of members is not signed. So voters sign none that the ledger does not want, nor one by force: a leader that
         // lies could leave itself as the only voter.
         if !is_wanted {
-            tracing::error!(
-                height = header.height,
-                "a change of members is not what the ledger wants; it is not certified"
-            );
+            tracing::error!(height = header.height, "change of members does not match the ledger; not certified");
         }
         let is_certified = is_certified(previous, &header, &control);
         if governs {
@@ -231,7 +228,9 @@ impl Executor<'_> {
         if let Ok(msp) = self.registry.find(msp::NAME) {
             self.beside_transactions(header, msp, (overlay, events), |ctx| {
                 if let Err(fault) = msp::note_recovery(ctx, recovery) {
-                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "a recovery by force is not noted");
+                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "cannot record \
+                                                                                                       a forced \
+                                                                                                       recovery");
                 }
             });
         }
@@ -242,7 +241,10 @@ impl Executor<'_> {
         if let Ok(msp) = self.registry.find(msp::NAME) {
             self.beside_transactions(header, msp, (overlay, events), |ctx| {
                 if let Err(fault) = msp::settle_certificate_rule(ctx) {
-                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "whether certificates are strict is not noted");
+                    tracing::error!(height = ctx.height(), code = fault.code.name(), reason = %fault, "cannot record \
+                                                                                                       whether \
+                                                                                                       certificates \
+                                                                                                       are strict");
                 }
             });
         }
@@ -261,7 +263,16 @@ impl Executor<'_> {
         let executed = |id: &Hash, not_after| self.is_in_window(id, not_after);
         let hook = Registry::hook(self.environment(header, &executed, &meter), chaincode, overlay, &mut emitted, body);
         if let Err(rejection) = hook {
-            tracing::error!(height = header.height, chaincode = chaincode.name(), code = rejection.code.name(), reason = %rejection, "work beside the transactions was undone");
+            tracing::error!(height = header.height, chaincode = chaincode.name(), code = rejection.code.name(), reason = %rejection, "cleanup \
+                                                                                                                                      at \
+                                                                                                                                      the \
+                                                                                                                                      end \
+                                                                                                                                      of \
+                                                                                                                                      a \
+                                                                                                                                      block \
+                                                                                                                                      was \
+                                                                                                                                      rolled \
+                                                                                                                                      back");
         }
         events.extend(emitted.into_iter().map(|event| EmittedEvent { index: None, event }));
     }
@@ -325,10 +336,10 @@ pub(crate) fn check_network(transaction: &Transaction, network: &Hash) -> Result
     if transaction.body().network == network.0[..] {
         return Ok(());
     }
-    Err(Rejection::new(Code::WrongNetwork, "transaction is for another network")
+    Err(Rejection::new(Code::WrongNetwork, "the transaction is for another network")
         .found(hex::encode(&transaction.body().network))
         .wanted(network.to_string())
-        .next("enrol at this network and use that context"))
+        .next("select a context of this network, or enrol at it"))
 }
 
 /// The hash over what a block wrote.

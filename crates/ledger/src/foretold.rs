@@ -152,6 +152,6 @@ fn put_back(
 }
 
 fn apart(entry: &Entry) -> Rejection {
-    Rejection::new(Code::Corrupt, format!("block {} and its result do not belong together", entry.index))
-        .next("stop the node and delete its directories state/ and results/; it makes them again from the blocks")
+    Rejection::new(Code::Corrupt, format!("block {} and its result do not match", entry.index))
+        .next("stop the node and delete its directories state/ and results/; both are rebuilt from the blocks")
 }

@@ -169,14 +169,17 @@ pub(crate) fn check_organisation(identity: &Identity, msps: &Msps) -> Result<(),
     let organisation = &identity.organisation;
     match msps.get(organisation) {
         Some(msp) if msp.standing().contains(&identity.issuer) => Ok(()),
-        Some(_) => Err(Rejection::new(Code::Untrusted, format!("nobody vouches for {} any more", identity.id()))
-            .found(format!("a certificate of an authority that {organisation} has lost"))
-            .wanted(format!("a certificate of an authority of {organisation}"))
-            .next(format!("ask an admin of {organisation}"))),
-        None => {
-            Err(Rejection::new(Code::Untrusted, format!("{} is of no organisation of this network", identity.id()))
-                .found(format!("{organisation}, which was removed")))
+        Some(_) => {
+            Err(Rejection::new(Code::Untrusted, format!("the certificate of {} is no longer trusted", identity.id()))
+                .found(format!("a certificate of a CA that {organisation} removed"))
+                .wanted(format!("a certificate of a current CA of {organisation}"))
+                .next(format!("ask an admin of {organisation}")))
         }
+        None => Err(Rejection::new(
+            Code::Untrusted,
+            format!("{} belongs to no organisation of this network", identity.id()),
+        )
+        .found(format!("{organisation}, which was removed"))),
     }
 }
 
@@ -188,7 +191,7 @@ pub(crate) fn check_revoked(identity: &Identity, overlay: &Overlay) -> Result<()
         Some(_) if active(Mutation::SkipTheRevocationCheck) => Ok(()),
         Some(_) => Err(Rejection::new(Code::Revoked, format!("the certificate of {} was revoked", identity.id()))
             .found(format!("serial {}", hex::encode(&identity.serial)))
-            .wanted("a certificate that its organisation still stands for".to_owned())
+            .wanted("a certificate that its organisation has not revoked".to_owned())
             .next(format!("ask an admin of {} and enrol again", identity.organisation))),
     }
 }
@@ -200,10 +203,10 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
     }
     match transaction.certificate() {
         Some(der) if Hash::of(&[der]) == *fingerprint => Ok((der.clone(), true)),
-        Some(der) => Err(Rejection::new(Code::UnknownCreator, "the certificate that came along is not the creator's")
+        Some(der) => Err(Rejection::new(Code::UnknownCreator, "the attached certificate is not the creator's")
             .found(format!("certificate {}", Hash::of(&[der])))
             .wanted(format!("certificate {fingerprint}"))),
-        None => Err(Rejection::new(Code::UnknownCreator, "the ledger does not know the creator's certificate yet")
+        None => Err(Rejection::new(Code::UnknownCreator, "the creator's certificate is not on the ledger yet")
             .found(format!("creator {fingerprint} without a certificate"))
             .wanted("the certificate in the field \"certificate\" of the transaction".to_owned())),
     }

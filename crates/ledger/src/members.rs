@@ -274,7 +274,7 @@ impl Membership {
         match change.and_then(|change| self.apply(&change)) {
             Ok(next) => Some(next),
             Err(error) => {
-                tracing::warn!(height = entry.index, %error, "a change of members has no effect");
+                tracing::warn!(height = entry.index, %error, "change of members has no effect");
                 None
             }
         }

@@ -402,11 +402,9 @@ impl Chaincode for MspChaincode {
 
 fn unknown_call(function: &str, found: usize) -> Rejection {
     match FUNCTIONS.iter().find(|(name, _)| *name == function) {
-        Some((_, wanted)) => {
-            Rejection::new(Code::BadArgument, format!("msp {function} is called with the wrong arguments"))
-                .found(format!("{found} arguments"))
-                .wanted(*wanted)
-        }
+        Some((_, wanted)) => Rejection::new(Code::BadArgument, format!("wrong arguments for msp {function}"))
+            .found(format!("{found} arguments"))
+            .wanted(*wanted),
         None => unknown_function(function),
     }
 }

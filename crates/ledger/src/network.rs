@@ -92,7 +92,7 @@ impl Genesis {
     pub fn to_bytes(&self) -> Result<Bytes, Rejection> {
         serde_json::to_vec_pretty(self)
             .map(Bytes::from)
-            .map_err(|error| Rejection::new(Code::Internal, format!("genesis cannot be written: {error}")))
+            .map_err(|error| Rejection::new(Code::Internal, format!("the genesis cannot be encoded: {error}")))
     }
 
     /// Reads and checks a document; answers with the network's name as well.
@@ -101,25 +101,24 @@ impl Genesis {
     /// [`Code::TooLarge`], [`Code::Malformed`] with what is wrong.
     pub fn from_bytes(bytes: &[u8]) -> Result<(Self, Hash), Rejection> {
         let wrong = |what: String| {
-            Rejection::new(Code::Malformed, format!("genesis is not usable: {what}"))
-                .next("take the genesis.json of another node of the same network")
+            Rejection::new(Code::Malformed, format!("the genesis is not usable: {what}"))
+                .next("use the genesis.json of another node of the same network")
         };
         if bytes.len() > GENESIS_BYTES_MAX {
-            return Err(Rejection::new(Code::TooLarge, "genesis is too large")
+            return Err(Rejection::new(Code::TooLarge, "the genesis is too large")
                 .found(format!("{} bytes", bytes.len()))
                 .wanted(format!("at most {GENESIS_BYTES_MAX} bytes")));
         }
         let genesis: Self = serde_json::from_slice(bytes).map_err(|error| wrong(error.to_string()))?;
         if Rules::find(genesis.rules).is_none() {
-            let message =
-                "genesis is not usable: this release does not speak the rules that the network was founded with";
+            let message = "the genesis is not usable: this release does not support the rules of the network";
             return Err(Rejection::new(Code::UnknownRules, message)
                 .found(format!("rules {}", genesis.rules))
                 .wanted(Rules::NEWEST.and_older()));
         }
         let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();
         if names.is_empty() || names.len() != genesis.organisations.len() {
-            return Err(wrong("organisations must be named and their names differ".into()));
+            return Err(wrong("organisations must have names, and these must differ".into()));
         }
         if genesis.snapshot_every == 0 {
             return Err(wrong("snapshot_every is 0, wanted a number of blocks".into()));

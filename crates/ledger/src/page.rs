@@ -56,8 +56,8 @@ impl Paging {
         serde_json::from_slice(argument).ok().filter(usable).ok_or_else(|| {
             Rejection::new(Code::BadArgument, format!("the argument of {function} is not a page"))
                 .found(format!("{} bytes", argument.len()))
-                .wanted(format!(r#"{{"after": "PLACE", "most": NUMBER}}, each of which may be left out; a place has at most {PLACE_BYTES_MAX} bytes"#))
-                .next("begin with {}; the answer says where the next page begins")
+                .wanted(format!(r#"{{"after": "PLACE", "most": NUMBER}}, both optional; a place has at most {PLACE_BYTES_MAX} bytes"#))
+                .next("start with {}; the answer contains the place of the next page")
         })
     }
 
@@ -104,20 +104,23 @@ impl Paging {
             (true, Some(_)) => return Err(several_pages()),
         };
         json.map(Bytes::from)
-            .map_err(|error| Rejection::new(Code::Internal, format!("an answer cannot be written: {error}")))
+            .map_err(|error| Rejection::new(Code::Internal, format!("an answer cannot be encoded: {error}")))
     }
 }
 
 fn several_pages() -> Rejection {
     Rejection::new(Code::OverBudget, "the list is longer than one answer")
         .found(format!("more than {PAGE_MAX} elements, or {} KiB", PAGE_BYTES / 1024))
-        .wanted("a question for one page")
-        .next("ask for it in pages, with the argument {}: each says where the next one begins; lists of ledgerctl show all of it")
+        .wanted("a request for one page")
+        .next(
+            "request it in pages, with the argument {}: each page contains the place of the next; ledgerctl lists \
+               all pages",
+        )
 }
 
 fn no_place(place: &str) -> Rejection {
-    Rejection::new(Code::BadArgument, "a page begins at no place")
+    Rejection::new(Code::BadArgument, "the page has no place")
         .found(format!("{} bytes", place.len()))
         .wanted("the field next of the page before")
-        .next("begin with {}; the answer says where the next page begins")
+        .next("start with {}; the answer contains the place of the next page")
 }

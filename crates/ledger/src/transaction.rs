@@ -8,6 +8,7 @@ use crate::block::{PAYLOAD_BYTES_MAX, leaf};
 use crate::call_ref::CallRef;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Identity;
 use ledger_identity::key::{PublicKey, SigningKey};
@@ -162,10 +163,10 @@ impl Transaction {
     /// [`Code::TooLarge`] beyond a limit, [`Code::Malformed`] if the bytes or the lengths of fields are wrong.
     pub fn decode(encoded: Bytes) -> Result<Self, Rejection> {
         if encoded.len() > TRANSACTION_BYTES_MAX {
-            return Err(Rejection::new(Code::TooLarge, "transaction is too large")
+            return Err(Rejection::new(Code::TooLarge, "the transaction is too large")
                 .found(format!("{} bytes", encoded.len()))
                 .wanted(format!("at most {TRANSACTION_BYTES_MAX} bytes"))
-                .next("split it into several"));
+                .next("split it into several transactions"));
         }
         let envelope = Envelope::decode(encoded.clone()).map_err(|error| malformed(&error.to_string()))?;
         let body = Body::decode(envelope.body.clone()).map_err(|error| malformed(&error.to_string()))?;
@@ -226,8 +227,11 @@ impl Transaction {
 
     fn verify_whole(&self, key: &PublicKey) -> Result<(), Rejection> {
         key.verify(&signed_bytes(&self.envelope.body), &self.envelope.signature).map_err(|error| {
-            Rejection::new(Code::BadSignature, format!("signature of transaction {} is not valid: {error}", self.id()))
-                .wanted(format!("a signature by the key of certificate {}", self.creator()))
+            Rejection::new(
+                Code::BadSignature,
+                format!("the signature of transaction {} is not valid: {error}", self.id()),
+            )
+            .wanted(format!("a signature by the key of certificate {}", self.creator()))
         })
     }
 
@@ -246,14 +250,14 @@ impl Transaction {
     pub fn check_time(&self, block_time: u64) -> Result<(), Rejection> {
         let not_after = self.body.not_after;
         if not_after < block_time {
-            return Err(Rejection::new(Code::Expired, "transaction came too late")
-                .found(format!("not_after {not_after} µs"))
-                .wanted(format!("at least block time, {block_time} µs")));
+            return Err(Rejection::new(Code::Expired, "the transaction expired before it was executed")
+                .found(format!("not_after {}, block time {}", rfc3339(not_after), rfc3339(block_time)))
+                .wanted("execution before not_after"));
         }
         if not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
-            return Err(Rejection::new(Code::NotAfterTooFar, "not_after lies too far ahead")
-                .found(format!("not_after {not_after} µs"))
-                .wanted(format!("at most {} s after block time, {block_time} µs", NOT_AFTER_AHEAD_MAX / 1_000_000)));
+            return Err(Rejection::new(Code::NotAfterTooFar, "not_after is too far in the future")
+                .found(format!("not_after {}, block time {}", rfc3339(not_after), rfc3339(block_time)))
+                .wanted(format!("at most {} s after block time", NOT_AFTER_AHEAD_MAX / 1_000_000)));
         }
         Ok(())
     }
@@ -285,7 +289,7 @@ fn signed_id(id: &Hash) -> Vec<u8> {
 }
 
 fn malformed(what: &str) -> Rejection {
-    Rejection::new(Code::Malformed, format!("bytes are no transaction: {what}"))
+    Rejection::new(Code::Malformed, format!("the bytes are not a transaction: {what}"))
         .wanted("an encoded ledgerd.v1.Transaction (transaction.proto)")
 }
 
@@ -297,9 +301,9 @@ fn check_encoding(name: &str, message: &impl Message, found: usize) -> Result<()
     if found == wanted {
         return Ok(());
     }
-    Err(malformed(&format!("{name} has fields that it should not have, or has one twice"))
+    Err(malformed(&format!("{name} has unknown fields, or a field twice"))
         .found(format!("{found} bytes, of which its fields account for {wanted}"))
-        .wanted(format!("the fields of {name} in transaction.proto and no others, in canonical encoding")))
+        .wanted(format!("exactly the fields of {name} in transaction.proto, in canonical encoding")))
 }
 
 fn check_form(body: &Body) -> Result<(), Rejection> {
@@ -322,7 +326,7 @@ fn check_form(body: &Body) -> Result<(), Rejection> {
         }
     }
     if body.args.len() > ARGUMENTS_MAX {
-        return Err(Rejection::new(Code::TooLarge, "transaction has too many arguments")
+        return Err(Rejection::new(Code::TooLarge, "the transaction has too many arguments")
             .found(body.args.len().to_string())
             .wanted(format!("at most {ARGUMENTS_MAX}")));
     }
@@ -362,6 +366,19 @@ mod tests {
         let signature = key.sign(message).into();
         let envelope = Envelope { body: body.to_vec().into(), signature, certificate: Bytes::new() };
         Transaction::decode(envelope.encode_to_vec().into()).unwrap()
+    }
+
+    #[test]
+    fn an_expired_transaction_is_told_by_its_times_and_not_to_be_signed_again() {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let at = Body { not_after: 1_700_000_000_000_000, ..body() }.encode_to_vec();
+        let transaction = signed_as(&at, &key, &signed_bytes(&at));
+        let late = transaction.check_time(1_700_000_001_000_000).unwrap_err();
+        assert_eq!(late.message, "the transaction expired before it was executed");
+        assert_eq!(late.found, "not_after 2023-11-14T22:13:20.000000Z, block time 2023-11-14T22:13:21.000000Z");
+        assert!(late.advice().contains("send a new one") && !late.advice().contains("sign"), "{late}");
+        let early = transaction.check_time(1_600_000_000_000_000).unwrap_err();
+        assert!(early.found.contains("block time 2020-09-13T") && early.wanted.starts_with("at most 120 s"), "{early}");
     }
 
     #[test]

@@ -112,8 +112,7 @@ pub fn verify_directory(
     })?;
     let kept = (stored_state(&directory.join(STATE_DIRECTORY))?, stored_results(directory, network)?);
     let length = Length::of(&disk).map_err(|error| {
-        Rejection::new(Code::BadFile, format!("cannot read {}: {error}", blocks.display()))
-            .wanted("files that may be read")
+        Rejection::new(Code::BadFile, format!("cannot read {}: {error}", blocks.display())).wanted("readable files")
     })?;
     let records = scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))?;
     check_oldest(&disk, &records).map_err(|error| in_directory(&error))?;
@@ -192,9 +191,10 @@ fn stored_state(directory: &Path) -> Result<Option<State>, Rejection> {
         return Ok(None);
     }
     SledStore::open_copy(directory).and_then(|store| State::open(Box::new(store))).map(Some).map_err(|rejection| {
-        rejection
-            .prefix(format_args!("{STATE_DIRECTORY}/: "))
-            .next("stop the node if it runs; a damaged state directory can be deleted, the node rebuilds it")
+        rejection.prefix(format_args!("{STATE_DIRECTORY}/: ")).next(
+            "stop the node if it runs; a damaged directory state/ can then be deleted, and is rebuilt from the \
+                   blocks",
+        )
     })
 }
 

@@ -305,7 +305,7 @@ impl Engine {
 
     fn fail(&mut self, reason: Rejection, out: &mut Vec<Output>) {
         self.failed = true;
-        tracing::error!(code = reason.code.name(), %reason, "ordering stops");
+        tracing::error!(code = reason.code.name(), %reason, "ordering stopped");
         out.push(Output::Failed(reason));
     }
 
@@ -367,7 +367,7 @@ impl Engine {
                 match self.admit(from, message) {
                     Ok(message) => {
                         if let Err(error) = self.raw.step(message) {
-                            tracing::debug!(from, %error, "a message of a peer has no effect");
+                            tracing::debug!(from, %error, "message of a peer has no effect");
                         }
                     }
                     Err(reason) => return out.push(Output::Ignored { from, reason }),
@@ -401,7 +401,7 @@ impl Engine {
         if self.may_campaign() && !self.is_leader() {
             self.attempts += 1;
             if let Err(error) = self.raw.campaign() {
-                tracing::debug!(%error, "cannot stand for election");
+                tracing::debug!(%error, "cannot start an election");
             }
         }
     }

@@ -41,7 +41,7 @@ impl Log {
         match error {
             Some(error) => StorageError::Other(Box::new(error)).into(),
             None => {
-                tracing::error!(index, "an entry is missing in the block store");
+                tracing::error!(index, "entry missing in the block store");
                 StorageError::Unavailable.into()
             }
         }

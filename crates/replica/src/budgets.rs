@@ -275,10 +275,10 @@ impl Accounts {
 }
 
 fn used_up(who: &str, rate: Rate, wait: u64) -> Rejection {
-    Rejection::new(Code::Overloaded, format!("the budget of {who} is used up"))
-        .found(format!("more than it has, for the next {} ms", wait.div_ceil(1000)))
+    Rejection::new(Code::Overloaded, format!("the budget of {who} is exhausted"))
+        .found(format!("more than the budget, for the next {} ms", wait.div_ceil(1000)))
         .wanted(format!(
-            "at most {} and {} messages a second, {} s of it at once",
+            "at most {} and {} messages per second, for {} s at once",
             size(rate.bytes),
             rate.messages,
             BURST / 1_000_000

@@ -261,7 +261,7 @@ impl<P: Clone> CatchUp<P> {
         let (reached, begun) = (self.ledger.tip().height, self.begun);
         invariant!(reached >= begun, "a ledger never goes back", "block {reached} after {begun}");
         if reached > begun {
-            tracing::info!(blocks = reached - begun, height = reached, "caught up");
+            tracing::info!(blocks = reached - begun, height = reached, "up to date");
         }
         match reached >= self.behind.map_or(0, |behind| behind.first_index.saturating_sub(1)) {
             true => Todo::Done(Caught::Up),
@@ -311,8 +311,8 @@ impl<P: Clone> CatchUp<P> {
         match pull.jury.next() {
             Some(peer) => Todo::Confirm { peer, height },
             None => {
-                let fault = Rejection::new(Code::Behind, format!("too few other nodes have block {height} yet"))
-                    .next("the rest comes by replication");
+                let fault = Rejection::new(Code::Behind, format!("too few other nodes have block {height}"))
+                    .next("the rest is replicated by the leader");
                 self.fault(&fault)
             }
         }
@@ -323,7 +323,8 @@ impl<P: Clone> CatchUp<P> {
         let Some(pull) = self.pull() else { return self.astray() };
         let end = pull.batch.end();
         let hash = answer.unwrap_or_else(|reason| {
-            tracing::debug!(node = pull.jury.name(), code = reason.code.name(), %reason, "the peer does not confirm the blocks");
+            tracing::debug!(node = pull.jury.name(), code = reason.code.name(), %reason, "peer does not confirm the \
+                                                                                          blocks");
             None
         });
         match pull.jury.hear(end.hash, hash) {
@@ -333,7 +334,7 @@ impl<P: Clone> CatchUp<P> {
                 let fault =
                     Rejection::new(Code::ChainInvalid, format!("{by} has another block at height {}", end.height))
                         .found(format!("block hash {}", hash.unwrap_or(Hash::ZERO)))
-                        .wanted(format!("block hash {}, which follows from the fetched blocks", end.hash));
+                        .wanted(format!("block hash {}, as the fetched blocks require", end.hash));
                 self.fault(&fault)
             }
         }
@@ -431,7 +432,7 @@ impl<P: Clone> CatchUp<P> {
     }
 
     fn astray(&self) -> Todo<P> {
-        Todo::Failed(Rejection::new(Code::Internal, "an answer came that was not asked for while catching up"))
+        Todo::Failed(Rejection::new(Code::Internal, "unexpected answer during block sync"))
     }
 }
 
@@ -455,6 +456,6 @@ pub fn begin_as(store: &BlockStore, other: &BlockStore) -> Result<(), Rejection>
 pub fn install(store: &BlockStore, snapshot: &Snapshot) -> Result<(), Rejection> {
     let tip = &snapshot.manifest().tip;
     store.begin_after(Base { index: tip.height, term: tip.term })?;
-    tracing::info!(height = tip.height, digest = %tip.digest, "a snapshot replaces the dropped blocks");
+    tracing::info!(height = tip.height, digest = %tip.digest, "snapshot replaces the dropped blocks");
     Ok(())
 }

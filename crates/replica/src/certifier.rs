@@ -293,7 +293,7 @@ impl<S: Signing> Certifier<S> {
                     out.push(Effect::Tell(signed.clone()));
                     self.newest = Some((signed, now + TELL_AGAIN_MIN, TELL_AGAIN_MIN));
                 }
-                Err(reason) => tracing::warn!(code = reason.code.name(), %reason, height, "a statement is not signed"),
+                Err(reason) => tracing::warn!(code = reason.code.name(), %reason, height, "cannot sign a statement"),
             }
             self.count(height, out);
         }
@@ -425,9 +425,7 @@ impl<S: Signing> Certifier<S> {
             false => era.voters.check(statement, signature, &identity),
         });
         checked
-            .inspect_err(
-                |reason| tracing::debug!(code = reason.code.name(), %reason, "a statement of a peer is not believed"),
-            )
+            .inspect_err(|reason| tracing::debug!(code = reason.code.name(), %reason, "statement of a peer rejected"))
             .is_ok()
     }
 

@@ -153,7 +153,7 @@ impl<C: Chain> Company<C> {
         let what = match (own.hash == point.hash, own.digest == point.digest) {
             (true, true) => {
                 if self.differing.remove(&id).is_some() {
-                    tracing::warn!(node = name, height = own.height, "this node and another agree again");
+                    tracing::warn!(node = name, height = own.height, "this node and another one agree again");
                 }
                 return Ok(());
             }
@@ -163,7 +163,7 @@ impl<C: Chain> Company<C> {
         if !self.differing.contains_key(&id) {
             tracing::error!(
                 node = name, height = own.height, own = %own.digest, theirs = %point.digest, what,
-                "this node and another differ; nobody knows yet which is right"
+                "this node and another one differ; it is not known yet which is correct"
             );
         }
         let differs = Differs { name: name.to_owned(), height: own.height, what };
@@ -180,7 +180,7 @@ impl<C: Chain> Company<C> {
         if self.contradicting.get(&node) != Some(&text) {
             tracing::error!(
                 node = name, leads, term, height, %own, %other,
-                "the log of another node contradicts the log of this node; nothing is appended to it"
+                "log of another node contradicts the log of this node; appending nothing to it"
             );
             self.contradicting.insert(node, text);
         }
@@ -232,7 +232,7 @@ impl<C: Chain> Company<C> {
         let had = confirmed.index;
         let text = format!("{} holds blocks up to height {height}, and had confirmed {had}", who.name);
         if self.lost.insert(who.id, text).is_none() {
-            tracing::error!(voter = who.name, height, confirmed = had, "a voter has lost blocks that it had confirmed");
+            tracing::error!(voter = who.name, height, confirmed = had, "a voter has lost confirmed blocks");
         }
     }
 
@@ -288,13 +288,14 @@ fn proof(own: Point, others: &[(&str, &str, Point)], place: &Place) -> Option<Re
         others.iter().filter(|(.., at)| of(at)).map(|(name, ..)| *name).collect()
     };
     let next = format!(
-        "keep a copy of this data directory, then see \"Two histories\" in docs/operations.md; {REJOIN} takes the others' history"
+        "keep a copy of this data directory, then see \"Two histories\" in docs/operations.md; {REJOIN} adopts the \
+         history of the others"
     );
     for (.., at) in others {
         let same_block = names(&|other| other.hash == at.hash);
         if at.hash != own.hash && is_most(same_block.len()) {
             return Some(
-                Rejection::new(Code::Forked, "most voters have another history than this node")
+                Rejection::new(Code::Forked, "the history of most voters differs from this node's")
                     .found(format!("block {} at height {}", own.hash, own.height))
                     .wanted(format!("block {}, which {} have", at.hash, same_block.join(", ")))
                     .next(next),

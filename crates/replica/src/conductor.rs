@@ -102,13 +102,13 @@ impl Conductor {
             (Phase::Fetching(None), Happened::Caught(_)) => match is_known(&self.ledger, self.id)? {
                 true => {
                     if std::mem::take(&mut self.helpless) {
-                        tracing::warn!("this node has learnt the current members of the network");
+                        tracing::warn!("received the current members of the network");
                     }
                     self.start()
                 }
                 false => {
                     if !std::mem::replace(&mut self.helpless, true) {
-                        tracing::warn!("no node tells the current members of the network; asking again");
+                        tracing::warn!("no node reports the current members of the network; retrying");
                     }
                     Next::Pause(RETRY_PAUSE)
                 }
@@ -117,11 +117,11 @@ impl Conductor {
                 let (height, first) = (self.ledger.tip().height, behind.first_index);
                 invariant!(
                     height + 1 >= first,
-                    "an engine that was behind starts again with the blocks that it lacked",
+                    "an engine that was behind restarts with the fetched blocks",
                     "the ledger is at block {height}, replication begins at {first}"
                 );
                 if std::mem::take(&mut self.helpless) {
-                    tracing::warn!("another node has helped this node to catch up");
+                    tracing::warn!("up to date with the help of another node");
                 }
                 self.start()
             }
@@ -129,7 +129,7 @@ impl Conductor {
                 // Once, not twice a second.
                 if !std::mem::replace(&mut self.helpless, true) {
                     let wanted = behind.first_index.saturating_sub(1);
-                    tracing::warn!(wanted, "no node could help this node to catch up; trying again");
+                    tracing::warn!(wanted, "no node could serve the missing blocks; retrying");
                 }
                 Next::Pause(RETRY_PAUSE)
             }

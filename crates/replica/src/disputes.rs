@@ -200,7 +200,8 @@ impl<S: Signing> Disputes<S> {
             Ok(Some(Against::Certificate)) => out.push(Effect::TwoCertificates(Box::new(branch))),
             Ok(None) => {}
             Err(reason) => {
-                tracing::debug!(height = branch.height(), code = reason.code.name(), %reason, "the certificate of another branch does not count");
+                tracing::debug!(height = branch.height(), code = reason.code.name(), %reason, "certificate of another \
+                                                                                               branch rejected");
             }
         }
     }

@@ -55,10 +55,16 @@ pub fn check(off: i64, node: &str) -> Result<(), Rejection> {
     if off.unsigned_abs() < CLOCK_OFF_MAX {
         return Ok(());
     }
-    Err(Rejection::new(Code::ClockOutOfBounds, format!("the clock of node {node} is wrong, so it judges no calls"))
-        .found(format!("the clock of its machine is {}", described(off)))
-        .wanted(format!("less than {} s", CLOCK_OFF_MAX / 1_000_000))
-        .next(format!("use another node; on the machine of {node}: timedatectl set-ntp true")))
+    Err(Rejection::new(
+        Code::ClockOutOfBounds,
+        format!(
+            "the clock of node {node} is wrong, so it accepts only calls \
+                                                        that end control"
+        ),
+    )
+    .found(format!("the clock of its machine is {}", described(off)))
+    .wanted(format!("less than {} s", CLOCK_OFF_MAX / 1_000_000))
+    .next(format!("use another node; on the machine of {node}: timedatectl set-ntp true")))
 }
 
 #[cfg(test)]

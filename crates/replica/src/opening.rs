@@ -72,13 +72,14 @@ impl Opening<'_> {
         if self.diverged {
             kept.set_aside()?;
             tracing::warn!(
-                "world state and results differed from those of other nodes; the node rebuilds them from the blocks"
+                "world state and results differed from those of other nodes; rebuilding them from the blocks"
             );
         }
         match self.open_once(kept) {
             Err(fault) if fault.code == Code::Corrupt => {
                 kept.set_aside()?;
-                tracing::warn!(code = fault.code.name(), reason = %fault, "world state and results are set aside and rebuilt from the blocks");
+                tracing::warn!(code = fault.code.name(), reason = %fault, "world state and results set aside; \
+                                                                           rebuilding them from the blocks");
                 self.open_once(kept)
             }
             opened => opened,
@@ -104,12 +105,13 @@ impl Opening<'_> {
         let Some(snapshot) = usable else {
             return Err(Rejection::new(
                 Code::ChainInvalid,
-                "the world state cannot be rebuilt: older blocks were dropped",
+                "the world state cannot be rebuilt, because older blocks were dropped",
             )
             .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
             .next(format!("{REJOIN}: it comes back as a new node and fetches everything again")));
         };
-        tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "the world state begins with a snapshot");
+        tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "world state starts with a \
+                                                                                            snapshot");
         snapshot.fill(kept, results)
     }
 
@@ -120,7 +122,7 @@ impl Opening<'_> {
             // Not a doubt about the state: the log has lost blocks that were promised. Rebuilding would hide it.
             return Err(Rejection::new(Code::ChainInvalid, "the log has lost committed blocks")
                 .found(format!(
-                    "blocks up to height {}, and a world state that has executed {}",
+                    "blocks up to height {}, and a world state of a later height {}",
                     store.last_index(),
                     reached.height
                 ))
@@ -128,12 +130,9 @@ impl Opening<'_> {
                 .next(format!("{REJOIN}: it comes back as a new node and fetches them from the others; without others, restore blocks/ from a copy")));
         }
         if reached.height + 1 < store.first_index() {
-            return Err(Rejection::new(Code::Corrupt, "the world state ends before the first block that is kept")
-                .found(format!(
-                    "a world state of height {}, and blocks from {} on",
-                    reached.height,
-                    store.first_index()
-                )));
+            return Err(Rejection::new(Code::Corrupt, "the world state ends before the first stored block").found(
+                format!("a world state of height {}, and blocks from {} on", reached.height, store.first_index()),
+            ));
         }
         if reached.height > 0 && store.term(reached.height) != Some(reached.term) {
             return Err(Rejection::new(Code::Corrupt, "the world state does not belong to these blocks")

@@ -144,7 +144,7 @@ impl<A: Asker> Reads<A> {
             Stage::Asked { attempts, .. } => self.failed(now, attempts, unconfirmed(), out),
             Stage::Pausing { attempts, .. } => self.attempt(now, attempts, out),
             Stage::Reaching { height, .. } => {
-                let late = Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
+                let late = Rejection::new(Code::Behind, "this node has not reached the requested height")
                     .found(format!("height {}", self.executed))
                     .wanted(format!("height {height}"));
                 self.tell(now, &Err(late), out);
@@ -239,8 +239,8 @@ impl<A: Asker> Reads<A> {
 }
 
 fn unconfirmed() -> Rejection {
-    Rejection::new(Code::NoLeader, "no leader confirmed in time that it still leads")
-        .next("ask again, ask another node, or ask for an answer from this node's own state")
+    Rejection::new(Code::NoLeader, "no leader confirmed its leadership in time")
+        .next("try again, ask another node, or query this node's own state (--stale)")
 }
 
 #[cfg(test)]

@@ -202,14 +202,14 @@ impl Space {
             return Ok(());
         }
         let what = match self.accepts {
-            Accepts::Nothing => "nothing more",
-            _ => "nothing more but calls that end control, such as release and revoke",
+            Accepts::Nothing => "no calls",
+            _ => "only calls that end control, such as release and revoke",
         };
         let Measured { free, total } = self.measured;
         Err(Rejection::new(Code::DiskFull, format!("the node's disk is almost full, so it accepts {what}"))
             .found(format!("{} of {} free", size(free), size(total)))
             .wanted(format!("{} free, and {} for the reserve", size(MESSAGES_FREE_BYTES_MIN), size(RESERVE_BYTES)))
-            .next("free space on the node's disk; it goes on by itself"))
+            .next("free space on the node's disk; it continues automatically"))
     }
 
     fn warn_of_little(&mut self) {
@@ -236,12 +236,12 @@ impl Space {
         let (path, free, of) = (&self.path, size(self.measured.free), size(self.measured.total));
         match accepts {
             Accepts::All => {
-                tracing::error!(%path, free, of, "there is space on the disk again; everything is accepted");
+                tracing::error!(%path, free, of, "disk space available again; accepting all calls");
             }
             Accepts::Ends => {
-                tracing::error!(%path, free, of, "the disk is almost full; only calls that end control are accepted");
+                tracing::error!(%path, free, of, "disk almost full; accepting only calls that end control");
             }
-            Accepts::Nothing => tracing::error!(%path, free, of, "the disk is full; nothing more is accepted"),
+            Accepts::Nothing => tracing::error!(%path, free, of, "disk full; accepting no calls"),
         }
     }
 }

@@ -85,7 +85,7 @@ impl Claim {
         let identities = attested.iter().take(ATTESTED_MAX).filter_map(|one| match self.check(one, msps) {
             Ok(identity) => (!revoked(&identity)).then_some(identity.organisation),
             Err(reason) => {
-                tracing::debug!(code = reason.code.name(), %reason, "an attestation does not count");
+                tracing::debug!(code = reason.code.name(), %reason, "signed state rejected");
                 None
             }
         });
@@ -101,7 +101,7 @@ impl Claim {
         }
         let statement = match (&*body.chaincode, &*body.function, &*body.args) {
             (msp::NAME, "attest", [statement]) => read(statement)?,
-            _ => return Err(other("no call of msp attest")),
+            _ => return Err(other("not a call of msp attest")),
         };
         if statement.height != self.height || statement.content != Some(self.content) {
             return Err(other("of another snapshot"));
@@ -139,14 +139,17 @@ impl Claim {
         if by.len() >= wanted && known.len() >= least {
             return Ok(());
         }
-        let found = format!("attested by {}; of these, this node trusts {}", joined(by), joined(known));
-        Err(Rejection::new(Code::Untrusted, format!("the snapshot of height {} is not attested enough", self.height))
-            .found(found)
-            .wanted(format!("nodes of {} organisations, {least} of which this node trusts", wanted.max(least)))
-            .next(format!(
-                "wait until the nodes have attested it, which takes some seconds; if the organisations that this node knew have \
+        let found = format!("signed by {}; this node trusts {} of them", joined(by), joined(known));
+        Err(Rejection::new(
+            Code::Untrusted,
+            format!("too few trusted nodes have signed the snapshot of height {}", self.height),
+        )
+        .found(found)
+        .wanted(format!("nodes of {} organisations, {least} of which this node trusts", wanted.max(least)))
+        .next(format!(
+            "wait some seconds, until the nodes have signed it; if the organisations that this node trusted have \
                  left the network: {REJOIN}"
-            )))
+        )))
     }
 }
 
@@ -156,7 +159,7 @@ fn enough() -> usize {
 }
 
 fn joined(names: BTreeSet<String>) -> String {
-    if names.is_empty() { "nobody".to_owned() } else { names.into_iter().collect::<Vec<_>>().join(" and ") }
+    if names.is_empty() { "none".to_owned() } else { names.into_iter().collect::<Vec<_>>().join(" and ") }
 }
 
 fn read(statement: &Bytes) -> Result<Statement, Rejection> {
@@ -188,7 +191,7 @@ impl Trial {
     ) -> Result<Self, Rejection> {
         let (network, tip) = (ledger.network(), ledger.tip());
         if manifest.network != network || manifest.height <= tip.height {
-            return Err(Rejection::new(Code::WrongNetwork, "the snapshot is of no use here")
+            return Err(Rejection::new(Code::WrongNetwork, "the snapshot is not usable here")
                 .found(format!("height {} of network {}", manifest.height, manifest.network))
                 .wanted(format!("above height {} of network {network}", tip.height)));
         }
@@ -198,13 +201,10 @@ impl Trial {
         let known = trial.claim.attested_by(&trial.attested, &members, &|identity| trial.is_revoked(identity));
         let least = members.iter().count().clamp(1, enough());
         if vouched.is_none() && known.len() < least {
-            return Err(Rejection::new(
-                Code::Untrusted,
-                "too few organisations that this node knows attest the snapshot",
-            )
-            .found(format!("height {}, attested by {}", claim.height, joined(known)))
-            .wanted(format!("nodes of {least} organisations that this node knows"))
-            .next("wait until the nodes have attested it, which takes some seconds"));
+            return Err(Rejection::new(Code::Untrusted, "too few known organisations have signed the snapshot")
+                .found(format!("height {}, signed by {}", claim.height, joined(known)))
+                .wanted(format!("nodes of {least} organisations known to this node"))
+                .next("wait some seconds, until the nodes have signed it"));
         }
         Ok(trial)
     }

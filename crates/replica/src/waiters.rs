@@ -179,9 +179,9 @@ impl<W: Waiter> Waiters<W> {
                 }
                 Ok(None) if result.code() == Code::Expired && !remembers(ledger, &submitted) => {
                     let reason = format!(
-                        "the time of transaction {id} has passed, and this node does not have every block that may hold it"
+                        "transaction {id} has expired, and this node does not have all blocks that may contain it"
                     );
-                    refused(&Rejection::new(Code::Timeout, reason).next("ask a node that keeps older blocks"));
+                    refused(&Rejection::new(Code::Timeout, reason).next("ask a node with a longer retention"));
                 }
                 Ok(None) => answer(self.take(id), &executed()),
                 Err(fault) => refused(&fault),

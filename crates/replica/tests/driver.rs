@@ -455,7 +455,7 @@ fn a_full_disk_keeps_no_replica_from_ending() {
 }
 
 #[test]
-#[should_panic(expected = "an engine that was behind starts again with the blocks that it lacked")]
+#[should_panic(expected = "an engine that was behind restarts with the fetched blocks")]
 fn an_engine_that_starts_again_without_the_blocks_that_it_lacked_is_found() {
     let node = Node::new();
     let mut conductor = Conductor::new(1, Arc::clone(node.executor.ledger()));

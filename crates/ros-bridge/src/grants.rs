@@ -65,7 +65,7 @@ impl Grants {
             served.retain(|_, (robot, _)| robots.contains(robot));
             for robot in robots {
                 let Some(name) = TopicName::near(&format!("/{robot}")) else {
-                    tracing::warn!(robot, "the name of this robot is none for ROS: its grant cannot be had from there");
+                    tracing::warn!(robot, "robot name is not a ROS name; its grant is not available from ROS");
                     continue;
                 };
                 match served.get(name.as_str()) {
@@ -78,7 +78,7 @@ impl Grants {
                             tracing::info!(robot, "{name}/acquire, {name}/release and {name}/stop are served");
                             served.insert(name.as_str().to_owned(), (robot, tasks));
                         }
-                        Err(error) => tracing::warn!(robot, %error, "the grant of this robot cannot be had from ROS"),
+                        Err(error) => tracing::warn!(robot, %error, "grant of this robot not available from ROS"),
                     },
                 }
             }
@@ -108,7 +108,7 @@ async fn serve(mut server: Box<dyn Server>, robot_grants: Arc<RobotGrants>, act:
     while let Some(request) = server.next().await {
         let answer = act(Arc::clone(&robot_grants)).await;
         if let Err(error) = server.reply(&request.caller, &answer.encode()) {
-            tracing::warn!(%error, "an answer about a grant was not handed over");
+            tracing::warn!(%error, "cannot deliver the answer about a grant");
         }
     }
 }

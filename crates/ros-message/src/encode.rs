@@ -72,10 +72,16 @@ impl Encoder {
         };
         if let Some((unknown, _)) = given.iter().find(|(name, _)| !structure.fields.iter().any(|f| *f.name == **name)) {
             let names = || structure.fields.iter().map(|field| &*field.name);
+            // `x: 0,5` is a field x and a field 5.
+            let next = if unknown.bytes().all(|byte| byte.is_ascii_digit()) {
+                "write decimals with a point: 0.5".to_owned()
+            } else {
+                ledger_base::nearest::did_you_mean(unknown, names(), "")
+            };
             return Err(Fault::new(format!("{} has no field {unknown}", structure.name))
                 .found(crate::fault::quoted(unknown))
                 .wanted(names().collect::<Vec<_>>().join(", "))
-                .next(ledger_base::nearest::did_you_mean(unknown, names(), "")));
+                .next(next));
         }
         if structure.fields.is_empty() {
             self.writer.number(1, 0)?;

@@ -131,7 +131,7 @@ fn put_genesis(genesis: &[u8], to: &Path, network: Hash, network_of: NetworkOf<'
             Err(Rejection::new(Code::BadFile, format!("{} is the archive of another network", to.display()))
                 .found(found)
                 .wanted(format!("network {network}"))
-                .next("archive into a directory of its own"))
+                .next("use a separate directory for each network"))
         }
         Err(error) if error.kind() == ErrorKind::NotFound => {
             fs::create_dir_all(to).map_err(|error| unusable("write", &path, &error))?;
@@ -153,10 +153,13 @@ fn put_snapshot(data: &Path, to: &Path, first: u64) -> Result<Option<u64>, Rejec
     }
     let source = data.join(SNAPSHOTS_DIRECTORY);
     let Some(height) = oldest_snapshot(&source, first)? else {
-        return Err(Rejection::new(Code::BadFile, "the blocks cannot be archived so that they can be verified alone")
-            .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
-            .wanted("blocks from 1 on, or a snapshot at the height before them")
-            .next(format!("wait until the node has written a snapshot into {}", source.display())));
+        return Err(Rejection::new(
+            Code::BadFile,
+            "the blocks cannot be archived in a form that can be verified alone",
+        )
+        .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
+        .wanted("blocks from 1 on, or a snapshot at the height before them")
+        .next(format!("wait until the node has written a snapshot into {}", source.display())));
     };
     let name = snapshot_name(height);
     let opened = fs::create_dir_all(&target).and_then(|()| File::open(source.join(&name)));

@@ -317,9 +317,9 @@ impl Known {
         let numbers: Vec<u64> = bytes.as_chunks().0.iter().map(|chunk| u64::from_be_bytes(*chunk)).collect();
         match *numbers.as_slice() {
             [VERSION, from, height, time] if bytes.len() == 32 => Ok(Self { from, height, time }),
-            _ => Err(Rejection::new(Code::Corrupt, "the index of the audit has another form")
+            _ => Err(Rejection::new(Code::Corrupt, "the audit index has another format")
                 .found(format!("{} bytes", bytes.len()))
-                .next("delete the directory audit/; the node makes it again from the blocks")),
+                .next("delete the directory audit/ while the node is stopped; it is rebuilt from the blocks")),
         }
     }
 }

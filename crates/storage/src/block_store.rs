@@ -110,7 +110,8 @@ impl BlockStore {
         let Options { network, segment_bytes, cache_bytes, salt } = options;
         if segment_bytes <= HEADER_BYTES || segment_bytes > SEGMENT_BYTES_MAX {
             return Err(StoreError::Options(format!(
-                "a segment of {segment_bytes} bytes is not possible: choose more than {HEADER_BYTES} and at most {SEGMENT_BYTES_MAX}"
+                "segments of {segment_bytes} bytes are not possible: choose more than {HEADER_BYTES} and at most \
+                 {SEGMENT_BYTES_MAX}"
             )));
         }
         let found = recovery::recover(disk.as_ref(), &network, cache_bytes)?;
@@ -254,7 +255,10 @@ impl BlockStore {
         let mut state = self.state();
         let last = state.index.last();
         if index > last {
-            state.poison(StoreError::Violation(format!("entry {index} is called committed, the log ends at {last}")));
+            state.poison(StoreError::Violation(format!(
+                "entry {index} is marked as committed, but the log ends at \
+                                                        {last}"
+            )));
             return;
         }
         state.committed = state.committed.max(index);

@@ -345,7 +345,7 @@ fn failed(operation: &str, first: u64, error: &io::Error) -> Rejection {
     let refused = Rejection::new(code, format!("cannot {operation} {RESULTS_DIRECTORY}/{name}: {error}"));
     match code {
         Code::Corrupt => refused
-            .next("stop the node and delete its directories state/ and results/; it makes them again from the blocks"),
+            .next("stop the node and delete its directories state/ and results/; both are rebuilt from the blocks"),
         _ => refused,
     }
 }

@@ -87,9 +87,7 @@ impl FromStr for Retention {
 
     fn from_str(text: &str) -> Result<Self, Rejection> {
         let refuse = |wanted: &str| {
-            Rejection::new(Code::BadConfiguration, "this is no time or size for which blocks can be kept")
-                .found(format!("{text:?}"))
-                .wanted(wanted)
+            Rejection::new(Code::BadConfiguration, "this is not a retention").found(format!("{text:?}")).wanted(wanted)
         };
         if text == "forever" {
             return Ok(Self::FOREVER);

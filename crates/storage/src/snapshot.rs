@@ -74,9 +74,9 @@ impl Snapshots {
                 Ok(found) if found.manifest().network == network && found.manifest().height == height => {
                     kept.push(Arc::new(found));
                 }
-                Ok(_) => tracing::warn!(%name, "a snapshot of another kind or network is left alone"),
+                Ok(_) => tracing::warn!(%name, "ignoring a snapshot of another kind or network"),
                 Err(fault) if fault.code == Code::Corrupt => {
-                    tracing::warn!(code = fault.code.name(), reason = %fault, "a damaged snapshot is left alone")
+                    tracing::warn!(code = fault.code.name(), reason = %fault, "ignoring a damaged snapshot")
                 }
                 Err(fault) => return Err(fault),
             }
@@ -112,7 +112,7 @@ impl Snapshots {
     /// [`Code::WrongNetwork`]; a fault of the disk.
     pub fn install(&self, manifest: Manifest) -> Result<Installer<'_>, Rejection> {
         if manifest.network != self.network {
-            return Err(Rejection::new(Code::WrongNetwork, "a snapshot is of another network")
+            return Err(Rejection::new(Code::WrongNetwork, "the snapshot belongs to another network")
                 .found(manifest.network.to_string())
                 .wanted(self.network.to_string()));
         }
@@ -189,5 +189,5 @@ fn failed(operation: &str, name: &str, error: &io::Error) -> Rejection {
 
 fn damaged(name: &str, what: &str) -> Rejection {
     Rejection::new(Code::Corrupt, format!("the snapshot {name} is damaged: {what}"))
-        .next("delete it; the node makes or fetches another")
+        .next("delete this snapshot; the node makes or fetches another one")
 }

@@ -133,12 +133,19 @@ impl State {
             Some(bytes) => Some(Tip::from_bytes(&bytes).ok_or_else(|| {
                 Rejection::new(Code::Corrupt, "the savepoint of the world state cannot be read")
                     .found(format!("{} bytes", bytes.len()))
-                    .next("delete the state directory; the node rebuilds it from the blocks")
+                    .next("delete the directory state/ while the node is stopped; it is rebuilt from the blocks")
             })?),
         };
         if store.get(INSTALLING_KEY)?.is_some() {
-            return Err(Rejection::new(Code::Corrupt, "the world state was not filled from its snapshot to the end")
-                .next("delete the directories state/ and results/; the node fills them again"));
+            return Err(Rejection::new(
+                Code::Corrupt,
+                "the installation of a snapshot into the world state is \
+                                                      incomplete",
+            )
+            .next(
+                "delete the directories state/ and results/ while the node is stopped; the snapshot is \
+                       installed again",
+            ));
         }
         if active(Mutation::ForgetAStop)
             && let Some(tip) = &tip
@@ -273,10 +280,7 @@ impl Unstored {
             && let Some(below) = self.layers.pop_back()
         {
             if below.cut {
-                tracing::warn!(
-                    height = below.tip.height,
-                    "no snapshot is made: storing the world state takes too long"
-                );
+                tracing::warn!(height = below.tip.height, "no snapshot: storing the world state takes too long");
             }
             let newer = std::mem::replace(&mut writes, below.writes.clone());
             writes.extend(newer);

@@ -25,7 +25,7 @@ pub(crate) struct Rate {
     pub received: usize,
     /// Half of them took less (milliseconds).
     pub p50_ms: f64,
-    /// 99 of 100 took less (milliseconds).
+    /// The 99th percentile, milliseconds.
     pub p99_ms: f64,
 }
 

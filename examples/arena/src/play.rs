@@ -134,13 +134,14 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     };
     let played = played.inspect_err(|rejection| {
         if options.json {
-            print_line(&failure(rejection));
+            // The exit code and standard error say it as well.
+            let _lost = print_line(&failure(rejection));
         }
     })?;
     let figures = played.records.figures();
     let claims = judge(&figures);
     let written = output.write(&options, &played, &figures, &claims)?;
-    print_line(&if options.json { written.json } else { written.table });
+    print_line(&if options.json { written.json } else { written.table })?;
     if options.open {
         output.show();
     }

@@ -70,7 +70,7 @@ fn strict_certificates_need_more_voters_than_ordering_does() {
     let last = found(|status| {
         (status.voters, status.voters_connected, status.certificate_rule) = (5, 4, strict(4));
     });
-    only(&last, "quorum", WARNING, "4 of 5 voters are connected: one less and robots that move stop");
+    only(&last, "quorum", WARNING, "4 of 5 voters are connected: if one more fails, moving robots stop");
 }
 
 /// The table of docs/operations.md: check, critical, error, warning, to do.
@@ -109,7 +109,7 @@ fn after_a_forced_recovery_the_survivor_is_not_advised_to_rejoin() {
         next(true)
     );
     assert!(
-        next(false).contains("recovered by force while this node was away, here: ledgerd rejoin"),
+        next(false).contains("offline during a forced recovery of the network, here: ledgerd rejoin"),
         "{}",
         next(false)
     );
@@ -157,13 +157,13 @@ fn what_keeps_a_node_from_its_work_is_critical() {
     only(&found(|s| s.divergence = "Org2/node2 has another block".into()), "log", CRITICAL, "another block");
     only(&found(|s| s.catching_up_to = 9), "state", CRITICAL, "height 0 of 9");
     only(&found(|s| s.voters_connected = 1), "quorum", CRITICAL, "1 of 3 voters are connected; 2 are needed to order");
-    only(&found(|s| s.leader_id = 0), "leader", CRITICAL, "no leader is known");
+    only(&found(|s| s.leader_id = 0), "leader", CRITICAL, "there is no leader");
     only(&found(|s| s.deposed = "voters deposed Org2/node2 12 s ago".into()), "leader", WARNING, "voters deposed");
     let ended = found(|s| s.wall_clock = 501 * DAY);
-    only(&ended, "certificate", CRITICAL, "the certificate of Org1/node1 has ended");
-    only(&found(|s| s.certificates.clear()), "certificate", CRITICAL, "no certificate that can be read");
+    only(&ended, "certificate", CRITICAL, "the certificate of Org1/node1 has expired");
+    only(&found(|s| s.certificates.clear()), "certificate", CRITICAL, "no certificate can be read");
     let list = found(|s| s.certificates = vec![certificate("list", 0, 500)]);
-    only(&list, "certificate", CRITICAL, "no certificate that can be read");
+    only(&list, "certificate", CRITICAL, "no certificate can be read");
     only(&found(|s| s.disk_accepts = "ends".into()), "disk", CRITICAL, "only calls that end control are accepted");
     only(&found(|s| s.disk_accepts = "nothing".into()), "disk", CRITICAL, "nothing is accepted");
     only(&found_with("it has jumped ahead", |_| ()), "clock", CRITICAL, "it has jumped ahead");
@@ -172,10 +172,10 @@ fn what_keeps_a_node_from_its_work_is_critical() {
 #[test]
 fn what_may_soon_keep_a_node_from_its_work_is_a_warning() {
     let one_less = found(|s| s.voters_connected = 2);
-    only(&one_less, "quorum", WARNING, "2 of 3 voters are connected: one less and nothing is ordered");
+    only(&one_less, "quorum", WARNING, "2 of 3 voters are connected: if one more fails, nothing is ordered");
     let of_five = found(|s| (s.voters, s.voters_connected) = (5, 4));
     only(&of_five, "quorum", WARNING, "4 of 5 voters are connected");
-    assert!(!of_five.iter().any(|(.., message)| message.contains("one less")), "{of_five:?}");
+    assert!(!of_five.iter().any(|(.., message)| message.contains("if one more fails")), "{of_five:?}");
     let low = found(|s| s.disk_free_bytes = (1 << 30) + (1 << 29));
     only(&low, "disk", WARNING, "1.5 GiB (7 %) of 20 GiB free, in /var/lib/ledgerd");
     assert_eq!(found(|s| s.disk_free_bytes = 2 << 30), []);
@@ -215,13 +215,13 @@ fn certificates_need_attention_once_they_should_have_been_renewed() {
         found(|s| (s.certificates, s.wall_clock, s.clock, s.block_time) = (all, now, now, now))
     };
     assert_eq!(ends_in("node", 31, 365), []);
-    only(&ends_in("node", 29, 365), "certificate", WARNING, "the certificate of Org1/node1 ends in 29 days");
+    only(&ends_in("node", 29, 365), "certificate", WARNING, "the certificate of Org1/node1 expires in 29 days");
     assert_eq!(ends_in("node", 2, 10), [], "a short life is renewed late");
     only(&ends_in("node", 1, 10), "certificate", WARNING, "ends in 1 day");
     assert_eq!(ends_in("ca", 181, 1180), []);
-    only(&ends_in("ca", 179, 1179), "certificate", WARNING, "the CA ca of Org1 ends in 179 days");
-    assert_eq!(ends_in("list", 1, 7), [], "a list is late once it has ended");
-    only(&ends_in("list", 0, 7), "certificate", WARNING, "the revocation list ca of Org1 has ended");
+    only(&ends_in("ca", 179, 1179), "certificate", WARNING, "the CA ca of Org1 expires in 179 days");
+    assert_eq!(ends_in("list", 1, 7), [], "a list is late once it has expired");
+    only(&ends_in("list", 0, 7), "certificate", WARNING, "the revocation list ca of Org1 has expired");
 }
 
 #[test]

@@ -39,8 +39,8 @@ async fn admitted(
     let Some(session) = told.and_then(|token| shared.sessions.find(&token, now)) else {
         discard(request).await;
         return Rejected::from(
-            Rejection::new(Code::CertificateRequired, "the call has no session, or its session has ended")
-                .wanted("authorization: Session TOKEN, from a page of this console")
+            Rejection::new(Code::CertificateRequired, "the call has no session, or its session has expired")
+                .wanted("the header authorization: Session TOKEN, from a page of this console")
                 .next("open a session: docs/http.md"),
         )
         .with_status(StatusCode::UNAUTHORIZED)
@@ -49,9 +49,9 @@ async fn admitted(
     let Some(busy) = session.begin(now) else {
         discard(request).await;
         return Rejected::from(
-            Rejection::new(Code::Overloaded, "the session has too many calls at a time")
+            Rejection::new(Code::Overloaded, "the session has too many concurrent calls")
                 .wanted(format!("at most {CALLS_MAX} calls and streams"))
-                .next("wait for answers, or end streams"),
+                .next("wait for responses, or close streams"),
         )
         .into_response();
     };

@@ -27,8 +27,8 @@ const HEADERS: [(HeaderName, &str); 7] = [
 ];
 
 /// Advice for a request by another name.
-const NEXT: &str = "set [console] name in ledgerd.toml to the name that browsers use; a proxy must pass the header host on unchanged \
-                    (docs/console.md)";
+const NEXT: &str = "set [console] name in ledgerd.toml to the name that browsers use; a proxy must pass the host \
+                    header unchanged (docs/console.md)";
 
 /// The origin of a request: what its browser calls this console.
 #[derive(Clone)]

@@ -110,7 +110,7 @@ impl Shared {
                 .next("open the session again; if that does not help, enrol this browser again")
         };
         if !self.challenges.is_good(&challenge, self.now()) {
-            return Err(refused("the challenge is none of this node, or has ended"));
+            return Err(refused("the challenge is not from this node, or has expired"));
         }
         let key = Certificate::parse(&certificate)?.public_key_info;
         let key = PublicKey::from_spki(&key).map_err(|error| refused(&error.to_string()))?;
@@ -134,9 +134,9 @@ impl Shared {
         self.tries().give_back(from);
         let mut token = [0; TOKEN_BYTES];
         let filled = SystemRandom::new().fill(&mut token);
-        filled.map_err(|_| Rejection::new(Code::Internal, "the operating system gives no randomness"))?;
+        filled.map_err(|_| Rejection::new(Code::Internal, "the operating system provides no randomness"))?;
         self.sessions.enter(&token, Arc::clone(&identity), Instant::now());
-        tracing::info!(identity = identity.id(), "a browser has opened a session");
+        tracing::info!(identity = identity.id(), "browser session opened");
         let Identity { role, attributes, .. } = (*identity).clone();
         let (session, silence_s) = (hex::encode(token), QUIET_MAX.as_secs());
         Ok(Opened { session, id: identity.id(), role, attributes, silence_s })
@@ -145,7 +145,7 @@ impl Shared {
 
 async fn challenge(State(shared): State<Arc<Shared>>) -> Result<Response, Rejected> {
     let Some(made) = shared.challenges.make(shared.now()) else {
-        return Err(Rejection::new(Code::Internal, "the operating system gives no randomness").into());
+        return Err(Rejection::new(Code::Internal, "the operating system provides no randomness").into());
     };
     let network = shared.parts.gateway.ledger().network();
     http::answer(&json!({

@@ -37,7 +37,7 @@ pub(super) fn tls(
         false => made(names)?,
     };
     if let Some(shown) = chain.first() {
-        tracing::info!(sha256 = %Hash::of(&[shown.as_ref()]), "the certificate that browsers see");
+        tracing::info!(sha256 = %Hash::of(&[shown.as_ref()]), "TLS certificate for browsers");
     }
     let tls = builder.with_single_cert(chain, key);
     let mut tls = tls.map_err(|error| FILES.unusable(&settings.certificate, &error.to_string()))?;
@@ -49,7 +49,7 @@ pub(super) fn tls(
 /// A certificate that nobody has signed but its own key.
 fn made(names: &[String]) -> Result<(Vec<CertificateDer<'static>>, PrivateKeyDer<'static>), Rejection> {
     let made = rcgen::generate_simple_self_signed(names);
-    let made = made.map_err(|error| Rejection::new(Code::Internal, format!("no certificate can be made: {error}")))?;
+    let made = made.map_err(|error| Rejection::new(Code::Internal, format!("cannot create a certificate: {error}")))?;
     let key = PrivatePkcs8KeyDer::from(made.signing_key.serialize_der());
     Ok((vec![made.cert.der().clone()], key.into()))
 }

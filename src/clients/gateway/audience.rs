@@ -9,7 +9,7 @@ use ledger_identity::{Identity, Role};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// One of so many places is kept for robots and nodes.
+/// One of so many places is reserved for robots and nodes.
 const KEPT_PART: u64 = 4;
 
 /// The subscriptions of a node.
@@ -86,20 +86,20 @@ impl Audience {
     }
 
     fn full(&self, person: bool) -> Rejection {
-        let kept = if person { ", a quarter of which is kept for robots and nodes" } else { "" };
-        Rejection::new(Code::Overloaded, "the node has as many subscriptions as it accepts")
+        let kept = if person { ", a quarter of which is reserved for robots and nodes" } else { "" };
+        Rejection::new(Code::Overloaded, "the node has reached its limit of subscriptions")
             .wanted(format!("at most {} (limits.subscribers_max){kept}", self.places_max))
-            .next("subscribe at another node")
+            .next("subscribe through another node")
     }
 
     fn beyond_share(&self, who: &str, open: u64, free: u64) -> Rejection {
         Rejection::new(Code::Overloaded, format!("{who} has too many subscriptions at this node"))
             .found(format!("{open} subscriptions"))
             .wanted(format!(
-                "at most as many as there are places free, {free} of {} (limits.subscribers_max)",
+                "at most as many as there are free slots, {free} of {} (limits.subscribers_max)",
                 self.places_max
             ))
-            .next("end those that are not needed, or subscribe at another node")
+            .next("close unused subscriptions, or subscribe through another node")
     }
 
     fn lock(&self) -> MutexGuard<'_, Table> {
@@ -145,7 +145,7 @@ mod tests {
     fn one_identity_cannot_take_all_places() {
         let audience = audience(1024);
         let taken = fill(&audience, "Org1", "Mallory", Role::Member);
-        assert_eq!(taken.len(), 384, "half of what is not kept for robots and nodes");
+        assert_eq!(taken.len(), 384, "half of what is not reserved for robots and nodes");
         let refused = enter(&audience, "Org1", "Mallory", Role::Member).err().unwrap();
         assert_eq!(refused.code, Code::Overloaded);
         assert!(refused.message.contains("Org1/Mallory") && refused.found.contains("384"), "{refused}");
@@ -162,7 +162,7 @@ mod tests {
         let crowd: Vec<_> = (0..64).flat_map(|n| fill(&audience, "Org1", &format!("P{n}"), Role::Member)).collect();
         assert_eq!(crowd.len(), 48);
         let refused = enter(&audience, "Org1", "Salma", Role::Member).err().unwrap();
-        assert!(refused.wanted.contains("kept for robots and nodes"), "{refused}");
+        assert!(refused.wanted.contains("reserved for robots and nodes"), "{refused}");
         for (name, role) in [("Husky", Role::Robot), ("node1", Role::Node)] {
             enter(&audience, "Org1", name, role).unwrap();
         }

@@ -11,7 +11,7 @@ const DENIALS_DEFAULT: u32 = 100;
 /// The latest refusals.
 pub(super) fn latest(denials: &Rejections, caller: &Identity, limit: u32) -> Result<DenialsResponse, Rejection> {
     if caller.role != Role::Admin {
-        return Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", caller.id()))
+        return Err(Rejection::new(Code::NotAdmin, format!("{} may not read the rejections of others", caller.id()))
             .found(format!("role {}", caller.role))
             .wanted(format!("an admin of {}", caller.organisation)));
     }

@@ -20,7 +20,7 @@ impl Proofs {
     /// The link from a transaction to a certificate.
     pub(super) async fn link(&self, reader: Arc<Identity>, id: &[u8]) -> Result<ProveTransactionResponse, Rejection> {
         let id = Hash::from_slice(id).ok_or_else(|| {
-            Rejection::new(Code::BadArgument, "the id of a transaction is not usable")
+            Rejection::new(Code::BadArgument, "the transaction id is not usable")
                 .found(format!("{} bytes", id.len()))
                 .wanted("32 bytes")
         })?;
@@ -82,14 +82,17 @@ fn certificate(ledger: &Ledger, outcome: &Outcome, index: u32) -> Result<Bytes, 
         return Ok(certificate.clone());
     }
     ledger.certificate(&transaction.creator())?.ok_or_else(|| {
-        Rejection::new(Code::NotFound, "this node does not know the certificate of the creator")
+        Rejection::new(Code::NotFound, "the certificate of the creator is unknown to this node")
             .found(transaction.creator().to_string())
-            .wanted("a transaction whose signature was good")
+            .wanted("a transaction whose signature was valid")
     })
 }
 
 fn no_proof(height: u64) -> Rejection {
-    Rejection::new(Code::NotFound, format!("this node has no certificate that proves block {height}"))
-        .wanted(format!("one of a block at most {HEADERS_MAX} blocks later, signed by a majority of the voters"))
-        .next("ask again in a moment, or ask another node; ledgerctl status says what is certified")
+    Rejection::new(Code::NotFound, format!("this node has no quorum certificate that proves block {height}"))
+        .wanted(format!(
+            "a certificate of a block at most {HEADERS_MAX} blocks later, signed by a majority of the \
+                         voters"
+        ))
+        .next("try again in a moment, or ask another node; ledgerctl status shows the certified height")
 }

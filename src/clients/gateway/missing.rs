@@ -28,10 +28,10 @@ impl Kept {
     /// The rejection of a block that is not here.
     pub(super) fn no_block(self, height: u64) -> Rejection {
         if height > 0 && height < self.first {
-            return Rejection::new(Code::Pruned, format!("this node does not keep block {height}"))
+            return Rejection::new(Code::Pruned, format!("this node no longer stores block {height}"))
                 .found(format!("blocks from {} on", self.first))
                 .wanted(self.wanted())
-                .next("ask a node that keeps blocks for longer, or look into the archive");
+                .next("ask a node with a longer retention, or search the archive");
         }
         Rejection::new(Code::NotFound, format!("this node has no block {height}")).wanted(self.wanted())
     }
@@ -39,14 +39,16 @@ impl Kept {
     /// The rejection of a transaction that is in no block here.
     pub(super) fn no_transaction(self, id: &Hash) -> Rejection {
         if self.has_dropped() {
-            let message = format!("this node has no transaction {id} in the blocks that it keeps");
+            let message = format!("transaction {id} is in none of the blocks that this node stores");
             return Rejection::new(Code::Pruned, message)
                 .found(format!("blocks from {} on", self.first))
                 .wanted("a transaction in one of these blocks")
-                .next("ask a node that keeps blocks for longer, or look into the archive; if it was submitted just now, ask again");
+                .next(
+                    "ask a node with a longer retention, or search the archive; if it was just submitted, try again",
+                );
         }
-        Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
-            .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
+        Rejection::new(Code::NotFound, format!("transaction {id} is unknown to this node"))
+            .next("if it was just submitted, try again; a call that is rejected before ordering has no record")
     }
 }
 

@@ -51,7 +51,7 @@ impl Nodes {
         let others = members.iter().filter(|member| member.id != self.description.me.id);
         let nodes = join_all(others.map(async |member| {
             let answer = tokio::time::timeout(PATIENCE, self.ask(member)).await;
-            let late = |_| Err(format!("it did not answer within {} s", PATIENCE.as_secs()));
+            let late = |_| Err(format!("no answer within {} s", PATIENCE.as_secs()));
             node(member, answer.unwrap_or_else(late))
         }));
         let nodes = nodes.await;

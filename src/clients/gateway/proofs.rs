@@ -90,7 +90,7 @@ impl Proofs {
     pub(super) async fn prove(&self, request: ProveRequest) -> Result<ProveResponse, Rejection> {
         let ProveRequest { height, verdicts } = request;
         if verdicts.len() > VERDICTS_MAX {
-            return Err(Rejection::new(Code::TooLarge, "too many verdicts are asked for at once")
+            return Err(Rejection::new(Code::TooLarge, "too many verdicts in one request")
                 .found(verdicts.len().to_string())
                 .wanted(format!("at most {VERDICTS_MAX}")));
         }
@@ -102,7 +102,8 @@ impl Proofs {
                 .found(format!("certified up to block {}", self.peers.certificates.certified()))
                 .wanted("a recent block with control writes, or the first one of 200 ms, signed by enough voters")
                 .next(
-                    "ask again in a moment; if it lasts, look at ledgerctl status: do voters of two organisations run?",
+                    "try again in a moment; if it persists, check with ledgerctl status that voters of two \
+                     organisations run",
                 )),
         }
     }

@@ -158,7 +158,7 @@ impl Records {
 
     fn transaction_here(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
         let id = Hash::from_slice(id).ok_or_else(|| {
-            Rejection::new(Code::BadArgument, "the id of a transaction is not usable")
+            Rejection::new(Code::BadArgument, "the transaction id is not usable")
                 .found(format!("{} bytes", id.len()))
                 .wanted("32 bytes")
         })?;

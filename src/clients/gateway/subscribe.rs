@@ -66,7 +66,7 @@ impl Subscriptions {
     ) -> Result<ReceiverStream<Result<Delivery, Status>>, Status> {
         if request.subjects.len() > FILTER_MAX || request.names.len() > FILTER_MAX {
             return Err(status(
-                &Rejection::new(Code::TooLarge, "subscription has too many filters")
+                &Rejection::new(Code::TooLarge, "the subscription has too many filters")
                     .found(format!("{} subjects and {} names", request.subjects.len(), request.names.len()))
                     .wanted(format!("at most {FILTER_MAX} of each")),
             ));

@@ -24,7 +24,7 @@ pub(super) async fn transfer_leadership(ordering: &Ordering, caller: &Identity, 
 
 async fn transfer(ordering: &Ordering, caller: &Identity, to: u64) -> Result<RoleChange, Rejection> {
     if caller.role != ledger_identity::Role::Admin {
-        return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the leader", caller.id()))
+        return Err(Rejection::new(Code::NotAdmin, format!("{} may not transfer the leadership", caller.id()))
             .found(format!("role {}", caller.role))
             .wanted("role admin"));
     }
@@ -32,13 +32,13 @@ async fn transfer(ordering: &Ordering, caller: &Identity, to: u64) -> Result<Rol
     let voting: Vec<_> = members.iter().filter(|member| member.votes()).collect();
     if !voting.iter().any(|member| member.organisation == caller.organisation) {
         let wanted: BTreeSet<_> = voting.iter().map(|member| member.organisation.as_str()).collect();
-        return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the leader", caller.id()))
+        return Err(Rejection::new(Code::NotAdmin, format!("{} may not transfer the leadership", caller.id()))
             .found(format!("{}, which has no voter", caller.organisation))
             .wanted(format!("an admin of {}", wanted.into_iter().collect::<Vec<_>>().join(" or ")))
-            .next("ask one of them; an organisation that orders decides who leads"));
+            .next("ask an admin of an organisation with a voter"));
     }
     let changed = ordering.slot.handle()?.transfer_on_demand(to, PATIENCE).await?;
     let leader = changed.leader.map(|leader| ordering.directory.name(leader));
-    tracing::info!(by = %caller.id(), leader, "an admin has chosen the leader");
+    tracing::info!(by = %caller.id(), leader, "leadership transfer requested by an admin");
     Ok(changed)
 }

@@ -26,8 +26,8 @@ pub(super) async fn identified(request: Request, next: Next) -> Response {
         _ => {
             discard(request).await;
             Rejected::from(
-                Rejection::new(Code::CertificateRequired, "this call needs an identity")
-                    .wanted("a client certificate, or at the console a session that is open")
+                Rejection::new(Code::CertificateRequired, "this call requires an identity")
+                    .wanted("a client certificate, or an open session at the console")
                     .next("enrol first: ledgerctl enroll; at the console, open a session"),
             )
             .into_response()
@@ -44,14 +44,14 @@ pub(crate) fn for_certificates(endpoints: Router, names: Names) -> Router {
 async fn without_browsers(State(names): State<Arc<Names>>, request: Request, next: Next) -> Response {
     let host = names::host(&request).unwrap_or_default();
     let rejection = if !names.has(&host) {
-        Rejection::new(Code::Untrusted, "the host is no name of this node")
+        Rejection::new(Code::Untrusted, "the host is not a name of this node")
             .found(format!("{host:?}"))
             .wanted("an address, or a name of this node")
             .next("use its address, or the name in [member] address of ledgerd.toml")
     } else if is_of_other_page(request.headers()) {
-        Rejection::new(Code::Untrusted, "browsers are not answered here")
+        Rejection::new(Code::Untrusted, "requests of browsers are rejected here")
             .found("the header origin or sec-fetch-site")
-            .next("browsers use the console: see [console] in ledgerd.toml")
+            .next("use the console in browsers: see [console] in ledgerd.toml")
     } else {
         return next.run(request).await;
     };

@@ -80,9 +80,8 @@ async fn collect(body: Body, bytes_max: usize, time_max: Duration) -> Result<Byt
     let (mut parts, mut kept, mut bytes) = (body.into_data_stream(), BytesMut::new(), 0);
     let read = async {
         while let Some(part) = parts.next().await {
-            let part = part.map_err(|error| {
-                Rejection::new(Code::Malformed, "the body ends before its end").found(error.to_string())
-            })?;
+            let part =
+                part.map_err(|error| Rejection::new(Code::Malformed, "the body ends early").found(error.to_string()))?;
             bytes += part.len();
             if bytes > DISCARDED_BYTES_MAX {
                 break;
@@ -106,7 +105,7 @@ fn check(headers: &HeaderMap, kind: &str, curl: &str, bytes_max: usize) -> Resul
     let header = |name| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let given = header(CONTENT_TYPE);
     if given.split(';').next().is_none_or(|given| !given.trim().eq_ignore_ascii_case(kind)) {
-        return Err(Rejection::new(Code::BadArgument, "the body has another type")
+        return Err(Rejection::new(Code::BadArgument, "the body has the wrong content type")
             .found(format!("content-type {given:?}"))
             .wanted(kind)
             .next(format!("with curl: {curl}")));

@@ -54,8 +54,8 @@ pub(super) fn is_of_other_page(headers: &HeaderMap) -> bool {
 /// The answer to a request that is not meant for a page, such as `this console`.
 pub(crate) fn foreign(page: &str, next: &str) -> Response {
     let rejection = Rejection::new(Code::Untrusted, format!("the request is not for {page}"))
-        .found("a host that is no name of it, a page of another origin, or one of these headers twice")
-        .wanted("an address, or a name of it, in the header host, and no other page in the header origin")
+        .found("another host name, a page of another origin, or one of these headers twice")
+        .wanted("an address or a name of it in the header host, and no other page in the header origin")
         .next(next);
     Rejected::from(rejection).with_status(StatusCode::FORBIDDEN).into_response()
 }

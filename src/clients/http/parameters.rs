@@ -34,7 +34,7 @@ impl Parameters {
             Err(Rejection::new(Code::BadArgument, "the endpoint has no such parameter")
                 .found(format!("{name:?}"))
                 .wanted(known)
-                .next(did_you_mean(&name, names.iter().copied(), "leave it out")))
+                .next(did_you_mean(&name, names.iter().copied(), "omit it")))
         });
         Ok(Self { given: given.collect::<Result<_, _>>()? })
     }
@@ -83,7 +83,7 @@ impl Parameters {
         match self.text(name)?.as_str() {
             "" | "false" => Ok(false),
             "true" => Ok(true),
-            other => Err(Rejection::new(Code::BadArgument, format!("{name} is no switch"))
+            other => Err(Rejection::new(Code::BadArgument, format!("{name} is not a boolean"))
                 .found(format!("{other:?}"))
                 .wanted("true or false")),
         }
@@ -125,7 +125,7 @@ fn text(part: Part) -> Result<String, Rejection> {
 
 fn number<T: FromStr>(name: &str, text: &str) -> Result<T, Rejection> {
     text.parse().map_err(|_| {
-        Rejection::new(Code::BadArgument, format!("{name} is no number that fits"))
+        Rejection::new(Code::BadArgument, format!("{name} is not a number in this range"))
             .found(format!("{text:?}"))
             .wanted(format!("decimal digits ({})", type_name::<T>()))
     })

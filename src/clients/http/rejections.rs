@@ -96,16 +96,16 @@ fn status_of(code: Code) -> StatusCode {
 pub(crate) fn answer(body: &impl Serialize) -> Result<Response, Rejected> {
     let body = serde_json::to_vec(body);
     let body =
-        body.map_err(|error| Rejection::new(Code::Internal, "the answer cannot be written").found(error.to_string()))?;
+        body.map_err(|error| Rejection::new(Code::Internal, "the answer cannot be encoded").found(error.to_string()))?;
     Ok((HEADERS, body).into_response())
 }
 
 /// The answer where nothing is.
 pub(super) async fn unknown_path(request: Request) -> Rejected {
-    let rejection = Rejection::new(Code::NotFound, "there is no such path")
+    let rejection = Rejection::new(Code::NotFound, "unknown path")
         .found(request.uri().path())
-        .wanted("a path of docs/http.md")
-        .next("health and metrics have a listener of their own: [admin] listen in ledgerd.toml");
+        .wanted("a path in docs/http.md")
+        .next("health and metrics have a separate listener: [admin] listen in ledgerd.toml");
     discard(request).await;
     rejection.into()
 }
@@ -114,16 +114,16 @@ pub(super) async fn unknown_path(request: Request) -> Rejected {
 pub(crate) async fn elsewhere(request: Request) -> Response {
     let kind = request.headers().get(CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();
     if kind.starts_with(b"application/grpc") {
-        return Status::unimplemented("there is no such call").into_http();
+        return Status::unimplemented("unknown call").into_http();
     }
     unknown_path(request).await.into_response()
 }
 
 /// The answer to another method than that of an endpoint.
 pub(crate) async fn other_method(request: Request) -> Rejected {
-    let rejection = Rejection::new(Code::BadArgument, "the endpoint has another method")
+    let rejection = Rejection::new(Code::BadArgument, "the endpoint requires another method")
         .found(format!("{} {}", request.method(), request.uri().path()))
-        .wanted("GET to read, POST to query, submit, enrol and open a session");
+        .wanted("GET to read; POST to query, submit, enrol and open a session");
     discard(request).await;
     Rejected::from(rejection).with_status(StatusCode::METHOD_NOT_ALLOWED)
 }

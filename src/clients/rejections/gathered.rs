@@ -204,8 +204,8 @@ fn rest(refused: Refused, who: &str) -> Refused {
     let Refused { count, first, last, sample, .. } = refused;
     let [chaincode, function, subject, found] = std::array::from_fn(|_| String::new());
     let why = match who {
-        "" => "further refusals of other identities, services or codes",
-        _ => "further refusals about other services, functions or codes",
+        "" => "further rejections of other identities, services or codes",
+        _ => "further rejections with other services, functions or codes",
     };
     let (who, why) = (who.to_owned(), why.to_owned());
     Refused { who, chaincode, function, subject, code: 0, count, first, last, sample, why, found }

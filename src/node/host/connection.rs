@@ -51,7 +51,7 @@ impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let Self { stream, staying, .. } = self.get_mut();
         if staying.poll_over(cx).is_ready() {
-            let reason = "the connection has lost its place: its certificate was revoked, or others have come";
+            let reason = "connection closed: certificate revoked, or slot given to another connection";
             return Poll::Ready(Err(io::Error::new(io::ErrorKind::ConnectionAborted, reason)));
         }
         Pin::new(stream).poll_read(cx, buf)

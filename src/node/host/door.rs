@@ -80,7 +80,8 @@ impl Places {
         let mut warned = self.warned.lock().unwrap_or_else(PoisonError::into_inner);
         if warned.is_none_or(|warned| warned.elapsed() >= WARNING_PAUSE) {
             *warned = Some(Instant::now());
-            tracing::warn!(%source, "too many connections without a certificate; the oldest ones of this address are closed");
+            tracing::warn!(%source, "too many connections without a certificate; closing the oldest ones of this \
+                                     address");
         }
     }
 }
@@ -109,7 +110,7 @@ pub(super) async fn accept(listener: TcpListener, ledgers: Ledgers, most: Connec
         tokio::spawn(async move {
             let shaken = tokio::select! {
                 biased;
-                () = permit.over() => return tracing::debug!(%address, "connection closed: its place went to a newer one"),
+                () = permit.over() => return tracing::debug!(%address, "connection closed: slot given to a newer one"),
                 shaken = timeout(HANDSHAKE_TIME_MAX, handshake(socket, address.ip(), &ledgers, &places)) => shaken,
             };
             match shaken {
@@ -120,9 +121,9 @@ pub(super) async fn accept(listener: TcpListener, ledgers: Ledgers, most: Connec
                     };
                     let _closing = to.send(Ok(connection)).await;
                 }
-                Ok(Err(reason)) => tracing::info!(%address, reason, "connection refused"),
+                Ok(Err(reason)) => tracing::info!(%address, reason, "connection rejected"),
                 Err(_) => {
-                    tracing::info!(%address, limit_s = HANDSHAKE_TIME_MAX.as_secs(), "the handshake took too long")
+                    tracing::info!(%address, limit_s = HANDSHAKE_TIME_MAX.as_secs(), "handshake timed out")
                 }
             }
         });
@@ -152,7 +153,7 @@ async fn handshake(
         if socket.write_all(&UNRECOGNISED_NAME).await.is_ok() {
             linger(socket).await;
         }
-        return Err(format!("no ledger of this listener is meant by the name {name:?}"));
+        return Err(format!("no ledger of this listener has the name {name:?}"));
     };
     let stream = match hello.into_stream(Arc::clone(&served.tls)).into_fallible().await {
         Ok(stream) => stream,

@@ -70,7 +70,7 @@ impl Ledgers {
             return Err(Rejection::new(Code::BadConfiguration, "one address cannot serve two nodes of a network")
                 .found(format!("another node of network {network} behind this listener"))
                 .wanted("one node of each network")
-                .next("give this node a listener of its own"));
+                .next("use a separate listener for this node"));
         }
         let listed = Listed { network, ledgers: self.clone() };
         Ok((listed, ReceiverStream::new(of_members), ReceiverStream::new(of_strangers)))

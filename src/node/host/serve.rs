@@ -118,7 +118,7 @@ impl Host {
             .serve_with_incoming_shutdown(of_strangers, told(stopping));
         let server = tokio::spawn(vital_task(async move {
             if let Err(error) = tokio::try_join!(for_members, for_strangers) {
-                tracing::error!(%error, "the server ended");
+                tracing::error!(%error, "server failed");
             }
         }));
         Ok(Serving { listed, server, stop })

@@ -49,35 +49,47 @@ impl Handle {
     /// The voter that shall lead; none if this node leads and is the one.
     fn heir(&self, status: &Status, to: u64) -> Result<Option<u64>, Rejection> {
         if status.role.role != Role::Leader {
-            return Err(Rejection::new(Code::NoLeader, "this node does not lead, so it cannot hand over")
-                .found(status.role.leader.map_or("no leader is known".into(), |leader| format!("node {leader} leads")))
-                .next("ask the leader"));
+            return Err(Rejection::new(
+                Code::NoLeader,
+                "this node is not the leader, so it cannot transfer the \
+                                                       leadership",
+            )
+            .found(status.role.leader.map_or("there is no leader".into(), |leader| format!("node {leader} leads")))
+            .next("ask the leader"));
         }
         if to == status.id {
             return Ok(None);
         }
         match to {
             0 => successor(status).map(Some).ok_or_else(|| {
-                Rejection::new(Code::NoLeader, "there is no other voter that could lead now")
+                Rejection::new(Code::NoLeader, "no other voter can become the leader now")
                     .next("make another node a voter first, or wait until one is reachable")
             }),
             to if status.membership.voters.contains(&to) => Ok(Some(to)),
-            to => Err(Rejection::new(Code::BadArgument, format!("node {to} cannot lead, as it is not a voter"))
-                .wanted(format!("one of {:?}", status.membership.voters))),
+            to => {
+                Err(Rejection::new(Code::BadArgument, format!("node {to} cannot become the leader: it is not a voter"))
+                    .wanted(format!("one of {:?}", status.membership.voters)))
+            }
         }
     }
 
     async fn hand_over(&self, to: u64, patience: Duration) -> Result<RoleChange, Rejection> {
         let mut role = self.role.clone();
         if !self.input(Input::TransferLeadership { to }) {
-            return Err(Rejection::new(Code::Overloaded, "the node is stopping or flooded").next("ask again later"));
+            return Err(Rejection::new(Code::Overloaded, "the node is stopping or overloaded").next("ask again later"));
         }
         let elsewhere = |Reign { change, .. }: &Reign| change.role != Role::Leader && change.leader.is_some();
         match tokio::time::timeout(patience, role.wait_for(elsewhere)).await {
             Ok(Ok(reign)) => Ok(reign.change),
             Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
-            Err(_) => Err(Rejection::new(Code::Timeout, format!("node {to} did not take over within {patience:?}"))
-                .next("see with ledgerctl network status whether it is reachable and has caught up")),
+            Err(_) => Err(Rejection::new(
+                Code::Timeout,
+                format!(
+                    "node {to} did not become the leader within \
+                                                                 {patience:?}"
+                ),
+            )
+            .next("check with ledgerctl network status that it is reachable and up to date")),
         }
     }
 }
@@ -88,10 +100,10 @@ fn check_rest(rested: Duration) -> Result<(), Rejection> {
     if left.is_zero() {
         return Ok(());
     }
-    Err(Rejection::new(Code::Overloaded, "the leadership was transferred, or a transfer was demanded, a moment ago")
+    Err(Rejection::new(Code::Overloaded, "a leadership transfer was requested a moment ago")
         .found(format!("{:.1} s ago", rested.as_secs_f64()))
-        .wanted(format!("at most one demand in {} s in the whole network", TENURE_MIN.as_secs()))
-        .next(format!("ask again in {:.1} s", left.as_secs_f64() + 0.1)))
+        .wanted(format!("at most one request in {} s in the whole network", TENURE_MIN.as_secs()))
+        .next(format!("try again in {:.1} s", left.as_secs_f64() + 0.1)))
 }
 
 #[cfg(test)]
@@ -104,6 +116,6 @@ mod tests {
         assert_eq!(check_rest(TENURE_MIN), Ok(()));
         let refused = check_rest(Duration::from_millis(2500)).unwrap_err();
         assert_eq!(refused.code, Code::Overloaded);
-        assert!(refused.wanted.contains("in 10 s") && refused.advice() == "ask again in 7.6 s", "{refused}");
+        assert!(refused.wanted.contains("in 10 s") && refused.advice() == "try again in 7.6 s", "{refused}");
     }
 }

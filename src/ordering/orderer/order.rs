@@ -158,16 +158,18 @@ impl Order {
                 tracing::info!(height, voters, learners, "members changed");
             }
             Effect::Reconciles(step) => {
-                tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
+                tracing::info!(change = self.described(&step), "changing members to match the ledger");
             }
             Effect::Read { context, answer } => self.engines.outlet.answered(context, answer),
             Effect::Denied(refusal) => self.engines.outlet.rejected(self.engines.clock.now(), &refusal),
             Effect::Refused { input, reason } => {
-                tracing::warn!(request = self.described(&input), code = reason.code.name(), %reason, "ordering refused a request");
+                tracing::warn!(request = self.described(&input), code = reason.code.name(), %reason, "ordering \
+                                                                                                      rejected a \
+                                                                                                      request");
             }
             Effect::Behind { from, first_index } => {
                 let leader = self.engines.directory.name(from);
-                tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
+                tracing::info!(leader, first_index, "too far behind for the leader's log");
                 self.engines.behind.send_replace(Some(Behind { from, first_index }));
             }
             Effect::Ignored { from, reason } => {
@@ -175,7 +177,7 @@ impl Order {
                 let before = self.ignored.insert(from, reason);
                 if before != Some(reason) {
                     let peer = self.engines.directory.name(from);
-                    tracing::warn!(node = peer, reason, "ordering ignores messages of a peer");
+                    tracing::warn!(node = peer, reason, "ignoring messages of a peer");
                 }
             }
             Effect::Misbehaved(proof) => self.engines.outlet.misbehaved(proof),
@@ -191,12 +193,12 @@ impl Order {
     fn tell_role(&self, change: &RoleChange) {
         let term = change.term;
         match (change.role, change.leader) {
-            (Role::Leader, _) => tracing::info!(term, "this node leads"),
+            (Role::Leader, _) => tracing::info!(term, "became leader"),
             (_, Some(leader)) => {
-                tracing::info!(term, leader = self.engines.directory.name(leader), "another node leads")
+                tracing::info!(term, leader = self.engines.directory.name(leader), "leader changed")
             }
-            (Role::Candidate, None) => tracing::info!(term, "no leader is known; this node asks for votes"),
-            (Role::Follower, None) => tracing::info!(term, "no leader is known"),
+            (Role::Candidate, None) => tracing::info!(term, "no leader; requesting votes"),
+            (Role::Follower, None) => tracing::info!(term, "no leader"),
         }
     }
 
@@ -204,16 +206,16 @@ impl Order {
     fn described(&self, input: &Input) -> String {
         let name = |node: u64| self.engines.directory.name(node);
         match input {
-            Input::TransferLeadership { to } => format!("hand the leadership over to {}", name(*to)),
+            Input::TransferLeadership { to } => format!("transfer the leadership to {}", name(*to)),
             Input::ChangeMembership(change) => {
                 let changes = change.changes().map(|change| match change {
-                    Change::AddVoter(node) => format!("{} votes", name(node)),
-                    Change::AddLearner(node) => format!("{} follows", name(node)),
-                    Change::Remove(node) => format!("{} leaves", name(node)),
+                    Change::AddVoter(node) => format!("{} becomes a voter", name(node)),
+                    Change::AddLearner(node) => format!("{} becomes a learner", name(node)),
+                    Change::Remove(node) => format!("{} is removed", name(node)),
                 });
                 changes.collect::<Vec<_>>().join(", ")
             }
-            _ => "something else".to_owned(),
+            _ => "another change".to_owned(),
         }
     }
 }

@@ -55,7 +55,8 @@ impl Confirmed {
             entries.into_iter().map(|(id, entry)| Ok((id, receipt(entry)?))).collect()
         });
         receipts.unwrap_or_else(|reason| {
-            tracing::warn!(file = %self.path.display(), reason, "the heights that voters had confirmed cannot be read, and are forgotten");
+            tracing::warn!(file = %self.path.display(), reason, "cannot read the heights that voters confirmed; \
+                                                                 discarding them");
             BTreeMap::new()
         })
     }
@@ -73,7 +74,7 @@ impl Confirmed {
         let wrote = wrote.and_then(|bytes| replace(&self.path, &bytes, PUBLIC_MODE).map_err(|fault| fault.to_string()));
         match wrote {
             Ok(()) => *written = (Some(Instant::now()), confirmed.clone()),
-            Err(reason) => tracing::debug!(reason, "cannot keep what voters have confirmed; tried again in a moment"),
+            Err(reason) => tracing::debug!(reason, "cannot store the heights that voters confirmed; retrying"),
         }
     }
 }

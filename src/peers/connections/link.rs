@@ -66,7 +66,7 @@ impl Way {
                     match last_reason.is_empty() {
                         true => tracing::debug!(node = %member.full_name(), address = %member.address, "connected"),
                         false => {
-                            tracing::info!(node = %member.full_name(), address = %member.address, "connected again")
+                            tracing::info!(node = %member.full_name(), address = %member.address, "reconnected")
                         }
                     }
                     while messages.try_recv().is_ok() {}
@@ -89,7 +89,7 @@ impl Way {
             }
             // The same reason once, not twice a second.
             if reason != last_reason {
-                tracing::info!(node = %member.full_name(), address = %member.address, reason, "not connected; trying again");
+                tracing::info!(node = %member.full_name(), address = %member.address, reason, "not connected; retrying");
                 last_reason = reason;
             }
         }
@@ -119,7 +119,7 @@ impl Dialer {
         let (place, now) = ((member.id, &*member.address), Instant::now());
         let left = paces.left(place, member.votes(), Cause::Time, now);
         if !left.is_zero() {
-            return Err(format!("it did not answer a moment ago; asked again in {:.1} s", left.as_secs_f64()));
+            return Err(format!("no answer a moment ago; next attempt in {:.1} s", left.as_secs_f64()));
         }
         paces.dials(place, Cause::Time, now);
         let channel = self.open(member).await?;
@@ -166,10 +166,13 @@ fn dialled(
     let allowed = found.take(LOOKED_UP_MAX).filter(|found| {
         let (never, here) = (never_dialled(found.ip()), rules.and_then(|rules| rules.refusal(*found)));
         refused = match (never, here) {
-            (Some(kind), _) => Some(format!("{address} leads to {}, {kind}, which no node dials", found.ip())),
-            (None, Some(kind)) => {
-                Some(format!("{address} leads to {found}, {kind}, which [peers] allow in ledgerd.toml does not name"))
+            (Some(kind), _) => {
+                Some(format!("{address} resolves to {}, {kind}, to which nodes do not connect", found.ip()))
             }
+            (None, Some(kind)) => Some(format!(
+                "{address} resolves to {found}, {kind}, which [peers] allow in ledgerd.toml does not \
+                              include"
+            )),
             (None, None) => return true,
         };
         false

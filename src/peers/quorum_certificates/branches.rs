@@ -22,12 +22,13 @@ impl Certifying {
             // What the own certificate covers is never dropped.
             let kept = kept.and_then(|()| certificates.keep_newest(&ordering.storage.ledger));
             if let Err(fault) = kept {
-                tracing::error!(code = fault.code.name(), reason = %fault, "cannot keep the certificate that contradicts this node");
+                tracing::error!(code = fault.code.name(), reason = %fault, "cannot store the certificate that \
+                                                                            contradicts this node");
             }
             ordering.failure.fail(reason);
         });
         if ended.await.is_err() {
-            tracing::error!("a thread panicked while it stopped the node");
+            tracing::error!("thread panicked while stopping the node");
         }
     }
 
@@ -38,7 +39,8 @@ impl Certifying {
             return;
         }
         let (height, other) = (branch.height(), branch.block());
-        tracing::error!(height, %other, "voters have certified another block than this node's own certificate covers; people must decide");
+        tracing::error!(height, %other, "voters certified another block than this node's own certificate covers; \
+                                         people must decide");
         self.keep(move |certificates| certificates.kept.other_branch(&branch)).await;
     }
 }

@@ -22,10 +22,10 @@ fn described(evidence: &Evidence, directory: &Directory, of: impl Fn(&Misbehavio
         let ProofName { place, node, kind } = proof.into();
         let name = directory.name(node);
         match kind {
-            Kind::Lie => format!("{name} has signed two different blocks of height {place}"),
-            Kind::DoubleVote => format!("{name} has voted for two nodes in term {place}"),
-            Kind::DoubleHead => format!("{name} has led with two different logs in term {place}"),
-            Kind::Fault => format!("{name} has signed two different results of block {place}"),
+            Kind::Lie => format!("{name} signed two different blocks of height {place}"),
+            Kind::DoubleVote => format!("{name} voted for two nodes in term {place}"),
+            Kind::DoubleHead => format!("{name} led with two different logs in term {place}"),
+            Kind::Fault => format!("{name} signed two different results of block {place}"),
         }
     };
     let proofs = evidence.proofs();
@@ -41,7 +41,8 @@ pub(super) fn log(proof: &Misbehaviour, directory: &Directory) {
         Misbehaviour::Lie(lie) => {
             let (height, first, second) =
                 (lie.first.statement.height, lie.first.statement.block, lie.second.statement.block);
-            tracing::error!(node, height, %first, %second, "a node has signed two different blocks of one height; the proof is kept");
+            tracing::error!(node, height, %first, %second, "a node signed two different blocks of one height; proof \
+                                                            stored");
         }
         Misbehaviour::DoubleVote(votes) => {
             let [first, second] = votes.votes.each_ref().map(|(to, _)| directory.name(*to));
@@ -50,20 +51,21 @@ pub(super) fn log(proof: &Misbehaviour, directory: &Directory) {
                 term = votes.term,
                 first,
                 second,
-                "a voter has voted for two nodes in one term; the proof is kept"
+                "a voter voted for two nodes in one term; proof stored"
             );
         }
         Misbehaviour::DoubleHead(heads) => {
             let [first, second] = heads.branches.each_ref().map(|branch| branch.base);
             tracing::error!(
                 node, term = heads.term, height = heads.height, %first, %second,
-                "a leader has signed two different logs in one term; the proof is kept"
+                "a leader signed two different logs in one term; proof stored"
             );
         }
         Misbehaviour::Fault(fault) => {
             let (height, first, second) =
                 (fault.first.statement.height, fault.first.statement.results, fault.second.statement.results);
-            tracing::error!(node, height, %first, %second, "a node has signed two different results of one block; the proof is kept");
+            tracing::error!(node, height, %first, %second, "a node signed two different results of one block; proof \
+                                                            stored");
         }
     }
 }

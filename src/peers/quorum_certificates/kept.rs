@@ -152,7 +152,13 @@ impl Kept {
             return Ok(None);
         }
         Ok(Proof::from_bytes(&read(&path, PROOF_BYTES_MAX)?)
-            .inspect_err(|reason| tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "a kept proof is of no use"))
+            .inspect_err(|reason| {
+                tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "a \
+                                                                                                              stored \
+                                                                                                              proof \
+                                                                                                              is not \
+                                                                                                              usable")
+            })
             .ok())
     }
 
@@ -190,7 +196,12 @@ impl Kept {
             return Ok(None);
         }
         Ok(CertifiedBranch::from_bytes(&read(&path, BRANCH_BYTES_MAX)?)
-            .inspect_err(|reason| tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "a kept branch cannot be read"))
+            .inspect_err(|reason| {
+                tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "cannot \
+                                                                                                              read a \
+                                                                                                              stored \
+                                                                                                              branch")
+            })
             .ok())
     }
 
@@ -243,7 +254,8 @@ impl Kept {
             match Misbehaviour::from_bytes(&read(&path, MISBEHAVIOUR_BYTES_MAX)?) {
                 Ok(proof) => proofs.push(proof),
                 Err(reason) => {
-                    tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "a kept proof of misbehaviour cannot be read");
+                    tracing::warn!(path = %path.display(), code = reason.code.name(), %reason, "cannot read a stored \
+                                                                                                proof of misbehaviour");
                 }
             }
         }
@@ -255,7 +267,7 @@ impl Kept {
         for name in self.names()? {
             let Some(proof) = name.to_str().and_then(ProofName::read) else { continue };
             proofs.push(proof.map_err(|()| {
-                Rejection::new(Code::BadFile, "the name of a proof of misbehaviour cannot be read")
+                Rejection::new(Code::BadFile, "the file name of a proof of misbehaviour cannot be read")
                     .found(self.0.join(&name).display().to_string())
                     .wanted("HEIGHT-NODE.lie, HEIGHT-NODE.fault, TERM-NODE.votes or TERM-NODE.heads")
                     .next("move the file away")

@@ -109,9 +109,9 @@ impl Source {
         let first = self.storage().log.store.first_index();
         if from < first {
             return Err(to_status(
-                &Rejection::new(Code::Pruned, format!("block {from} is not kept here any more"))
+                &Rejection::new(Code::Pruned, format!("block {from} is no longer stored here"))
                     .wanted(format!("height {first} or later"))
-                    .next("take a snapshot first, or ask a node that keeps more"),
+                    .next("fetch a snapshot first, or ask a node with a longer retention"),
             ));
         }
         let permit = self.permit(reader)?;
@@ -230,7 +230,7 @@ impl Source {
         let snapshot = self.storage().snapshots.get(height).ok_or_else(|| {
             to_status(
                 &Rejection::new(Code::NotFound, format!("there is no snapshot of height {height} here"))
-                    .next("ask for the newest one"),
+                    .next("request the newest one"),
             )
         })?;
         let permit = self.permit(reader)?;
@@ -263,14 +263,14 @@ impl Source {
 /// A stream for a reader, until it is dropped.
 fn permit(streams: &Shares, reader: &Reader) -> Result<InFlight, Rejection> {
     let overloaded = |wanted: &str| {
-        Rejection::new(Code::Overloaded, "too many nodes fetch from here").wanted(wanted).next("ask another node")
+        Rejection::new(Code::Overloaded, "too many nodes fetch from this node").wanted(wanted).next("ask another node")
     };
     if reader.is_none() && streams.in_flight() >= STREAMS_MAX / 2 {
         return Err(overloaded("a node of this network, or fewer streams than half"));
     }
     let name = reader.as_ref().map_or_else(String::new, Member::full_name);
     let refused = |refused: Rejection| match refused.code {
-        Code::Overloaded => overloaded("at most as many streams of an organisation as are free"),
+        Code::Overloaded => overloaded("at most as many streams per organisation as are free"),
         _ => refused,
     };
     streams.of(name).place(Lane::Data, 0).map_err(refused)

@@ -96,7 +96,7 @@ fn gather(
     let mut told = Instant::now();
     while let Some(next) = installer.wanted() {
         let Some(chunk) = chunks.blocking_recv() else {
-            return Err(Rejection::new(Code::Unreachable, "the snapshot broke off")
+            return Err(Rejection::new(Code::Unreachable, "the snapshot transfer was interrupted")
                 .found(format!("{next} of {all} chunks"))
                 .next("the rest is fetched in a moment"));
         };

@@ -88,7 +88,7 @@ fn the_profile_is_balanced_unless_the_file_says_low_latency() {
 #[test]
 fn a_setting_that_the_profile_has_replaced_says_so() {
     let told = fault("[order]\nawake_us = 2000");
-    assert!(told.starts_with("ledgerd.toml:2: order.awake_us is no setting any more"), "{told}");
+    assert!(told.starts_with("ledgerd.toml:2: order.awake_us is no longer a setting"), "{told}");
     assert!(told.contains("found   2000") && told.contains("profile = \"low-latency\""), "{told}");
 }
 
@@ -146,7 +146,7 @@ fn a_fault_prints_as_four_lines() {
             "ledgerd.toml:1: listen has a wrong value [LGR-7001]",
             "  found   7450",
             "  wanted  HOST:PORT, for example \"0.0.0.0:7450\"",
-            "  try     correct it, or leave the setting out for its default",
+            "  try     correct it, or omit the setting for its default",
         ]
     );
 }

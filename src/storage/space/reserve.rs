@@ -44,7 +44,7 @@ impl File {
                 if matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded) {
                     Reserve::Missing
                 } else {
-                    tracing::warn!(path = %self.path.display(), %error, "cannot keep a reserve of space");
+                    tracing::warn!(path = %self.path.display(), %error, "cannot allocate the reserve of disk space");
                     Reserve::Impossible
                 }
             }
@@ -58,7 +58,7 @@ impl File {
         }
         let given = fs::remove_file(&self.path).or_else(absent);
         if let Err(error) = &given {
-            tracing::warn!(path = %self.path.display(), %error, "cannot give up the reserve of space");
+            tracing::warn!(path = %self.path.display(), %error, "cannot release the reserve of disk space");
         }
         self.state = Reserve::Missing;
         given.is_ok()

@@ -11,6 +11,7 @@ use crate::tools::verify::verified;
 use ledger_api::tls::TlsIdentity;
 use ledger_base::durable::{PUBLIC_MODE, create_directory, read, rename, replace, sync_directory};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, SNAPSHOTS_DIRECTORY};
 use std::fs::{self, DirBuilder, File};
 use std::io::ErrorKind;
@@ -27,10 +28,10 @@ pub(crate) struct RestoreOptions {
     /// The backup.
     #[arg(value_name = "DIR")]
     directory: PathBuf,
-    /// The node's configuration. If it does not exist, that of the backup is shown, and put there if you agree.
+    /// The node's configuration. If it does not exist, the one in the backup is shown, and used if you confirm.
     #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
     pub(crate) config: PathBuf,
-    /// Take over the configuration of the backup without being asked.
+    /// Use the configuration in the backup without confirmation.
     #[arg(long)]
     take_config: bool,
 }
@@ -53,7 +54,7 @@ impl RestoreOptions {
         );
         if let Ok(config) = Config::parse(&text, &self.config) {
             shown.push(format!(
-                "So the node keeps its data in {}, and listens on {}.",
+                "The node would store its data in {}, and listen on {}.",
                 config.data.display(),
                 config.listen
             ));
@@ -63,15 +64,15 @@ impl RestoreOptions {
             return Ok(Some(text));
         }
         let refused = |wanted: &str| {
-            Rejection::new(Code::LastOne, "the configuration of the backup was not taken over")
+            Rejection::new(Code::LastOne, "the configuration of the backup was not used")
                 .found(shown.join("\n"))
                 .wanted(wanted)
-                .next("write a configuration for this machine and name it with --config, or agree with --take-config")
+                .next("write a configuration for this machine and name it with --config, or confirm with --take-config")
         };
-        match asked(&shown, "take these settings over? type yes: ") {
+        match asked(&shown, "use these settings? type yes: ") {
             Some(true) => Ok(Some(text)),
             Some(false) => Err(refused("yes")),
-            None => Err(refused("a terminal, to ask whether these settings are right here")),
+            None => Err(refused("a terminal, for the confirmation of these settings")),
         }
     }
 
@@ -105,13 +106,13 @@ pub(crate) fn restore(
     if (report.height, report.block_hash, report.state_digest)
         != (manifest.height, manifest.block_hash, manifest.state_digest)
     {
-        return Err(Rejection::new(Code::ChainInvalid, format!("{} is not as it was made", from.display()))
+        return Err(Rejection::new(Code::ChainInvalid, format!("{} was changed since it was made", from.display()))
             .found(format!("block {} {}, state digest {}", report.height, report.block_hash, report.state_digest))
             .wanted(format!(
                 "block {} {}, state digest {}",
                 manifest.height, manifest.block_hash, manifest.state_digest
             ))
-            .next("take another backup"));
+            .next("use another backup"));
     }
     let mut notes = String::new();
     match taken {
@@ -120,16 +121,16 @@ pub(crate) fn restore(
     }
     if let Some(kept) = place(from, &config.data)? {
         notes += &format!(
-            "kept     {}, which an earlier restore may have left: remove it if nothing in it is needed\n",
+            "kept     {}, possibly left by an earlier restore: remove it if nothing in it is needed\n",
             kept.display()
         );
     }
-    let file = config.file.display();
+    let file = shell::path(&config.file);
     Ok(format!(
-        "node     {}, restored in {} with the blocks up to {}\n\
-         {notes}It does not start as it is: it may have voted and confirmed blocks since the backup was made.\n\n\
-         next, if another node of the network runs:\n  ledgerd rejoin --config {file}\n\
-         next, if all the others are lost for good:\n  ledgerd recover --force-single --config {file}",
+        "node     {}, restored in {} with the blocks up to {}\n{notes}It does not start in this state: it may have \
+         voted and confirmed blocks since the backup was made.\n\nnext, if another node of the network runs:\n  \
+         ledgerd rejoin --config {file}\nnext, if all the others are permanently lost:\n  ledgerd recover \
+         --force-single --config {file}",
         manifest.node,
         config.data.display(),
         manifest.height
@@ -150,16 +151,16 @@ fn check_node(config: &Config, manifest: &Manifest) -> Result<(), Rejection> {
             wanted.network,
             config.file.display()
         ))
-        .next("give each node its own configuration, or name the right backup"))
+        .next("use a separate configuration for each node, or name the right backup"))
 }
 
 /// The certificate and the key are whole, belong together, and are those of the node that the manifest names.
 fn check_papers(from: &Path, manifest: &Manifest) -> Result<(), Rejection> {
     let bad = |found: String| {
-        Rejection::new(Code::BadFile, format!("{} is no usable backup", from.display()))
+        Rejection::new(Code::BadFile, format!("{} is not a usable backup", from.display()))
             .found(found)
             .wanted(format!("the certificate and the key of node {}", manifest.node))
-            .next("take another backup")
+            .next("use another backup")
     };
     let (network, node) = own(from).map_err(|fault| bad(fault.to_string()))?;
     if network != manifest.network || node != manifest.node {
@@ -184,7 +185,7 @@ fn check_free(data: &Path) -> Result<(), Rejection> {
     Err(Rejection::new(Code::BadFile, format!("{} is in use", data.display()))
         .found(found)
         .wanted("no directory, or an empty one")
-        .next("move it away first, if nothing in it is needed"))
+        .next("move it away first, if it contains anything that is needed"))
 }
 
 /// Puts the configuration in its place.
@@ -203,7 +204,7 @@ fn other_settings(path: &Path, backup: &str) -> String {
         return String::new();
     }
     let lines: String = differ.iter().map(|line| format!("  {line}\n")).collect();
-    format!("settings {} is used, and differs from the configuration of the backup:\n{lines}", path.display())
+    format!("settings {} is used; it differs from the configuration in the backup:\n{lines}", path.display())
 }
 
 /// Makes a directory beside the data directory, and never uses one that is there; with the first one that was there.
@@ -222,10 +223,10 @@ fn fresh(data: &Path) -> Result<(PathBuf, Option<PathBuf>), Rejection> {
             Err(error) => return Err(ledger_base::durable::failed("make", &directory, &error)),
         }
     }
-    Err(Rejection::new(Code::BadFile, format!("there is no room beside {}", data.display()))
+    Err(Rejection::new(Code::BadFile, format!("too many unfinished restores next to {}", data.display()))
         .found(format!("{UNFINISHED_MAX} directories {name}.restoring"))
-        .wanted("at most some that earlier restores have left")
-        .next("remove them if nothing in them is needed"))
+        .wanted("fewer directories left by earlier restores")
+        .next("remove them if they contain nothing that is needed"))
 }
 
 /// Copies what a node starts from: all of it or nothing, whatever crashes. Answers with a directory of that kind that was there before

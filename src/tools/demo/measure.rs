@@ -14,9 +14,9 @@ const MICROSECONDS_MAX: u64 = 3_600_000_000;
 pub struct Percentiles {
     /// Half are faster.
     pub p50: f64,
-    /// 95 of 100 are faster.
+    /// The 95th percentile.
     pub p95: f64,
-    /// 99 of 100 are faster.
+    /// The 99th percentile.
     pub p99: f64,
     /// The slowest.
     pub max: f64,

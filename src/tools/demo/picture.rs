@@ -97,8 +97,8 @@ fn frame(before: Counts, now: Counts, between: Duration) -> String {
     [
         line("Salma publishes", salma_before, salma),
         line("Farhad publishes", farhad_before, farhad),
-        line("the robot hears Salma", from_salma_before, from_salma),
-        line("the robot hears Farhad", from_farhad_before, from_farhad),
+        line("the robot receives Salma", from_salma_before, from_salma),
+        line("the robot receives Farhad", from_farhad_before, from_farhad),
     ]
     .join("\n")
 }

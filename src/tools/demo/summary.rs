@@ -129,7 +129,7 @@ impl Summary {
         must(self.stopped, "the robot got no stop message when Salma released it".into());
         must(self.handed_over, "no message of Farhad arrived after he acquired the robot".into());
         must(self.digest_equal, "the nodes do not have the same state".into());
-        must(self.refusals.contains_key(&Code::NotHolder), "no message of the intruder was refused".into());
+        must(self.refusals.contains_key(&Code::NotHolder), "no message of the intruder was rejected".into());
         faults
     }
 
@@ -139,7 +139,7 @@ impl Summary {
             faults if faults.is_empty() => Ok(()),
             faults => Err(Rejection::new(Code::Internal, "the experiment failed")
                 .found(faults.join("; "))
-                .next(format!("look at what the bridges counted: {}", self.counted.join(" ")))),
+                .next(format!("see the counters of the bridges: {}", self.counted.join(" ")))),
         }
     }
 
@@ -156,7 +156,7 @@ impl Summary {
             let Percentiles { p50, p95, p99, max } = latency;
             let _infallible = writeln!(text, "  {name:<20}{p50:>9.2}{p95:>9.2}{p99:>9.2}{max:>9.2}");
         }
-        text.push_str("\n  refusals\n");
+        text.push_str("\n  rejections\n");
         for (code, count) in &self.refusals {
             let _infallible = writeln!(text, "  {code} {:<17}{count:>8}", code.name());
         }

@@ -32,8 +32,8 @@ impl Ownership {
         let failed = |error: std::io::Error| {
             Rejection::new(Code::BadFile, format!("cannot write {}", path.display()))
                 .found(error.to_string())
-                .wanted("a place for the contexts of the network")
-                .next("check its owner and its free space, or choose another: LEDGERD_HOME=DIR ledgerd dev")
+                .wanted("a writable place for the contexts of the network")
+                .next("check its owner and its free space, or choose another place: LEDGERD_HOME=DIR ledgerd dev")
         };
         DirBuilder::new().recursive(true).mode(0o700).create(home).map_err(failed)?;
         let file = OpenOptions::new().create(true).truncate(false).read(true).write(true).mode(0o600).open(&path);
@@ -59,10 +59,13 @@ fn taken(file: &File, home: &Path) -> Rejection {
     let _unknown = file.take(HOLDER_BYTES_MAX).read_to_string(&mut holder);
     let holder = if holder.is_empty() { "a process that has just started".to_owned() } else { holder };
     let names = ORGANISATIONS.map(context_name).join(" and ");
-    Rejection::new(Code::AlreadyExists, format!("another ledgerd dev runs, and the contexts {names} are its own"))
+    Rejection::new(Code::AlreadyExists, format!("another ledgerd dev is running, and uses the contexts {names}"))
         .found(holder)
-        .wanted(format!("one at a time for the contexts in {}", home.display()))
-        .next("use that one, end it with Ctrl-C, or take another place: LEDGERD_HOME=DIR ledgerd dev --listen 127.0.0.1:0")
+        .wanted(format!("at most one for the contexts in {}", home.display()))
+        .next(
+            "use that one, end it with Ctrl-C, or choose another place: LEDGERD_HOME=DIR ledgerd dev --listen \
+               127.0.0.1:0",
+        )
 }
 
 /// A context of this name is missing, or of a network for playing.
@@ -72,11 +75,12 @@ fn check_name(home: &Path, name: &str) -> Result<(), Rejection> {
     if context.label == LABEL {
         return Ok(());
     }
-    Err(Rejection::new(Code::AlreadyExists, format!("there is a context {name:?} that ledgerd dev has not made"))
+    Err(Rejection::new(Code::AlreadyExists, format!("the context {name:?} was not created by ledgerd dev"))
         .found(format!("an identity of {} on network {:?}", context.organisation, context.label))
-        .wanted("a name that is free: its key would be lost")
+        .wanted("an unused name: its key would be lost")
         .next(format!(
-            "delete it if nobody needs it: ledgerctl context delete {name}; or LEDGERD_HOME=DIR ledgerd dev"
+            "choose another place: LEDGERD_HOME=DIR ledgerd dev; or delete the context if its key is not needed: \
+             ledgerctl context delete {name}"
         )))
 }
 

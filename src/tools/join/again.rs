@@ -32,6 +32,7 @@ use ledger_api::{Client, Credentials, Options};
 use ledger_base::durable::PUBLIC_MODE;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, Role};
 use ledger_storage::disk::RealDisk;
@@ -70,14 +71,15 @@ pub(crate) struct RejoinOptions {
     /// The node's configuration.
     #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
     pub(crate) config: PathBuf,
-    /// Another node of the network; may be given several times. Those that let this node in are asked in any case.
+    /// Another node of the network; may be given several times. The nodes through which this one joined are asked in
+    /// any case.
     #[arg(long, value_name = "HOST:PORT")]
     node: Vec<String>,
-    /// A backup of any node of the network, whose blocks are taken and believed. For a node whose organisation has no other node
-    /// left, where no majority gives them.
+    /// A backup of any node of the network, whose blocks are used and trusted. For a node whose organisation has no
+    /// other node left, if no majority serves them.
     #[arg(long, value_name = "DIR")]
     blocks: Option<PathBuf>,
-    /// The node of which the restored backup was made is gone for good: do not ask.
+    /// The node from which the restored backup was made is permanently lost: do not ask.
     #[arg(long)]
     original_is_gone: bool,
 }
@@ -106,7 +108,7 @@ pub(crate) async fn rejoin(
         Rejection::new(Code::BadFile, format!("cannot use {}", blocks.display()))
             .found(error.to_string())
             .wanted("the data directory of a node that is stopped")
-            .next("stop the node, and check which users may write the directory")
+            .next("stop the node, and check the permissions of the directory")
     })?;
     let (genesis, network) = Genesis::from_bytes(
         &ledger_base::durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
@@ -134,11 +136,11 @@ pub(crate) async fn rejoin(
     let mut known = std::collections::BTreeSet::new();
     others.retain(|other| known.insert(other.clone()));
     if others.is_empty() {
-        return Err(Rejection::new(Code::Unreachable, "no other node of the network is known here")
+        return Err(Rejection::new(Code::Unreachable, "this node has no address of another node of the network")
             .wanted("a node that has the blocks")
             .next(format!(
                 "ledgerd rejoin --config {} --node HOST:PORT; without another node, restore {} from a copy",
-                config.file.display(),
+                shell::path(&config.file),
                 data.display()
             )));
     }
@@ -174,18 +176,16 @@ pub(crate) async fn rejoin(
     unmark(data)?;
     let kept = match is_dead {
         true => branches::told(lost.as_ref(), &aside),
-        false => format!("set aside  {}, for an investigation of the damage; of no use to the node\n", aside.display()),
+        false => format!("set aside  {}, to investigate the damage; the node does not need it\n", aside.display()),
     };
     Ok(format!(
-        "node {0} is node {id} of network {1:?} now, a learner\n\
-         {2}\n\
-         next:\n  ledgerd run --config {3}\n  ledgerctl network promote {0}\n\
-         The last one lets the node vote, once it has caught up. With several organisations it prints what an admin of \
-         another\none types to approve.",
+        "node {0} is node {id} of network {1:?} now, a learner\n{2}\nnext:\n  ledgerd run --config {3}\n  ledgerctl \
+         network promote {0}\nThe last command makes the node a voter once its log is up to date. With several \
+         organisations, it prints the command\nwith which an admin of another one approves.",
         me.id(),
         genesis.label,
         kept,
-        config.file.display()
+        shell::path(&config.file)
     ))
 }
 
@@ -199,27 +199,27 @@ async fn check_original(client: &Client, (organisation, name): (&str, &str), is_
     if answers(address).await {
         return Err(Rejection::new(
             Code::AlreadyExists,
-            format!("node {full_name} runs: its backup cannot take its place"),
+            format!("node {full_name} is running: its backup cannot replace it"),
         )
         .found(format!("node {id}, a {role}, answers at {address}"))
-        .wanted("a node that is gone for good")
-        .next("keep the original, or stop it first; a backup is looked at with ledgerd verify DIR"));
+        .wanted("a permanently lost node")
+        .next("keep the original, or stop it first; to inspect a backup: ledgerd verify DIR"));
     }
     if is_gone {
         return Ok(());
     }
     let facts =
-        format!("node {full_name} is number {id} of the network, a {role}; this backup takes its place for good");
+        format!("node {full_name} is number {id} of the network, a {role}; this backup replaces it permanently");
     let refused = |wanted: &str| {
-        Rejection::new(Code::LastOne, format!("it was not agreed that the original of node {full_name} is gone"))
+        Rejection::new(Code::LastOne, format!("the loss of the original of node {full_name} was not confirmed"))
             .found(facts.clone())
             .wanted(wanted)
             .next("ledgerd rejoin --original-is-gone")
     };
-    match asked(std::slice::from_ref(&facts), "is the original gone for good? type yes: ") {
+    match asked(std::slice::from_ref(&facts), "is the original permanently lost? type yes: ") {
         Some(true) => Ok(()),
         Some(false) => Err(refused("yes")),
-        None => Err(refused("a terminal, to ask whether the original is gone, or --original-is-gone")),
+        None => Err(refused("a terminal for the confirmation, or --original-is-gone")),
     }
 }
 
@@ -251,7 +251,7 @@ fn begun(data: &Path) -> Result<Option<String>, Rejection> {
         None => Err(Rejection::new(Code::BadFile, format!("{} cannot be read", mark.display()))
             .found(text.trim().to_owned())
             .wanted(format!("a line {MARK_ASIDE}NAME, as ledgerd rejoin writes it"))
-            .next("copy the directory, and look at what was moved into damaged-N or dead-branch-N")),
+            .next("copy the directory, and inspect what was moved to damaged-N or dead-branch-N")),
     }
 }
 
@@ -262,13 +262,14 @@ fn begin(data: &Path, lost: Option<&Lost>) -> Result<String, Rejection> {
     let free = |name: &String| lost.is_some() && !data.join(name).join(BLOCKS_DIRECTORY).exists();
     let names = (1..u32::MAX).map(|number| format!("{prefix}-{number}"));
     let name = names.into_iter().find(|name| !data.join(name).exists() || free(name));
-    let name = name.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
+    let name =
+        name.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} contains too many entries", data.display())))?;
     ledger_base::durable::create_directory(&data.join(&name))?;
     branches::keep_genesis(data, &data.join(&name))?;
     if let Some(lost) = lost {
         branches::write_list(&data.join(&name), lost)?;
     }
-    let mark = format!("ledgerd rejoin has begun here\n{MARK_ASIDE}{name}\n");
+    let mark = format!("ledgerd rejoin started here\n{MARK_ASIDE}{name}\n");
     ledger_base::durable::replace(&data.join(REJOINING_FILE), mark.as_bytes(), PUBLIC_MODE)?;
     Ok(name)
 }
@@ -329,8 +330,8 @@ async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(V
     let addresses = records.nodes.iter().filter(of).map(|record| record.address.clone()).collect();
     let root = msps.get(&status.organisation).and_then(|msp| msp.roots().next().map(|root| Hash::of(&[root])));
     let ca = root.ok_or_else(|| {
-        Rejection::new(Code::Untrusted, format!("the CA of {} is not known here", status.organisation))
-            .next("name a node of the own organisation, or of a founding one, with --node HOST:PORT")
+        Rejection::new(Code::Untrusted, format!("the CA of {} is unknown here", status.organisation))
+            .next("name a node of your own organisation, or of a founding one, with --node HOST:PORT")
     })?;
     Ok((addresses, ca))
 }

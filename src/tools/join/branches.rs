@@ -28,6 +28,7 @@ use ledger_base::durable::{PUBLIC_MODE, create_directory, failed, rename, replac
 use ledger_base::hash::Hash;
 use ledger_base::progress::{Progress, Step};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_light::{Certificate, Governance, Statement};
@@ -149,10 +150,10 @@ pub(super) async fn verify(
         }
     }
     let found = if refused.is_empty() { "no other node".to_owned() } else { refused.join("; ") };
-    Err(Rejection::new(Code::Unreachable, "no other node gives the branch that is certified; nothing was changed")
+    Err(Rejection::new(Code::Unreachable, "no other node serves the certified branch; nothing was changed")
         .found(found)
         .wanted(format!("a node with block {} at height {}", branch.block(), branch.height()))
-        .next(format!("name one: ledgerd rejoin --config {} --node HOST:PORT", config.file.display())))
+        .next(format!("name one: ledgerd rejoin --config {} --node HOST:PORT", shell::path(&config.file))))
 }
 
 /// Another node.
@@ -259,8 +260,8 @@ impl Own {
                     .found(format!("blocks from {first} on, and no snapshot of a height up to {common}"))
                     .wanted("a snapshot below the first block in which the branches differ")
                     .next(format!(
-                        "keep a copy of {}, remove the file `contradicted` in it, and type ledgerd rejoin again: the branch is set \
-                         aside without a list",
+                        "keep a copy of {}, remove the file `contradicted` in it, and run ledgerd rejoin again: the \
+                         branch is set aside without a list",
                         config.data.display()
                     ))
             })?;
@@ -303,8 +304,8 @@ impl Own {
         }
         Err(Rejection::new(Code::Contradicted, "two strict certificates contradict each other; nothing was changed")
             .found(format!("block {} at height {}, certified for this node", statement.block, statement.height))
-            .wanted("one certified branch: blocks that a strict certificate covers are never dropped by a program")
-            .next("people decide which branch stays: \"Two certified branches\" in docs/operations.md"))
+            .wanted("one certified branch: no program drops blocks that a strict certificate covers")
+            .next("people must choose the branch to keep: \"Two certified branches\" in docs/operations.md"))
     }
 
     /// The transactions that were executed here, and are not on the other branch.
@@ -386,7 +387,7 @@ async fn fetch(peer: &Contact, store: &BlockStore, (mut next, last): (u64, u64))
         let entries: Vec<_> = entries.into_iter().take_while(|entry| entry.index <= last).collect();
         let follows = (next..).zip(&entries).all(|(index, entry)| entry.index == index);
         if entries.is_empty() || !follows {
-            return Err(Rejection::new(Code::ChainInvalid, "the node does not give all blocks of its branch")
+            return Err(Rejection::new(Code::ChainInvalid, "the node does not serve all blocks of its branch")
                 .found(format!("blocks up to {}", next.saturating_sub(1)))
                 .wanted(format!("blocks up to {last}")));
         }
@@ -407,7 +408,7 @@ fn gives(ledger: &Ledger, statement: &Statement) -> Result<(), Rejection> {
     if found.is_some_and(|found| found.hash == statement.block) && results == Some(statement.results) {
         return Ok(());
     }
-    Err(Rejection::new(Code::ChainInvalid, "the node gives another branch than the certified one")
+    Err(Rejection::new(Code::ChainInvalid, "the node serves another branch than the certified one")
         .found(format!("block {} at height {}", found.map_or(Hash::ZERO, |found| found.hash), statement.height))
         .wanted(format!("block {}, with results root {}", statement.block, statement.results)))
 }
@@ -457,8 +458,9 @@ pub(super) fn told(lost: Option<&Lost>, aside: &Path) -> String {
     let Lost { common_height, dead_height, certified_height, transactions, .. } = lost;
     let count = transactions.len();
     let mut text = format!(
-        "branches   both have block {common_height}; the dead one ends with {dead_height}, the other is certified up to \
-         {certified_height}\n{kept}lost       {count} transactions that were answered here and are not on the certified branch: {}\n",
+        "branches   both have block {common_height}; the dead one ends with {dead_height}, the other is certified up \
+         to {certified_height}\n{kept}lost       {count} transactions that were answered here and are not on the \
+         certified branch: {}\n",
         list.display()
     );
     for LostTransaction { id, creator, chaincode, function, verdict, .. } in transactions.iter().take(PRINTED_MAX) {

@@ -94,8 +94,8 @@ impl JoinDirectory {
         if fs::symlink_metadata(&path).is_ok() {
             let noted = ledger_base::durable::read(&path, NUMBER_BYTES_MAX)?;
             return String::from_utf8_lossy(&noted).trim().parse().map_err(|_| {
-                Rejection::new(Code::BadFile, format!("{} holds no number", path.display()))
-                    .next(format!("remove {} and join anew", self.current.display()))
+                Rejection::new(Code::BadFile, format!("{} contains no number", path.display()))
+                    .next(format!("remove {} and join again", self.current.display()))
             });
         }
         ledger_base::durable::replace(&path, present.to_string().as_bytes(), PUBLIC_MODE)?;
@@ -125,10 +125,10 @@ impl JoinDirectory {
                     "a directory that does not exist yet, or that of {}/{}",
                     token.organisation, token.node
                 ))
-                .next("choose another directory with --data or the setting data; nothing is ever overwritten")
+                .next("choose another directory with --data or the setting data; existing data are never overwritten")
         };
         let document = ledger_base::durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)
-            .map_err(|_| other("something else than a node's data".into()))?;
+            .map_err(|_| other("files that are not a node's data".into()))?;
         let (genesis, network) = Genesis::from_bytes(&document)?;
         if network != token.network {
             return Err(other(format!("a node of network {network}")));

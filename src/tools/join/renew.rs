@@ -22,7 +22,8 @@ pub(crate) struct RenewOptions {
     /// The node's configuration.
     #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
     pub(crate) config: PathBuf,
-    /// A node that holds the CA key, or knows one; may be given several times. This node and those that let it in are asked in any case.
+    /// A node that holds the CA key, or that can name one; may be given several times. This node and those through
+    /// which it joined are asked in any case.
     #[arg(long, value_name = "HOST:PORT")]
     node: Vec<String>,
 }
@@ -42,10 +43,10 @@ pub(crate) async fn renew(options: &RenewOptions, config: &Config) -> Result<Str
         .map_err(|error| unreadable_file(config, Rejection::new(Code::BadFile, error.to_string())))?;
     let (_, not_after) = validity(&present)?;
     if wall() > not_after {
-        return Err(Rejection::new(Code::CertificateExpired, "the certificate of this node has ended")
+        return Err(Rejection::new(Code::CertificateExpired, "the certificate of this node has expired")
             .found(rfc3339(not_after))
-            .wanted("a certificate that is valid: it proves who asks for the next one")
-            .next("ledgerd run: it renews the certificate or names the way back"));
+            .wanted("a valid certificate: it authenticates the request for the next one")
+            .next("start the node: ledgerd run renews the certificate or prints how to proceed"));
     }
     let msps = Arc::new(organisations(&genesis, &present, joined.as_ref(), data)?);
     let me = own(&present, &msps)?;
@@ -66,8 +67,8 @@ pub(crate) async fn renew(options: &RenewOptions, config: &Config) -> Result<Str
     store(data, &present, &renewed)?;
     let (_, until) = validity(&renewed)?;
     Ok(format!(
-        "node {} has another key and certificate, valid until {}\n\nnext, if it runs: systemctl reload ledgerd, or SIGHUP to its process\n\
-         The certificate before stays valid until {}.",
+        "node {} has a new key and certificate, valid until {}\n\nnext, if it runs: systemctl reload ledgerd, or \
+         SIGHUP to its process\nThe previous certificate stays valid until {}.",
         me.id(),
         rfc3339(until),
         rfc3339(not_after)

@@ -3,6 +3,7 @@
 use super::layout::{NodeLayout, admin_context};
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -90,14 +91,15 @@ impl Facts {
              ledgerctl --context {admin} network status\n  \
              ledgerctl --context Salma acquire Turtlebot4\n  \
              ledgerctl --context {owner_admin} console\n\n\
-             To lose a node: kill -9 PROCESS. To start it again: ledgerd run --config {directory}/NODE.toml. Ctrl-C ends all.",
+             To lose a node: kill -9 PROCESS. To start it again: ledgerd run --config {configs}. Ctrl-C ends all.",
             version = self.version,
             nodes = table.iter().map(line).collect::<String>(),
             robots = self.robots.join(", "),
             owner = self.owner,
             contexts = self.contexts.join(", "),
             directory = self.directory.display(),
-            home = self.home.display(),
+            configs = shell::path(&self.directory.join("NODE.toml")),
+            home = shell::path(&self.home),
             admin = admin_context("Org1"),
             owner_admin = admin_context(&self.owner),
         )

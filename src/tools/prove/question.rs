@@ -79,8 +79,8 @@ impl Who {
 
     fn words(&self) -> String {
         match self {
-            Self::Of(organisation) => format!("nobody of {organisation}"),
-            Self::Without(attribute) => format!("nobody without the attribute {attribute}"),
+            Self::Of(organisation) => format!("no one of {organisation}"),
+            Self::Without(attribute) => format!("no one without the attribute {attribute}"),
         }
     }
 }
@@ -90,7 +90,7 @@ impl Who {
 /// # Errors
 /// A solver that fails or does not know.
 pub(super) fn prove(solver: &Cvc5, policies: &Analysis, question: &Question) -> Result<Answer, Rejection> {
-    let internal = |found: String| Rejection::new(Code::Internal, "the proof has failed").found(found);
+    let internal = |found: String| Rejection::new(Code::Internal, "the proof failed").found(found);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| internal(error.to_string()))?;
     let (schema, _) = Schema::from_cedarschema_str(SCHEMA).map_err(|error| internal(error.to_string()))?;
@@ -126,7 +126,7 @@ impl Prover {
             let checked = self.compiler.check_always_denies_with_counterexample_opt(&compiled).await;
             if let Some(example) = checked.map_err(|error| undecided(&error))? {
                 let found = found(&set, action, &example);
-                let text = format!("not so: there is a counterexample\n{}", words::request(&found));
+                let text = format!("not proved: there is a counterexample\n{}", words::request(&found));
                 return Ok(Answer { text, is_proved: false });
             }
         }
@@ -178,13 +178,10 @@ impl Prover {
             let compiled = compiled.map_err(|error| undecided(&error))?;
             let never_fails = self.compiler.check_never_errors_opt(&compiled).await;
             if !never_fails.map_err(|error| undecided(&error))? {
-                return Err(Rejection::new(
-                    Code::PolicyInvalid,
-                    "nothing is proved about policies that can fail to evaluate",
-                )
-                .found(format!("{}, which can fail, such as by numbers that are too large", policy.id()))
-                .wanted("conditions that always have a value")
-                .next("compare numbers without adding or multiplying them"));
+                return Err(Rejection::new(Code::PolicyInvalid, "policies that can fail to evaluate cannot be proved")
+                    .found(format!("{}, which can fail, such as by numbers that are too large", policy.id()))
+                    .wanted("conditions that always have a value")
+                    .next("compare numbers without addition or multiplication"));
             }
         }
         Ok(())
@@ -215,7 +212,7 @@ fn more(found: &Found, said: &str) -> Answer {
     let request = words::request(found);
     let terms =
         if said.is_empty() { String::new() } else { format!("\nwith {said}; limits are compared as they are written") };
-    let text = format!("not so: the new policies permit a request that the old ones do not\n{request}{terms}");
+    let text = format!("not proved: the new policies permit a request that the old ones do not\n{request}{terms}");
     Answer { text, is_proved: false }
 }
 
@@ -252,16 +249,16 @@ fn found(set: &PolicySet, action: &str, example: &Env) -> Found {
 }
 
 fn unreadable(error: &impl std::fmt::Display) -> Rejection {
-    Rejection::new(Code::Internal, "the question cannot be put").found(error.to_string())
+    Rejection::new(Code::Internal, "the question cannot be expressed").found(error.to_string())
 }
 
 /// The refusal of a question that the solver did not decide.
 fn undecided(error: &Error) -> Rejection {
     match error {
-        Error::SolverUnknown => Rejection::new(Code::LimitExceeded, "the solver could not decide in its time")
+        Error::SolverUnknown => Rejection::new(Code::LimitExceeded, "the solver reached its time limit")
             .found("60 s without an answer")
             .wanted("policies that can be decided in a minute")
-            .next("name the robot and what is known of it, or prove files one by one"),
-        error => Rejection::new(Code::Internal, "the proof has failed").found(error.to_string()),
+            .next("name the robot and its known properties, or prove the files one by one"),
+        error => Rejection::new(Code::Internal, "the proof failed").found(error.to_string()),
     }
 }

@@ -24,7 +24,7 @@ impl Cvc5 {
         let told =
             Command::new(&path).arg("--version").output().map_err(|error| unusable(format!("{path}: {error}")))?;
         let text = String::from_utf8_lossy(&told.stdout);
-        let version = version(&text).ok_or_else(|| unusable(format!("{path}, which tells no version of cvc5")))?;
+        let version = version(&text).ok_or_else(|| unusable(format!("{path}, which reports no version of cvc5")))?;
         if version < OLDEST {
             let [major, minor, patch] = version;
             return Err(unusable(format!("{path}, version {major}.{minor}.{patch}")));
@@ -49,10 +49,10 @@ fn version(text: &str) -> Option<[u32; 3]> {
 }
 
 fn unusable(found: impl Into<String>) -> Rejection {
-    Rejection::new(Code::BadFile, "there is no solver to prove with")
+    Rejection::new(Code::BadFile, "no solver is available")
         .found(found)
         .wanted("cvc5 1.3.1 or newer; Debian has none")
-        .next("take it from https://github.com/cvc5/cvc5/releases, and set CVC5=/path/to/cvc5")
+        .next("download it from https://github.com/cvc5/cvc5/releases, and set CVC5=/path/to/cvc5")
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use crate::storage::stores::Stores;
 use crate::trust::membership::nothing_here;
 use ledger_base::durable::PUBLIC_MODE;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_light::Checkpoint;
 use ledger_storage::layout::GENESIS_FILE;
 use std::fs;
@@ -44,18 +45,20 @@ pub(crate) fn checkpoint(
     let height = proof.as_ref().map_or(0, |proof| proof.certificate.statement.height);
     let Some(proof) = proof.filter(|_| height <= tip && ledger.changes(height, 1).is_ok_and(|since| since.is_empty()))
     else {
-        return Err(Rejection::new(Code::NotFound, "there is no certified block to make a checkpoint of")
-            .found(format!("block {height} as the newest, and a later change of who governs"))
+        return Err(Rejection::new(Code::NotFound, "there is no certified block for a checkpoint")
+            .found(format!(
+                "block {height} as the newest certified one, and a later change of voters, organisations \
+                            or revocations"
+            ))
             .wanted("a certified block after the last change of voters, organisations or revocations")
-            .next(format!("ledgerd run --config {} for some seconds, then try again", config.file.display())));
+            .next(format!("ledgerd run --config {} for some seconds, then try again", shell::path(&config.file))));
     };
     let checkpoint = Checkpoint::of(&ledger.network(), ledger.governing(height)?, proof)?;
     ledger_base::durable::create(&options.file, &checkpoint.to_bytes(), PUBLIC_MODE)?;
     Ok(format!(
-        "checkpoint   {}, block {height} of network {}\n\
-         Whoever begins with it believes this node about who governs. Carry it by a way that you trust:\n  \
-         a bridge      checkpoint = \"{}\" in its configuration\n  \
-         ledgerctl     ledgerctl light ROBOT --checkpoint {0}",
+        "checkpoint   {}, block {height} of network {}\nReaders that start with it trust this node for the voters and \
+         organisations. Transfer it over a trusted channel:\n  a bridge      checkpoint = \"{}\" in its \
+         configuration\n  ledgerctl     ledgerctl light ROBOT --checkpoint {0}",
         options.file.display(),
         ledger.network(),
         options.file.display(),

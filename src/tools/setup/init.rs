@@ -8,6 +8,7 @@ use crate::trust::ca::CertificateAuthority;
 use crate::trust::membership::way_back;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
 use std::collections::BTreeMap;
@@ -17,25 +18,25 @@ use std::path::PathBuf;
 /// The arguments of `ledgerd init`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InitOptions {
-    /// The node's configuration; made with all defaults if it does not exist.
+    /// The node's configuration; created with all defaults if it does not exist.
     #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
     pub config: PathBuf,
-    /// Name of the organisation that founds the network, e.g. Org1.
+    /// Name of the founding organisation, e.g. Org1.
     #[arg(long, value_name = "NAME")]
     pub organisation: String,
-    /// Name of the network for people; the organisation's name if left out.
+    /// Name of the network for people; by default that of the organisation.
     #[arg(long, value_name = "TEXT")]
     pub label: Option<String>,
     /// Name of the node.
     #[arg(long, value_name = "NAME", default_value = "node1")]
     pub node: String,
-    /// Where clients and other nodes reach the node; the setting `listen` if left out.
+    /// Address under which clients and other nodes reach the node; by default the setting `listen`.
     #[arg(long, value_name = "HOST:PORT")]
     pub address: Option<String>,
-    /// Kind of the key of the organisation's CA: ed25519, p256 or p384.
+    /// Kind of key of the organisation's CA: ed25519, p256 or p384.
     #[arg(long, value_name = "KIND", default_value_t = KeyKind::Ed25519)]
     pub key: KeyKind,
-    /// Name of the first admin, who receives a one-time secret.
+    /// Name of the first admin, who gets a one-time secret.
     #[arg(long, value_name = "NAME", default_value = "admin")]
     pub admin: String,
 }
@@ -69,9 +70,9 @@ fn check_free(config: &Config) -> Result<(), Rejection> {
     let file = config.file.display();
     Err(Rejection::new(Code::BadConfiguration, format!("{file} belongs to a network that was founded before"))
         .found(format!("node {node} of network {network}, in the section [member]"))
-        .wanted("a configuration of no network, because this founds another one")
+        .wanted("a configuration without a network, because this command creates a new one")
         .next(format!(
-            "to bring that node back: {}; to found another network, choose another file with --config",
+            "to bring that node back: {}; to create another network, choose another file with --config",
             way_back(config, node)
         )))
 }
@@ -86,7 +87,7 @@ struct Begun {
 }
 
 fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<Begun, Rejection> {
-    let path = options.config.display();
+    let path = shell::path(&options.config);
     let address = public_address(options.address.as_deref(), &config.listen, "ledgerd init")?;
     let organisation = &options.organisation;
     let plan = NetworkPlan {
@@ -108,15 +109,10 @@ fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<Begun, Re
     let fingerprint = founded.authorities.first().map(|ca| ca.fingerprint).unwrap_or_default();
     let InitOptions { node, admin, .. } = options;
     let told = format!(
-        "network {:?} is founded: {}\n\
-         node     {organisation}/{node} at {address}, data in {}\n\
-         CA       {organisation}, sha256 {fingerprint}\n\
-         admin    {organisation}/{admin}, to enrol within {} days\n\
-         \n\
-         next:\n  \
-           ledgerd run --config {path}\n  \
-           ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n  \
-           ledgerctl identity register NAME --attr KEY=VALUE",
+        "network {:?} is created: {}\nnode     {organisation}/{node} at {address}, data in {}\nCA       \
+         {organisation}, sha256 {fingerprint}\nadmin    {organisation}/{admin}, to enrol within {} days\n\nnext:\n  \
+         ledgerd run --config {path}\n  ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} \
+         --secret {secret}\n  ledgerctl identity register NAME --attr KEY=VALUE",
         plan.label,
         founded.network,
         config.data.display(),
@@ -132,7 +128,7 @@ fn invite(
     authorities: &[super::FoundedAuthority],
     now: u64,
 ) -> Result<String, Rejection> {
-    let authority = authorities.first().ok_or_else(|| Rejection::new(Code::Internal, "no CA was founded"))?;
+    let authority = authorities.first().ok_or_else(|| Rejection::new(Code::Internal, "no CA was created"))?;
     let mut authority = CertificateAuthority::open(&authority.directory)?;
     authority.set_days(config.ca.certificate_days, config.ca.secret_days);
     authority.register(&options.admin, Role::Admin, BTreeMap::new(), now)

@@ -4,6 +4,7 @@ use crate::process::config::{Config, is_address};
 use ledger_base::durable::PUBLIC_MODE;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -45,11 +46,11 @@ impl Settings {
                 if let Some(asked) = asked.filter(|asked| *asked != found) {
                     return Err(Rejection::new(
                         Code::BadConfiguration,
-                        format!("{} says another {setting} than the command line", path.display()),
+                        format!("{} and the command line have different values of {setting}", path.display()),
                     )
                     .found(found)
                     .wanted(asked)
-                    .next("change the file, or leave the argument out"));
+                    .next("change the file, or omit the argument"));
                 }
             }
             return Ok(Self { config, text: None });
@@ -83,7 +84,7 @@ impl Settings {
             None if self.config.member.network.is_empty() => {
                 let member: String = lines.map(|(_, named)| format!("  {named}\n")).collect();
                 format!(
-                    "\n{} was there before and stays as it is. Let it say which node it is for:\n  [member]\n{member}",
+                    "\n{} existed before and is unchanged. Add the node that it is for:\n  [member]\n{member}",
                     self.config.file.display()
                 )
             }
@@ -132,7 +133,7 @@ fn listening(address: &str) -> Option<String> {
 }
 
 fn first(faults: Vec<crate::process::config::Fault>, path: &Path) -> Rejection {
-    let more = format!("correct it; ledgerd check --config {} names all {} faults", path.display(), faults.len());
+    let more = format!("correct it; ledgerd check --config {} names all {} faults", shell::path(path), faults.len());
     let first = faults.into_iter().next().map(Rejection::from);
     first.map_or_else(|| Rejection::new(Code::BadConfiguration, "the configuration is not usable"), |r| r.next(more))
 }
@@ -143,20 +144,20 @@ fn first(faults: Vec<crate::process::config::Fault>, path: &Path) -> Rejection {
 /// [`Code::BadConfiguration`] if nobody could reach it there.
 pub(crate) fn public_address(given: Option<&str>, listen: &str, command: &str) -> Result<String, Rejection> {
     let unusable = |found: &str, why: &str| {
-        Err(Rejection::new(Code::BadConfiguration, format!("others cannot reach the node at {found}"))
+        Err(Rejection::new(Code::BadConfiguration, format!("other nodes cannot reach this node at {found}"))
             .found(why)
             .wanted("HOST:PORT as clients and other nodes use it")
             .next(format!("{command} --address HOST:PORT")))
     };
     let address = given.unwrap_or(listen);
     if !is_address(address) {
-        return unusable(address, "no HOST:PORT");
+        return unusable(address, "an address that is not HOST:PORT");
     }
     if address.ends_with(":0") {
-        return unusable(address, "port 0, which lets the system choose another one at each start");
+        return unusable(address, "port 0, for which the system selects a different port at each start");
     }
     if address.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_unspecified()) {
-        return unusable(address, "an address that means every network of this machine");
+        return unusable(address, "an address that means every interface of this machine");
     }
     Ok(address.to_owned())
 }

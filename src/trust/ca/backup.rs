@@ -56,7 +56,7 @@ pub(crate) fn text(authority: &CertificateAuthority, passphrase: &str) -> Result
     if found < PASSPHRASE_CHARS_MIN {
         return Err(Rejection::new(Code::BadArgument, "the passphrase is too short")
             .found(format!("{found} characters"))
-            .wanted(format!("at least {PASSPHRASE_CHARS_MIN}: anybody who finds the file can try without limit"))
+            .wanted(format!("at least {PASSPHRASE_CHARS_MIN}: anyone with the file can try passphrases without limit"))
             .next("four or five random words are easy to write down"));
     }
     let failed = |error: pkcs8::Error| Rejection::new(Code::Internal, format!("the key cannot be encrypted: {error}"));
@@ -83,12 +83,12 @@ pub(crate) fn parse(name: &str, content: &[u8], passphrase: &str) -> Result<Back
     let bad = |found: String| {
         Rejection::new(Code::BadFile, format!("{name} is not usable"))
             .found(found)
-            .wanted("a file that ca backup has written, and its passphrase")
+            .wanted("a file of ca backup, and its passphrase")
     };
     if content.len() > BACKUP_BYTES_MAX {
         return Err(bad(format!("{} bytes", content.len())));
     }
-    let text = String::from_utf8(content.to_vec()).map_err(|_| bad("bytes that are no text".into()))?;
+    let text = String::from_utf8(content.to_vec()).map_err(|_| bad("bytes that are not text".into()))?;
     let organisation = text
         .lines()
         .find_map(|line| line.strip_prefix(ORGANISATION))
@@ -117,10 +117,13 @@ fn check_cost(scheme: &EncryptionScheme) -> Result<(), String> {
             let memory = cost_parameter.saturating_mul(128).saturating_mul(u64::from(*block_size));
             match memory <= SCRYPT_MEMORY_MAX && *parallelization <= SCRYPT_PARALLEL_MAX {
                 true => Ok(()),
-                false => Err(format!("a key whose passphrase takes {memory} bytes, {parallelization} times, to try")),
+                false => Err(format!(
+                    "a key whose passphrase needs {memory} bytes, {parallelization} times, per \
+                                      attempt"
+                )),
             }
         }
-        _ => Err("a key whose passphrase is not stretched by scrypt".into()),
+        _ => Err("a key whose passphrase is not derived with scrypt".into()),
     }
 }
 

@@ -55,9 +55,12 @@ pub(super) fn leaf(
     if now < root.not_before || now > root.not_after {
         return Err(Rejection::new(
             Code::CertificateExpired,
-            format!("the CA of {} is not valid now", holder.organisation),
+            format!("the CA of {} is not valid at this time", holder.organisation),
         )
-        .next("check this node's clock; if it is right, found the CA anew"));
+        .next(
+            "check this node's clock; if it is right, create a new CA: docs/operations.md, \"The CA of an \
+               organisation\"",
+        ));
     }
     let not_before = now.saturating_sub(START_BEFORE).max(root.not_before);
     let not_after = now.saturating_add(u64::from(days) * DAY).min(root.not_after);

@@ -4,6 +4,7 @@ use super::registry::{FILE, Registry};
 use super::{CertificateAuthority, DIRECTORY, bad_argument, issue, key_failed, pem};
 use ledger_base::durable::{PUBLIC_MODE, SECRET_MODE};
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::check_name;
 use ledger_identity::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
@@ -70,11 +71,15 @@ impl CertificateAuthority {
     pub fn open(directory: &Path) -> Result<Self, Rejection> {
         let _turn = lock(directory)?;
         let key_path = directory.join(KEY_FILE);
-        check_secret(&key_path, "if others may have read it, found the CA anew")?;
+        check_secret(
+            &key_path,
+            "if others may have read it, create a new CA: docs/operations.md, \"The CA of an \
+                                 organisation\"",
+        )?;
         let bad = |path: &Path, found: String| {
             Rejection::new(Code::BadFile, format!("{} is not usable", path.display()))
                 .found(found)
-                .next("put a copy of the directory back, or ledgerd ca restore FILE --config ledgerd.toml")
+                .next("restore the directory from a copy, or ledgerd ca restore FILE --config ledgerd.toml")
         };
         let text = ledger_base::durable::read(&key_path, KEY_BYTES_MAX)?;
         let key = SigningKey::from_pkcs8_pem(&String::from_utf8_lossy(&text))
@@ -172,13 +177,10 @@ pub(crate) fn check_secret(path: &Path, then: &str) -> Result<(), Rejection> {
     if found & 0o077 == 0 {
         return Ok(());
     }
-    Err(Rejection::new(
-        Code::BadFile,
-        format!("others than its owner can read or change the private key {}", path.display()),
-    )
-    .found(format!("mode {:04o}", found & 0o7777))
-    .wanted("mode 0600: its owner alone")
-    .next(format!("chmod 600 {}; {then}", path.display())))
+    Err(Rejection::new(Code::BadFile, format!("the private key {} is accessible to other users", path.display()))
+        .found(format!("mode {:04o}", found & 0o7777))
+        .wanted("mode 0600: its owner alone")
+        .next(format!("chmod 600 {}; {then}", shell::path(path))))
 }
 
 /// The name of an organisation is also the name of its CA's directory.

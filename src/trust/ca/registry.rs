@@ -81,9 +81,9 @@ impl Registry {
         let path = directory.join(FILE);
         let content = ledger_base::durable::read(&path, FILE_BYTES_MAX)?;
         let damaged = |found: String| {
-            Rejection::new(Code::Corrupt, format!("{} cannot be read, so nobody can enrol here", path.display()))
+            Rejection::new(Code::Corrupt, format!("{} cannot be read, so enrolment does not work here", path.display()))
                 .found(found)
-                .wanted("the registered names of this CA, as it wrote them")
+                .wanted("the registry of names, as this CA wrote it")
                 .next("restore the file from a copy")
         };
         let registry: Self = serde_json::from_slice(&content).map_err(|error| damaged(error.to_string()))?;

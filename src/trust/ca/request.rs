@@ -18,7 +18,7 @@ pub(crate) fn public_key(der: &[u8]) -> Result<PublicKey, Rejection> {
         Rejection::new(Code::BadArgument, "the certificate signing request is not usable")
             .found(found)
             .wanted("a PKCS #10 request in DER, signed by the key in it, of kind ed25519, p256 or p384")
-            .next("make a new key and request, for example with `ledgerctl enroll`")
+            .next("generate a new key and request, for example with `ledgerctl enroll`")
     };
     if der.len() > REQUEST_BYTES_MAX {
         return Err(refused(format!("{} bytes, more than {REQUEST_BYTES_MAX}", der.len())));
@@ -55,5 +55,5 @@ pub(super) fn signer(key: &SigningKey) -> Result<KeyPair, rcgen::Error> {
 
 /// Something that rcgen could not make.
 pub(super) fn failed(what: &str, error: &rcgen::Error) -> Rejection {
-    Rejection::new(Code::Internal, format!("{what} cannot be made: {error}"))
+    Rejection::new(Code::Internal, format!("{what} cannot be created: {error}"))
 }

@@ -53,10 +53,10 @@ impl Receiver {
     /// [`Code::BadSignature`] if it was sealed for somebody else, or changed on its way.
     pub(crate) fn open(&self, delivery: &Delivery<'_>, sealed: &[u8]) -> Result<Vec<u8>, Rejection> {
         let refused = |found: String| {
-            Rejection::new(Code::BadSignature, "the sealed key cannot be opened")
+            Rejection::new(Code::BadSignature, "the encrypted key cannot be opened")
                 .found(found)
-                .wanted("a key that a node with the CA has just sealed for this node")
-                .next("ledgerctl ca carry NODE begins anew")
+                .wanted("a key that was just encrypted for this node")
+                .next("ledgerctl ca carry NODE starts the transfer again")
         };
         if sealed.len() > SEALED_BYTES_MAX {
             return Err(refused(format!("{} bytes", sealed.len())));
@@ -84,7 +84,7 @@ impl Delivery<'_> {
     /// [`Code::BadArgument`] if it is no such key.
     pub(crate) fn seal(&self, public: &[u8], secret: &[u8]) -> Result<Vec<u8>, Rejection> {
         let refused = |error: hpke::HpkeError| {
-            Rejection::new(Code::BadArgument, "nothing can be sealed for this key").found(error.to_string())
+            Rejection::new(Code::BadArgument, "nothing can be encrypted for this key").found(error.to_string())
         };
         let public = <Key as Kem>::PublicKey::from_bytes(public).map_err(refused)?;
         let (front, content) = single_shot_seal::<ChaCha20Poly1305, HkdfSha256, Key>(

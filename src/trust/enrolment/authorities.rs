@@ -68,7 +68,7 @@ impl Authorities {
         for organisation in ca::carried(&self.data)? {
             if self.find(&organisation).is_none() {
                 self.open_one(&organisation)?;
-                tracing::info!(organisation, "the CA lies in the data directory; this node carries it");
+                tracing::info!(organisation, "holding the CA key in the data directory");
             }
         }
         Ok(())
@@ -82,7 +82,7 @@ impl Authorities {
                 format!("{} is not usable", self.directory(organisation).display()),
             )
             .found(format!("the CA of {}", authority.organisation()))
-            .wanted("a directory that is called like its organisation"));
+            .wanted("a directory with the name of its organisation"));
         }
         authority.set_days(self.days.0, self.days.1);
         self.add(authority);
@@ -109,12 +109,12 @@ impl Authorities {
             if !own || self.find(organisation).is_some() || given_up.contains(organisation) {
                 continue;
             }
-            return Err(Rejection::new(Code::BadFile, format!("the CA of {organisation} is missing"))
+            return Err(Rejection::new(Code::BadFile, format!("the CA key of {organisation} is missing"))
                 .found(format!("no directory {}", self.directory(organisation).display()))
-                .wanted(format!("the CA that {} carries, as the ledger says", me.full_name()))
+                .wanted(format!("the CA key that {} holds, according to the ledger", me.full_name()))
                 .next(format!(
-                    "put the directory back, or: ledgerd ca restore FILE --config FILE; if no copy exists: \
-                     ledgerd ca give-up {organisation} --config FILE"
+                    "restore the directory, or: ledgerd ca restore FILE --config FILE; if no backup exists: ledgerd \
+                     ca give-up {organisation} --config FILE"
                 )));
         }
         Ok(())

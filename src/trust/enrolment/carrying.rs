@@ -35,10 +35,13 @@ impl EnrolmentService {
         let shared = &self.shared;
         shared.check_own(admin, organisation)?;
         if shared.own.me.organisation != organisation {
-            return Err(Rejection::new(Code::WrongRole, format!("this node may not carry the CA of {organisation}"))
-                .found(format!("node {}", shared.own.me.full_name()))
-                .wanted(format!("a node of {organisation}"))
-                .next(format!("ledgerctl ca carry NODE, with a node of {organisation}")));
+            return Err(Rejection::new(
+                Code::WrongRole,
+                format!("this node may not hold the CA key of {organisation}"),
+            )
+            .found(format!("node {}", shared.own.me.full_name()))
+            .wanted(format!("a node of {organisation}"))
+            .next(format!("ledgerctl ca carry NODE, with a node of {organisation}")));
         }
         let receiver = Receiver::generate();
         let (key, node) = (receiver.public(), shared.own.me.full_name());
@@ -79,7 +82,7 @@ impl EnrolmentService {
                 Ok((sealed, authority.root().to_vec()))
             })
             .await?;
-        tracing::warn!(by = admin.id(), node, "the key of the CA was sealed for another node, which will carry it too");
+        tracing::warn!(by = admin.id(), node, "CA key encrypted for another node, which will also hold it");
         Ok(v1::SealCaResponse { verdict: Some(v1::Verdict::default()), sealed: sealed.into(), root: root.into() })
     }
 
@@ -89,7 +92,12 @@ impl EnrolmentService {
         self.shared.check_own(admin, &organisation)?;
         if !self.carries(&organisation) {
             self.blocking(move |shared| shared.take(&request)).await?;
-            tracing::warn!(by = admin.id(), organisation, "this node carries the CA from now on");
+            tracing::warn!(
+                by = admin.id(),
+                organisation,
+                "received the CA key; this node issues certificates from \
+                                                           now on"
+            );
         }
         self.tell_carried(&organisation).await
     }
@@ -101,7 +109,7 @@ impl Shared {
         if admin.organisation == organisation {
             return Ok(());
         }
-        Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the nodes that carry this CA", admin.id()))
+        Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the nodes that hold this CA key", admin.id()))
             .found(format!("an admin of {}", admin.organisation))
             .wanted(format!("an admin of {}", super::printable(organisation))))
     }
@@ -110,7 +118,7 @@ impl Shared {
     fn check_offer(&self, offer: &v1::SealCaRequest) -> Result<(), Rejection> {
         let v1::SealCaRequest { organisation, node, key, signature, certificate } = offer;
         let refused = |found: String| {
-            Rejection::new(Code::Untrusted, "the key of the CA is not sealed for this node")
+            Rejection::new(Code::Untrusted, "the CA key cannot be encrypted for this node")
                 .found(found)
                 .wanted(format!("an offer that a node of {organisation} has signed"))
                 .next("ledgerctl ca carry NODE")
@@ -128,7 +136,11 @@ impl Shared {
                 && identity.organisation == *organisation
         });
         if identity.role != Role::Node || identity.id() != *node || !present {
-            return Err(refused(format!("{} with role {}, which is no node of it", identity.id(), identity.role)));
+            return Err(refused(format!(
+                "{} with role {}, which is not a node of that organisation",
+                identity.id(),
+                identity.role
+            )));
         }
         let message = signed_bytes(&self.ledger.network(), organisation, node, key);
         identity.public_key.verify(&message, signature).map_err(|error| refused(error.to_string()))
@@ -137,20 +149,20 @@ impl Shared {
     fn take(&self, request: &v1::TakeCaRequest) -> Result<(), Rejection> {
         let v1::TakeCaRequest { organisation, sealed, root } = request;
         let bad = |found: &str| {
-            Rejection::new(Code::BadArgument, "this node cannot take the key of the CA")
+            Rejection::new(Code::BadArgument, "this node cannot receive the CA key")
                 .found(found)
-                .next("ledgerctl ca carry NODE begins anew")
+                .next("ledgerctl ca carry NODE starts the transfer again")
         };
         let msps = self.ledger.msps();
         if !msps.get(organisation).is_some_and(|msp| msp.roots().any(|known| known == root)) {
-            return Err(bad("a root that is none of the organisation's, as the ledger knows it"));
+            return Err(bad("a root certificate that the ledger does not list for the organisation"));
         }
         let now = (self.clock)();
         let mut offer = self.offer.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let current = offer
             .as_ref()
             .filter(|offer| offer.organisation == *organisation && now.saturating_sub(offer.made) <= OFFER_LIFE_MAX);
-        let current = current.ok_or_else(|| bad("no key that was made for this in the last minutes"))?;
+        let current = current.ok_or_else(|| bad("no key for this transfer, or one that is several minutes old"))?;
         let (network, node) = (self.ledger.network(), self.own.me.full_name());
         let delivery = Delivery { network: &network, organisation, node: &node, root };
         let key = current.receiver.open(&delivery, sealed)?;

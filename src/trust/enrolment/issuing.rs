@@ -51,7 +51,7 @@ impl EnrolmentService {
             opened = self.opened(&organisations, &name, &request.secret).await?;
         }
         let Some((organisation, opened)) = opened else {
-            tracing::warn!(name = printable(&name), %source, "refused to enrol: no such name, or another secret");
+            tracing::warn!(name = printable(&name), %source, "enrolment rejected: unknown name or wrong secret");
             return Err(CertificateAuthority::refusal());
         };
         self.check_known(&organisation)?;
@@ -65,7 +65,7 @@ impl EnrolmentService {
             (_, told) => told.map(|()| Bytes::new()),
         }
         .inspect_err(|refused| {
-            tracing::warn!(organisation, name = printable(&name), code = %refused.code, "refused to enrol");
+            tracing::warn!(organisation, name = printable(&name), code = %refused.code, "enrolment rejected");
         })?;
         tracing::info!(organisation, name = printable(&name), "enrolled");
         Ok(self.shared.certified(&organisation, certificate))
@@ -95,10 +95,10 @@ impl EnrolmentService {
         }
         let Some(record) = record else {
             return Err(Rejection::new(Code::NotFound, format!("{name:?} is not registered at {organisation}"))
-                .next("ask an admin of the organisation to register it and to send a one-time secret"));
+                .next("ask an admin of the organisation to register it and to send the one-time secret"));
         };
         if record.role != *role {
-            return Err(Rejection::new(Code::WrongRole, format!("{name} is registered for something else"))
+            return Err(Rejection::new(Code::WrongRole, format!("{name} is registered with another role"))
                 .found(format!("a certificate with role {role}"))
                 .wanted(format!("role {}", record.role))
                 .next("ask an admin of the organisation for a new one-time secret"));
@@ -191,7 +191,16 @@ impl EnrolmentService {
         match self.record_certificate(organisation, &der, Ground::Local(made)).await {
             Err(refused) if refused.code == Code::EnrolmentRefused => Err(CertificateAuthority::refusal()),
             Err(unreachable) if is_unreachable(&unreachable) => {
-                tracing::warn!(organisation, name, code = unreachable.code.name(), reason = %unreachable, "a certificate is issued from this machine's own registry; the ledger will record it later");
+                tracing::warn!(organisation, name, code = unreachable.code.name(), reason = %unreachable, "certificate \
+                                                                                                           issued \
+                                                                                                           from the \
+                                                                                                           local \
+                                                                                                           registry; \
+                                                                                                           it will be \
+                                                                                                           recorded \
+                                                                                                           on the \
+                                                                                                           ledger \
+                                                                                                           later");
                 Ok(der.into())
             }
             done => done,
@@ -213,9 +222,15 @@ impl EnrolmentService {
             return Ok(());
         }
         // The secret would be used up for a certificate that nobody can check yet.
-        Err(Rejection::new(Code::Behind, format!("this node does not know yet that {organisation} has joined"))
-            .found(format!("block {}", self.shared.ledger.tip().height))
-            .wanted("a node that has caught up with its network"))
+        Err(Rejection::new(
+            Code::Behind,
+            format!(
+                "this node does not yet have the block with which {organisation} \
+                                                  joined"
+            ),
+        )
+        .found(format!("block {}", self.shared.ledger.tip().height))
+        .wanted("a node that is up to date with its network"))
     }
 
     /// Does this node carry the CA of that organisation?
@@ -267,13 +282,12 @@ impl Shared {
         let role = authority.identity(name).map(|known| known.role).unwrap_or(Role::Member);
         match record {
             Some(record) if record.voided >= made => Ok(None),
-            Some(record) if record.role != role => Err(Rejection::new(
-                Code::AlreadyRegistered,
-                format!("{} is registered for something else", record.id()),
-            )
-            .found(format!("a secret for role {role}"))
-            .wanted(format!("role {}", record.role))
-            .next("choose another name: ledgerd admin-secret NAME")),
+            Some(record) if record.role != role => {
+                Err(Rejection::new(Code::AlreadyRegistered, format!("{} is registered with another role", record.id()))
+                    .found(format!("a secret for role {role}"))
+                    .wanted(format!("role {}", record.role))
+                    .next("choose another name: ledgerd admin-secret NAME"))
+            }
             _ => Ok(Some(made)),
         }
     }

@@ -22,12 +22,12 @@ impl EnrolmentService {
         }
         self.shared.count_try(source)?;
         let Ok(_turn) = self.shared.carrying.try_acquire() else {
-            return Err(Rejection::new(Code::Overloaded, "this node carries another request to join at the moment")
+            return Err(Rejection::new(Code::Overloaded, "this node is processing another request to join")
                 .next("try again in a few seconds"));
         };
         (self.shared.client.submit)("join_organisation", join).await?;
         self.shared.forgive_try(source);
-        tracing::info!("an organisation has joined through this node");
+        tracing::info!("an organisation joined through this node");
         Ok(())
     }
 }

@@ -40,7 +40,7 @@ impl EnrolmentService {
         let proof = lock(&authority).prove(&self.shared.ledger.network(), &self.shared.own.me.full_name());
         let told = ledger::msp::CarryCa { copied_by: Some(admin.id()), ..proof };
         (self.shared.client.submit)("carry_ca", json(&told)?).await?;
-        tracing::warn!(by = admin.id(), organisation, "an admin takes a copy of the CA's key under a passphrase");
+        tracing::warn!(by = admin.id(), organisation, "CA key backed up under a passphrase");
         Ok(v1::CopyCaResponse { verdict: Some(v1::Verdict::default()), file: file.into() })
     }
 
@@ -49,12 +49,17 @@ impl EnrolmentService {
         let organisation = request.organisation.clone();
         self.shared.check_own(admin, &organisation)?;
         if self.carries(&organisation) {
-            return Err(Rejection::new(Code::AlreadyExists, "this node carries this CA already")
+            return Err(Rejection::new(Code::AlreadyExists, "this node holds this CA key already")
                 .found(self.shared.own.me.full_name())
-                .wanted("a node that does not carry it"));
+                .wanted("a node that does not hold it"));
         }
         self.blocking(move |shared| shared.restore(&request)).await?;
-        tracing::warn!(by = admin.id(), organisation, "the CA was restored from a copy; this node carries it");
+        tracing::warn!(
+            by = admin.id(),
+            organisation,
+            "CA key restored from a backup; this node issues certificates \
+                                                       from now on"
+        );
         self.tell_carried(&organisation).await
     }
 
@@ -65,14 +70,14 @@ impl EnrolmentService {
         if !self.shared.carriers(organisation).iter().any(|(carrier, _)| carrier.full_name() != me) {
             return Err(Rejection::new(
                 Code::LastOne,
-                format!("{me} is the last node that carries the CA of {organisation}"),
+                format!("{me} is the last node that holds the CA key of {organisation}"),
             )
-            .wanted("another node that carries it, as the ledger knows")
+            .wanted("another node that holds it, according to the ledger")
             .next("ledgerctl ca carry NODE"));
         }
         let owner = organisation.to_owned();
         self.blocking(move |shared| shared.remove(&owner)).await?;
-        tracing::warn!(by = admin.id(), organisation, "this node carries the CA no more; its key is removed");
+        tracing::warn!(by = admin.id(), organisation, "CA key removed from this node");
         let uncarry = UncarryCa { organisation: organisation.to_owned(), node: None };
         (self.shared.client.submit)("uncarry_ca", json(&uncarry)?).await?;
         self.shared.authorities.settle_given_up(organisation);
@@ -84,17 +89,20 @@ impl Shared {
     fn restore(&self, request: &v1::RestoreCaRequest) -> Result<(), Rejection> {
         let v1::RestoreCaRequest { organisation, file, passphrase } = request;
         if self.own.me.organisation != *organisation {
-            return Err(Rejection::new(Code::WrongRole, format!("this node may not carry the CA of {organisation}"))
-                .found(format!("node {}", self.own.me.full_name()))
-                .wanted(format!("a node of {organisation}")));
+            return Err(Rejection::new(
+                Code::WrongRole,
+                format!("this node may not hold the CA key of {organisation}"),
+            )
+            .found(format!("node {}", self.own.me.full_name()))
+            .wanted(format!("a node of {organisation}")));
         }
-        let Backup { organisation: found, key, root } = backup::parse("the copy", file, passphrase)?;
+        let Backup { organisation: found, key, root } = backup::parse("the backup", file, passphrase)?;
         let msps = self.ledger.msps();
         if found != *organisation || !msps.get(organisation).is_some_and(|msp| msp.roots().any(|known| *known == *root))
         {
-            return Err(Rejection::new(Code::BadFile, "the copy is of another CA")
+            return Err(Rejection::new(Code::BadFile, "the backup is of another CA")
                 .found(format!("the CA of {}", super::printable(&found)))
-                .wanted(format!("a CA of {organisation}, as the ledger knows it")));
+                .wanted(format!("a CA of {organisation} that the ledger lists")));
         }
         let directory = self.authorities.directory(organisation);
         ledger_base::durable::create_directory(directory.parent().unwrap_or(&directory))?;

@@ -20,7 +20,8 @@ impl EnrolmentService {
             let pause = match self.register_all().await {
                 Ok(()) => LOOK_EVERY,
                 Err(reason) => {
-                    tracing::debug!(code = reason.code.name(), %reason, "cannot record the registrations of this node's CA on the ledger yet");
+                    tracing::debug!(code = reason.code.name(), %reason, "registrations of this node's CA are not \
+                                                                         recorded on the ledger yet");
                     RETRY_PAUSE
                 }
             };

@@ -59,8 +59,8 @@ impl Tries {
 }
 
 fn overloaded(whose: &str, burst: u64, refill: u64) -> Rejection {
-    Rejection::new(Code::Overloaded, format!("there were too many tries {whose}"))
-        .found(format!("more than {burst} tries that failed"))
+    Rejection::new(Code::Overloaded, format!("too many failed attempts {whose}"))
+        .found(format!("more than {burst} failed attempts"))
         .wanted(format!("at most {} a second", 1_000_000 / refill))
         .next("try again in a few seconds, with the right secret or key")
 }

@@ -6,6 +6,7 @@ use crate::process::config::{Config, MemberOf};
 use ledger_base::durable::access;
 use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use ledger_storage::layout::GENESIS_FILE;
 use std::io::ErrorKind;
 
@@ -13,8 +14,8 @@ use std::io::ErrorKind;
 pub(crate) fn way_back(config: &Config, node: &str) -> String {
     let (who, name) = node.split_once('/').map_or(("its organisation", "NAME"), |(who, name)| (who, name));
     format!(
-        "an admin of {who} types ledgerctl network invite --node {name}, then here: ledgerd join TOKEN --config {}",
-        config.file.display()
+        "an admin of {who} runs ledgerctl network invite --node {name}, then here: ledgerd join TOKEN --config {}",
+        shell::path(&config.file)
     )
 }
 
@@ -41,13 +42,13 @@ pub(crate) fn nothing_here(config: &Config, error: &std::io::Error) -> Rejection
         Some(joined) if node.is_empty() => format!("{}/{}", joined.organisation, joined.name),
         _ => node.clone(),
     };
-    let file = config.file.display();
+    let file = shell::path(&config.file);
     if node.is_empty() {
         return Rejection::new(Code::BadFile, format!("there is no node in {data}"))
             .found(found)
             .wanted("the data directory of a node")
             .next(format!(
-                "for a node of a network: {}; ledgerd init --organisation NAME --config {file} founds a new network",
+                "for a node of a network: {}; ledgerd init --organisation NAME --config {file} creates a new network",
                 way_back(config, "")
             ));
     }
@@ -94,7 +95,7 @@ pub(crate) fn check_member(config: &Config, network: Hash, me: &Member) -> Resul
     Err(Rejection::new(Code::BadConfiguration, format!("{data} is the data directory of another node"))
         .found(format!("node {found} of network {found_network}"))
         .wanted(format!("node {wanted} of network {wanted_network}, as [member] of {file} says"))
-        .next("give each node its own configuration and data directory"))
+        .next("use a separate configuration and data directory for each node"))
 }
 
 #[cfg(test)]

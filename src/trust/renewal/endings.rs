@@ -28,7 +28,7 @@ impl Endings {
         self.told = now;
         let lists = revocation_lists(&**ledger.state()).unwrap_or_default();
         for ending in endings(own, &ledger.msps(), &lists, now) {
-            tracing::warn!(%ending, "something that people have to renew ends soon");
+            tracing::warn!(%ending, "certificate or list expires soon");
         }
     }
 }
@@ -37,8 +37,8 @@ impl Endings {
 fn endings(own: &[u8], msps: &Msps, lists: &[ListRecord], now: u64) -> Vec<String> {
     let near = |end: u64| end < now.saturating_add(WARNING_DAYS * DAY);
     let left = |end: u64| match end.checked_sub(now) {
-        Some(left) => format!("ends in {} days", left / DAY),
-        None => format!("has ended {} days ago", (now - end) / DAY),
+        Some(left) => format!("expires in {} days", left / DAY),
+        None => format!("expired {} days ago", (now - end) / DAY),
     };
     let certificate = |what: &str, der: &[u8]| {
         let Certificate { subject, not_before, not_after, .. } = Certificate::parse(der).ok()?;

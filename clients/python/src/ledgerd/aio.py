@@ -26,6 +26,7 @@ from ledgerd.refusal import Refusal, of_verdict, refusal
 from ledgerd.renewal import renew_if_due
 from ledgerd.senders import ABAC, Senders
 from ledgerd.session import CONNECT_MAX, Session
+from ledgerd.spans import scaled
 from ledgerd.transaction import Call, prepare
 from ledgerd.v1 import gateway_pb2 as api
 
@@ -108,16 +109,16 @@ class Client:
         id = done.id.hex()
         raise refusal(
             "CONTRADICTED",
-            f"transaction {id} was executed by a node, and the network does not have it",
+            f"transaction {id} was executed by a node, but is not part of the network's chain",
             found=f"an answer for block {done.height} that is not certified",
             wanted="a certified outcome",
-            next="look at ledgerctl network status, and call again what is still wanted",
+            next="check ledgerctl network status, and repeat calls that are still wanted",
         )
 
     async def certified(self, id: bytes, within: float = CERTIFIED_WITHIN) -> bool:
         """Waits at most so many seconds until a transaction is certified, as the node says. Is it?"""
         self._process.check()
-        request = api.GetTransactionRequest(id=id, certified_within_ms=int(within * 1000))
+        request = api.GetTransactionRequest(id=id, certified_within_ms=scaled("within", within, 1000))
         record = await self._session.ask(lambda link: link.ask(link.get_transaction, request, CONNECT_MAX))
         return bool(record.certified)
 
@@ -135,7 +136,7 @@ class Client:
     async def _submit(self, call: Call, ttl: float) -> Committed:
         self._process.check()
         session = self._session
-        context, not_after = session.context, self.now() + int(ttl * 1_000_000)
+        context, not_after = session.context, self.now() + scaled("ttl", ttl, 1_000_000)
         own = context.chain[0]
         known = session.known_block()
         transaction = prepare(

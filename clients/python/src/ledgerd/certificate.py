@@ -86,7 +86,7 @@ def signer(der: bytes, organisations: Iterable[Organisation]) -> tuple[str, x509
         "a certificate is of no organisation that the context knows",
         found=f"{certificate.subject.rfc4514_string()}, issued by {certificate.issuer.rfc4514_string()}",
         wanted="a certificate below a root of one of: " + ", ".join(one.name for one in organisations),
-        next="learn the organisations of the network, then try again: ledgerctl context refresh",
+        next="update the organisations of the context, then try again: ledgerctl context refresh",
     )
 
 
@@ -102,7 +102,7 @@ def check_own(der: bytes, chain: Sequence[bytes], organisation: Organisation, mo
         f"a certificate is not of {organisation.name}",
         found=f"{certificate.subject.rfc4514_string()}, issued by {certificate.issuer.rfc4514_string()}",
         wanted=f"a certificate below a root of {organisation.name} that is valid now",
-        next="enrol at another node of the organisation, and tell its admin",
+        next="enrol at another node of the organisation, and inform its admin",
     )
 
 
@@ -187,7 +187,7 @@ def expired(certificate: x509.Certificate, organisation: str, now: int) -> Refus
             "CERTIFICATE_EXPIRED",
             f"the certificate of {organisation}/{name} has expired",
             found=f"its end on {moment(last):%Y-%m-%dT%H:%M:%SZ}",
-            wanted="a certificate that is still valid; it is renewed at use in the last third of its life",
+            wanted="a valid certificate; it is renewed when used in the last third of its validity",
             next=f"ask an admin of {organisation} for: {again}",
         )
     if now < first:

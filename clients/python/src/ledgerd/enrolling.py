@@ -80,9 +80,9 @@ async def enrol(
     if not force and name in names(place):
         raise refusal(
             "ALREADY_EXISTS",
-            f'there is a context "{name}" already',
+            f'the context "{name}" exists already',
             found=f"a key in {place / files.CONTEXTS / name}",
-            wanted="a name that is free: the key would be lost",
+            wanted="an unused name: the key would be lost",
             next="choose another name for the context, or replace it with force",
         )
     directory, private = _begin(place, name, invitation, key)
@@ -117,9 +117,9 @@ def _begin(home: Path, context: str, invitation: Invitation, kind: KeyKind | Non
         if kind not in (None, found):
             raise refusal(
                 "BAD_ARGUMENT",
-                "this enrolment was begun with a key of another kind",
+                "this enrolment was started with another kind of key",
                 found=f"a key of kind {found} in {directory}",
-                wanted="the same kind, in case the certificate was issued already",
+                wanted="the same kind, because the certificate may have been issued already",
                 next="leave out the kind of the key",
             )
         return directory, earlier
@@ -189,7 +189,7 @@ async def _pinned(door: str, pinned: str) -> bytes:
             return der
     raise refusal(
         "UNTRUSTED",
-        f"the node at {door} is not accepted: its CA is not the one that you were told",
+        f"the node at {door} is not trusted: its CA has another fingerprint",
         found=", ".join(map(certificate.fingerprint, shown)),
         wanted=pinned,
         next="ask the operator of the node for the fingerprint of its CA",
@@ -219,7 +219,7 @@ def _checked(
         )
     own = next((one for one in organisations if one.name == answer.organisation), None)
     if own is None or len(answer.network.network) != 32:
-        raise _unfit(invitation, f"organisation {answer.organisation!r}, which the network does not have")
+        raise _unfit(invitation, f"organisation {answer.organisation!r}, which is not part of the network")
     now = certificate.moment(time.time_ns() // 1000)
     made = certificate.check_own(answer.certificate, answer.chain, own, now)
     if not is_of_key(made, key):
@@ -241,7 +241,7 @@ def _unfit(invitation: Invitation, found: str) -> Refusal:
         f"the node at {invitation.node} certified something else than was asked",
         found=found,
         wanted=f'a certificate of "{invitation.name}" with our key, issued below CA {invitation.ca_fingerprint}',
-        next="enrol at another node of the organisation, and tell its admin",
+        next="enrol at another node of the organisation, and inform its admin",
     )
 
 

@@ -48,10 +48,10 @@ def home() -> Path:
             return Path(value) / below
     raise refusal(
         "BAD_FILE",
-        "there is no place for contexts",
-        found="neither LEDGERD_HOME nor XDG_CONFIG_HOME nor HOME is set",
-        wanted="a directory for them",
-        next="set LEDGERD_HOME to one",
+        "no directory for contexts",
+        found="LEDGERD_HOME, XDG_CONFIG_HOME and HOME are not set",
+        wanted="one of these variables",
+        next="set LEDGERD_HOME to a directory",
     )
 
 
@@ -81,9 +81,9 @@ def read_secret(path: Path) -> str:
         if mode & _OTHERS:
             raise bad_file(
                 path,
-                f"mode {mode:04o}: others can read or change the key",
+                f"mode {mode:04o}: other users can read or change the key",
                 wanted=f"mode {_SECRET_MODE:04o}",
-                next=f"chmod 600 {path}, and enrol again if somebody may have read it",
+                next=f"chmod 600 {path}, and enrol again if others may have read it",
             )
     return read(path)
 
@@ -115,10 +115,10 @@ def changing(home: Path, patience: float = _WRITER_WAITS_MAX) -> Iterator[None]:
         if not _wait(patience, lambda: _locked(descriptor, fcntl.LOCK_EX)):
             raise refusal(
                 "BAD_FILE",
-                f"another program changes the contexts in {home}",
-                found=f"a lock on {path} that is not released",
+                f"another program is changing the contexts in {home}",
+                found=f"a lock on {path}",
                 wanted="one change at a time",
-                next=f"end that program: fuser {path}",
+                next=f"wait for that program, or end it: fuser {path}",
             )
         yield
     finally:
@@ -240,7 +240,7 @@ def check_name(name: str) -> None:
         return
     raise refusal(
         "NO_CONTEXT",
-        "a context cannot have this name",
+        "the name of the context is not usable",
         found=repr(name[:_NAME_BYTES_MAX]),
         wanted=f'1 to {_NAME_BYTES_MAX} bytes of letters, digits, "-", "_" and "."',
         next="choose another name",

@@ -17,6 +17,7 @@ from ledgerd.events import Deliveries, Wanted
 from ledgerd.rclpy_messages import serialize
 from ledgerd.refusal import Expired, Refusal, refusal
 from ledgerd.senders import ABAC
+from ledgerd.spans import scaled
 
 if TYPE_CHECKING:
     from ledgerd.aio import Client
@@ -32,15 +33,15 @@ _RENEW_AGAIN_AFTER: Final = 0.2
 # How long giving back may hold up a program that ends, in seconds.
 _RELEASE_MAX: Final = 5.0
 _LEFT: Final[Mapping[str, tuple[str, str]]] = {
-    "timed_out": ("HELD", "others held it as long as you waited"),
-    "policy": ("DENIED_BY_POLICY", "its policies no longer permit you to have it"),
+    "timed_out": ("HELD", "others held it for your whole waiting time"),
+    "policy": ("DENIED_BY_POLICY", "its policies no longer permit you to acquire it"),
     "revoked": ("REVOKED", "your certificate is revoked"),
-    "expired": ("CERTIFICATE_EXPIRED", "your certificate has run out"),
-    "unconfirmed": ("HELD", "too few confirmed you in time"),
-    "left": ("HELD", "you left the line with another command"),
-    "removed": ("HELD", "an admin of its owner sent you out of the line"),
-    "robot_removed": ("UNKNOWN_SERVICE", "it was taken out of service"),
-    "rule": ("HELD", "its owner changed the rule, and the line is shorter or gone"),
+    "expired": ("CERTIFICATE_EXPIRED", "your certificate has expired"),
+    "unconfirmed": ("HELD", "not enough confirmations in time"),
+    "left": ("HELD", "another command of yours left the queue"),
+    "removed": ("HELD", "an admin of its owner removed you from the queue"),
+    "robot_removed": ("UNKNOWN_SERVICE", "it was removed"),
+    "rule": ("HELD", "its owner changed the rule, which shortened or removed the queue"),
 }
 
 
@@ -56,7 +57,7 @@ class Published:
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked for: a service, for how long without use, how long to wait for it, and with which priority."""
+    """The terms of a request: service, longest wait and lease in seconds, priority."""
 
     service: str
     wait: float = 0.0
@@ -65,9 +66,9 @@ class Asked:
 
     def arguments(self) -> tuple[bytes, bytes]:
         """As the chaincode wants it. Without a wait it refuses instead of putting us in line."""
-        options: dict[str, int] = {"wait_ms": int(self.wait * 1000)}
+        options: dict[str, int] = {"wait_ms": scaled("wait", self.wait, 1000)}
         if self.lease is not None:
-            options["lease_ms"] = int(self.lease * 1000)
+            options["lease_ms"] = scaled("lease", self.lease, 1000)
         if self.priority is not None:
             options["priority"] = self.priority
         return self.service.encode(), json.dumps(options).encode()
@@ -276,13 +277,13 @@ async def _turn(deliveries: Deliveries, contender: str, service: str) -> Mapping
 
 
 def _not_yours(service: str, reason: str) -> Refusal:
-    code, why = _LEFT.get(reason, ("HELD", "you are no longer in line"))
+    code, why = _LEFT.get(reason, ("HELD", "you are no longer in the queue"))
     return refusal(
         code,
-        f"{service} is not yours: {why}",
-        found=f"out of the line: {reason}",
+        f"{service} is not acquired: {why}",
+        found=f"removed from the queue: {reason}",
         wanted=f"a grant of {service}",
-        next=f"to see who holds it and who waits: ledgerctl queue {service}",
+        next=f"to see holders and queue: ledgerctl queue {service}",
     )
 
 

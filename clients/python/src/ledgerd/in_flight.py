@@ -213,14 +213,14 @@ def _given_up(entry: _Entry, broken: Refusal | None) -> Refusal:
     reason = broken or entry.refused
     if entry.uncertain or entry.state is _State.SENT:
         return _unknown(entry, reason.message if reason else "the node did not answer")
-    return reason or refusal("UNREACHABLE", "no node took the transaction")
+    return reason or refusal("UNREACHABLE", "no node accepted the transaction")
 
 
 def _unknown(entry: _Entry, why: str) -> Refusal:
     id = entry.transaction.id.hex()
     return refusal(
         "TIMEOUT",
-        f"no verdict came in time; the outcome is unknown, the id is {id}",
+        f"no verdict in time; the outcome is unknown, the id is {id}",
         found=f"sent {entry.attempts} times; {why}",
         wanted="a verdict",
         next=f"ledgerctl tx {id}",

@@ -162,7 +162,7 @@ def clocks_differ(address: str, here: int, there: int) -> Refusal:
 
 def _other_network(address: str, context: Context, told: enrolment.NetworkResponse) -> Refusal:
     found = f'network {told.network.hex()} "{told.label}"'
-    wanted = f"network {context.network.hex()}, of which the context is"
+    wanted = f"network {context.network.hex()}, as in the context"
     if any(one.name == context.organisation for one in told.organisations):
         advice = f"ask an admin of {context.organisation} in that network to register you, then enrol again with force"
     else:

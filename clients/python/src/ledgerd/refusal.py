@@ -33,7 +33,7 @@ class Refusal(Exception):
 
     def __init__(self, number: int, message: str, *, found: str = "", wanted: str = "", next: str = "") -> None:
         if number not in CODES:
-            message = f"{message} (code {number}, which this version does not know)"
+            message = f"{message} (code {number}, unknown to this version)"
             number = _INTERNAL
         super().__init__(number, message)
         self.number = number
@@ -127,7 +127,7 @@ def of_status(address: str, code: str, text: str, details: bytes | None) -> Refu
     told = _detailed(text, details) if details else None
     if told is not None:
         return told
-    name, advice = _BY_GRPC.get(code, ("INTERNAL", "look into the log of the node"))
+    name, advice = _BY_GRPC.get(code, ("INTERNAL", "check the log of the node"))
     return refusal(name, f"the call to {address} failed", found=f"{code}: {text}", next=advice)
 
 
@@ -147,7 +147,7 @@ def _detailed(text: str, details: bytes) -> Refusal | None:
     return numbered(int(number), first[0] or first[2], **texts)
 
 
-_ELSEWHERE: Final = "try again, or another node"
+_ELSEWHERE: Final = "try again, or use another node"
 _BY_GRPC: Final = {
     "UNAVAILABLE": ("UNREACHABLE", _ELSEWHERE),
     "UNKNOWN": ("UNREACHABLE", _ELSEWHERE),
@@ -159,9 +159,9 @@ _BY_GRPC: Final = {
     "DEADLINE_EXCEEDED": ("TIMEOUT", _ELSEWHERE),
     "UNAUTHENTICATED": ("CERTIFICATE_REQUIRED", "enrol first: ledgerctl enroll"),
     "PERMISSION_DENIED": ("UNTRUSTED", "ask an admin of your organisation"),
-    "NOT_FOUND": ("NOT_FOUND", "check what was asked for"),
+    "NOT_FOUND": ("NOT_FOUND", "check the arguments"),
     "RESOURCE_EXHAUSTED": ("OVERLOADED", "send less, or wait"),
-    "OUT_OF_RANGE": ("TOO_LARGE", "send it in several parts"),
-    "INVALID_ARGUMENT": ("MALFORMED", "check what was sent"),
-    "UNIMPLEMENTED": ("INTERNAL", "upgrade the node: it does not know this call"),
+    "OUT_OF_RANGE": ("TOO_LARGE", "split it into several calls"),
+    "INVALID_ARGUMENT": ("MALFORMED", "check the arguments"),
+    "UNIMPLEMENTED": ("INTERNAL", "upgrade the node: it does not support this call"),
 }

@@ -75,10 +75,10 @@ async def _ask(session: Session, stored: Context) -> Context:
     if not is_of_key(made, key) or (made.subject, made.issuer) != (own.subject, own.issuer):
         raise refusal(
             "UNTRUSTED",
-            "the CA certified something else than was asked",
+            "the certificate does not match the request",
             found=made.subject.rfc4514_string(),
             wanted=f"a certificate of {own.subject.rfc4514_string()} with our new key",
-            next="tell the admin of the organisation; the present certificate stays in use",
+            next="inform the admin of the organisation; the current certificate stays in use",
         )
     return await asyncio.to_thread(stored.certified, (answer.certificate, *stored.chain[1:]), key)
 

@@ -298,7 +298,7 @@ class Session:
 
     async def _wait_unwanted(self, link: Link) -> None:
         await self._unwanted.wait()
-        raise tls.unreachable(link.address, "the node could not serve, another one is tried")
+        raise tls.unreachable(link.address, "the node could not serve; trying another one")
 
     async def _sweep(self) -> None:
         while True:

@@ -31,7 +31,7 @@ _ALERTS: Final = {
     ),
     "UNKNOWN_CA": (
         "UNTRUSTED",
-        "is not of an organisation of its network",
+        "belongs to no organisation of its network",
         "check that the context is of this node's network",
     ),
     "CERTIFICATE_REVOKED": ("REVOKED", "was revoked", "ask an admin of your organisation"),
@@ -167,7 +167,7 @@ def _check_role(address: str, der: bytes) -> None:
     if found != "node":
         raise refusal(
             "WRONG_ROLE",
-            f"the node at {address} is not accepted: its certificate is not a node's",
+            f"the node at {address} is not trusted: its certificate is not a node's",
             found=f"{certificate.common_name(shown)} with role {found}",
             wanted="role node",
             next="check the address; if it is right, tell the admin of the network",
@@ -194,7 +194,7 @@ def unreachable(address: str, reason: str) -> Refusal:
         f"cannot reach a node at {address}",
         found=reason,
         wanted="a running node that accepts connections",
-        next=f"check that ledgerd runs there and that nothing blocks the port: nc -vz {address.replace(':', ' ')}",
+        next=f"check that ledgerd is running there and that no firewall blocks the port: nc -vz {address.replace(':', ' ')}",
     )
 
 
@@ -225,7 +225,7 @@ def alerted(address: str, error: ssl.SSLError) -> Refusal | None:
             return _refused(address, code, what, alert, advice)
     for alert in _UNACCEPTED:
         if reason.endswith(f"ALERT_{alert}"):
-            advice = "look into the node's log for the reason, then enrol again"
+            advice = "check the node's log for the reason, then enrol again"
             return _refused(address, "UNTRUSTED", "is not accepted", alert, advice)
     return None
 
@@ -240,7 +240,7 @@ def ended(address: str, error: BaseException | None) -> Refusal:
 def _refused(address: str, code: str, what: str, alert: str, advice: str) -> Refusal:
     return refusal(
         code,
-        f"the node at {address} refuses the connection: our certificate {what}",
+        f"the node at {address} rejects the connection: our certificate {what}",
         found=f"TLS alert {alert}",
         wanted="a valid certificate of an organisation of the network",
         next=advice,
@@ -248,7 +248,7 @@ def _refused(address: str, code: str, what: str, alert: str, advice: str) -> Ref
 
 
 def _not_accepted(address: str, error: ssl.SSLCertVerificationError) -> Refusal:
-    first = f"the node at {address} is not accepted"
+    first = f"the node at {address} is not trusted"
     if error.verify_code == _EXPIRED:
         advice = "check the clock of this machine; if it is right, inform the node's operator"
         return refusal("CERTIFICATE_EXPIRED", f"{first}: its certificate has expired", found=error.verify_message, next=advice)

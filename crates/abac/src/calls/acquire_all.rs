@@ -62,10 +62,10 @@ fn one(
         Outcome::InLine { .. } => return Err(holders::held(target, &grant::live(ctx, &target.id)?)),
         Outcome::After { .. } => {
             if let Some(pending) = confirmation::first(ctx, decider, target, principal, options)? {
-                return Err(Rejection::new(Code::Held, format!("others must confirm {} first", principal.id()))
+                return Err(Rejection::new(Code::Held, format!("{} must be confirmed first", principal.id()))
                     .found(format!("{} of {} confirmations", pending.confirmed.len(), pending.wanted))
-                    .wanted("a contender that is confirmed")
-                    .next(format!("ask for it alone first: ledgerctl acquire {}", target.id)));
+                    .wanted("a confirmed contender")
+                    .next(format!("acquire it alone first: ledgerctl acquire {}", target.id)));
             }
         }
         Outcome::Own(_) => {}

@@ -38,10 +38,10 @@ pub(crate) fn described(attributes: Option<Attributes>, bytes_max: usize) -> Res
     if bytes <= bytes_max {
         return Ok(attributes);
     }
-    Err(Rejection::new(Code::LimitExceeded, "the attributes are too large together")
+    Err(Rejection::new(Code::LimitExceeded, "the attributes together are too large")
         .found(format!("{bytes} bytes of names and values"))
         .wanted(format!("at most {bytes_max} bytes"))
-        .next("remove attributes that no policy speaks of"))
+        .next("remove attributes that no policy uses"))
 }
 
 /// Gives some attributes other values, or removes them.
@@ -110,7 +110,7 @@ fn check_value(name: &str, value: Attribute) -> Result<Attribute, Rejection> {
         Err(Rejection::new(Code::BadArgument, format!("the value of the attribute {name} is not usable"))
             .found(found)
             .wanted(wanted)
-            .next("give a shorter one, or several attributes"))
+            .next("use a shorter value, or several attributes"))
     };
     let texts = match &value {
         Attribute::Number(_) => return Ok(value),

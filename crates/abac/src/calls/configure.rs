@@ -33,7 +33,7 @@ fn apply(settings: &RobotSettings, service: Service) -> Result<ServiceSpec, Reje
     for key in &settings.clear {
         if !sharing.clear(key) {
             let keys: Vec<&str> = Sharing::keys().collect();
-            return Err(Rejection::new(Code::BadArgument, "no setting of a rule has this name")
+            return Err(Rejection::new(Code::BadArgument, "there is no rule setting of this name")
                 .found(shown(key))
                 .wanted(keys.join(", "))
                 .next(did_you_mean(key, keys, "")));
@@ -77,11 +77,11 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
             let service = target.service_id();
             return Err(Rejection::new(
                 Code::BadArgument,
-                format!("the places {} have no settings of their own", target.id),
+                format!("the subscriber slots of {} have no settings of their own", target.id),
             )
-            .found("places of subscribers")
+            .found("subscriber slots")
             .wanted(service)
-            .next(format!("set those of the service: ledgerctl robot set {service} KEY=VALUE")));
+            .next(format!("change those of the service: ledgerctl robot set {service} KEY=VALUE")));
         }
         for service in after.services.iter_mut().filter(|service| service.topic == target.service.topic) {
             if let (Some(changes), false) = (&settings.attributes, topic.is_empty()) {

@@ -26,7 +26,7 @@ pub(crate) fn confirm(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     if contender == principal.id() && !active(Mutation::CountTheRequester) {
         return Err(Rejection::new(Code::BadArgument, format!("{contender} cannot confirm itself"))
             .found("the contender")
-            .wanted("somebody else")
+            .wanted("another identity")
             .next(format!("ask {}", who_may(&target))));
     }
     decider::may_confirm(ctx, decider, &principal, &target)?;
@@ -73,15 +73,15 @@ fn told_or_fault(refused: Rejection) -> Result<(Option<Acquired>, String), Rejec
 
 fn who_may(target: &Target) -> String {
     let owner = &target.robot.organisation;
-    format!("an admin of {owner}, or somebody whom its policies permit the action confirm")
+    format!("an admin of {owner}, or an identity to which its policies permit the action confirm")
 }
 
 fn nothing_to_confirm(ctx: &Context<'_>, target: &Target, contender: &str) -> Result<Rejection, Rejection> {
     let waiting: Vec<String> = pending::all(ctx, &target.id)?.iter().map(|asking| asking.principal.id()).collect();
-    let found = if waiting.is_empty() { "nobody waits to be confirmed".to_owned() } else { waiting.join(", ") };
-    let message = format!("{} does not wait to be confirmed for {}", shown(contender), target.id);
+    let found = if waiting.is_empty() { "no contender waits for confirmation".to_owned() } else { waiting.join(", ") };
+    let message = format!("{} does not wait for a confirmation for {}", shown(contender), target.id);
     Ok(Rejection::new(Code::NotFound, message)
         .found(found)
-        .wanted("somebody who waits to be confirmed")
-        .next(format!("it asks with: ledgerctl acquire {}", target.id)))
+        .wanted("a contender that waits for confirmation")
+        .next(format!("the contender requests it with: ledgerctl acquire {}", target.id)))
 }

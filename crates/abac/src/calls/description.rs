@@ -68,9 +68,9 @@ pub(crate) fn check_base(name: &str, before: Option<&Robot>, base: Option<&str>)
     };
     match base {
         Some(base) if base != registered => {
-            Err(Rejection::new(Code::RobotChanged, format!("robot {name} has changed meanwhile"))
+            Err(Rejection::new(Code::RobotChanged, format!("robot {name} has changed in the meantime"))
                 .found(told(&registered))
-                .wanted(format!("{}, which this was made from", told(base))))
+                .wanted(format!("{}, from which this was made", told(base))))
         }
         _ => Ok(()),
     }
@@ -85,11 +85,11 @@ pub(crate) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection>
         None => Ok(()),
         Some(known) => Err(Rejection::new(
             Code::AlreadyExists,
-            format!("{name} differs from a robot's name only in the case of its letters"),
+            format!("{name} differs from a robot's name only in upper and lower case"),
         )
         .found(format!("robot {known}"))
-        .wanted("a name that people can tell from those of other robots")
-        .next(format!("choose another name; or use {known}, exactly so"))),
+        .wanted("a name that is visibly different from those of other robots")
+        .next(format!("choose another name, or use exactly {known}"))),
     }
 }
 
@@ -132,19 +132,19 @@ pub(crate) fn check_service(decider: &Decider, spec: ServiceSpec) -> Result<Serv
         Err(Rejection::new(Code::BadArgument, format!("{field} of service {topic} is out of range"))
             .found(format!("{value} ms"))
             .wanted(format!("{min} to {max} ms"))
-            .next("give a value within this range"))
+            .next("use a value within this range"))
     };
     let max_age_ms = within("max_age_ms", spec.max_age_ms.unwrap_or(AGE_MS_DEFAULT), 1, AGE_MS_MAX)?;
     let lease_ms = spec.lease_ms.or(spec.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));
     let lease_ms = within("lease_ms", lease_ms.unwrap_or(LEASE_MS_DEFAULT), LEASE_MS_MIN, LEASE_MS_MAX)?;
     let longest = spec.lease_ms_max.unwrap_or(LEASE_MS_MAX_DEFAULT.max(lease_ms));
     let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX).map_err(|refused| {
-        refused.next(format!("lease_ms is {lease_ms} ms, and lease_ms_max is never shorter: set both"))
+        refused.next(format!("lease_ms is {lease_ms} ms, and lease_ms_max must not be shorter: set both"))
     })?;
     if let Some(stop) = &spec.stop_hex {
         let length = hex::decode(stop).map(|bytes| bytes.len()).unwrap_or_default();
         if !(4..=STOP_BYTES_MAX).contains(&length) {
-            return Err(Rejection::new(Code::BadArgument, format!("stop_hex of service {topic} is no message"))
+            return Err(Rejection::new(Code::BadArgument, format!("stop_hex of service {topic} is not a message"))
                 .found(shown(stop))
                 .wanted(format!("4 to {STOP_BYTES_MAX} bytes of CDR in hexadecimal digits")));
         }
@@ -180,7 +180,7 @@ fn check_speeds(direction: Direction, type_name: &str, sharing: &Sharing, topic:
         Err(Rejection::new(Code::BadArgument, format!("service {topic} cannot have {key}"))
             .found(format!("{direction} of {type_name}"))
             .wanted(format!("commands of {wanted}"))
-            .next(format!("leave {key} out: the gate knows no such speed in these messages")))
+            .next(format!("omit {key}: the gate finds no such speed in these messages")))
     };
     if max_angular_mrad_s.is_some() && !has_angular {
         return refused("max_angular_mrad_s", &BOTH.join(" or "));
@@ -199,7 +199,7 @@ fn check_confidential(sharing: &Sharing, type_name: &str, topic: &str) -> Result
     Err(Rejection::new(Code::BadArgument, format!("service {topic} cannot be confidential"))
         .found(format!("confidential=true for the calls of {type_name}"))
         .wanted("confidential=true for messages: a type PACKAGE/msg/NAME")
-        .next("leave confidential out: calls and actions are not encrypted"))
+        .next("omit confidential: calls and actions are not encrypted"))
 }
 
 pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
@@ -209,7 +209,7 @@ pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
             none if none.is_empty() => "name the attribute that users must have".to_owned(),
             question => format!("{question} A robot requires one attribute; a policy may demand more"),
         };
-        return Err(Rejection::new(Code::BadArgument, "attribute_required is no attribute")
+        return Err(Rejection::new(Code::BadArgument, "attribute_required is not an attribute")
             .found(shown(required))
             .wanted(ATTRIBUTE_FORM)
             .next(advice));
@@ -225,9 +225,12 @@ pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
 
 fn check_services(decider: &Decider, robot: &str, specs: Vec<ServiceSpec>) -> Result<Vec<Service>, Rejection> {
     if !(1..=SERVICES_MAX).contains(&specs.len()) {
-        return Err(Rejection::new(Code::BadArgument, format!("robot {robot} has no usable number of services"))
-            .found(format!("{} services", specs.len()))
-            .wanted(format!("1 to {SERVICES_MAX}")));
+        return Err(Rejection::new(
+            Code::BadArgument,
+            format!("the number of services of robot {robot} is out of range"),
+        )
+        .found(format!("{} services", specs.len()))
+        .wanted(format!("1 to {SERVICES_MAX}")));
     }
     let services = specs.into_iter().map(|spec| check_service(decider, spec)).collect::<Result<Vec<_>, _>>()?;
     let mut topics = BTreeSet::new();
@@ -250,7 +253,7 @@ pub(crate) fn check_trusted(ctx: &mut Context<'_>, trusted: Vec<String>) -> Resu
     if let Some(stranger) = trusted.iter().find(|name| !members.contains(name)) {
         return Err(Rejection::new(
             Code::BadArgument,
-            format!("{} is no organisation of this network", shown(stranger)),
+            format!("{} is not an organisation of this network", shown(stranger)),
         )
         .found(shown(stranger))
         .wanted(format!("some of {}", members.join(", ")))
@@ -272,7 +275,7 @@ pub(crate) fn check_topic(topic: &str) -> Result<(), Rejection> {
     if valid {
         return Ok(());
     }
-    Err(Rejection::new(Code::BadName, "topic is not a ROS 2 name")
+    Err(Rejection::new(Code::BadName, "the topic is not a ROS 2 name")
         .found(shown(topic))
         .wanted("a leading slash and names of letters, digits and \"_\" between slashes, e.g. /cmd_vel"))
 }
@@ -292,7 +295,7 @@ fn check_type(type_name: &str) -> Result<(), Rejection> {
         [package, name] if is_ros_name(package) && is_ros_name(name) => format!("did you mean {package}/msg/{name}?"),
         _ => String::new(),
     };
-    Err(Rejection::new(Code::BadName, "type is not a ROS 2 message type")
+    Err(Rejection::new(Code::BadName, "the type is not a ROS 2 message type")
         .found(shown(type_name))
         .wanted("PACKAGE/msg/NAME, e.g. geometry_msgs/msg/Twist")
         .next(next))

@@ -68,7 +68,7 @@ impl Case {
         } else {
             let names = OF_SERVICE.map(Action::name).into_iter().chain(OF_ROBOT.map(RobotAction::name));
             let names: Vec<&str> = names.collect();
-            return Err(Rejection::new(Code::BadArgument, "no action has this name")
+            return Err(Rejection::new(Code::BadArgument, "there is no action of this name")
                 .found(shown(name))
                 .wanted(names.join(", "))
                 .next(did_you_mean(name, names, "")));

@@ -29,13 +29,13 @@ pub(crate) fn reader(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
             format!("{} may not change the reader {}", caller.id(), shown(&who)),
         )
         .found(format!("role {} of {}", caller.role, caller.organisation))
-        .wanted(format!("the reader itself, or an admin of {} who takes it out", target.robot.organisation))
-        .next("leave READER out to enter yourself"));
+        .wanted(format!("the reader itself, or an admin of {} to remove it", target.robot.organisation))
+        .next("omit READER to register yourself"));
     }
     let before = reader::find(ctx, &target.id, &who)?;
     if key == NONE {
         let before = before.ok_or_else(|| {
-            Rejection::new(Code::NotFound, format!("{} is no reader of {}", shown(&who), target.id))
+            Rejection::new(Code::NotFound, format!("{} is not a reader of {}", shown(&who), target.id))
                 .found("no reader of that name")
                 .wanted("one of the service's readers")
                 .next(format!("ledgerctl readers {}", target.id))
@@ -61,10 +61,17 @@ fn of_messages(target: Target) -> Result<Target, Rejection> {
         return Ok(target);
     }
     let service = target.service_id();
-    Err(Rejection::new(Code::UnknownService, format!("{} has no messages, it is the places of subscribers", target.id))
-        .found("places for reading")
-        .wanted(service)
-        .next(format!("enter as a reader of {service}")))
+    Err(Rejection::new(
+        Code::UnknownService,
+        format!(
+            "{} has no messages: it stands for the subscriber slots of a \
+                                                      service",
+            target.id
+        ),
+    )
+    .found("subscriber slots")
+    .wanted(service)
+    .next(format!("register as a reader of {service}")))
 }
 
 /// Room for one more reader: those whose certificates have expired leave.
@@ -76,10 +83,10 @@ fn make_room(ctx: &mut Context<'_>, target: &Target) -> Result<(), Rejection> {
     let now = ctx.block_time();
     let expired: Vec<&Entered> = readers.iter().filter(|entered| entered.principal.not_after <= now).collect();
     if expired.is_empty() {
-        return Err(Rejection::new(Code::LimitExceeded, format!("{} has no room for another reader", target.id))
+        return Err(Rejection::new(Code::LimitExceeded, format!("{} has reached its limit of readers", target.id))
             .found(format!("{} readers", readers.len()))
             .wanted(format!("at most {READERS_MAX}"))
-            .next(format!("an admin of the owner takes one out: ledgerctl readers {} --remove READER", target.id)));
+            .next(format!("an admin of the owner can remove one: ledgerctl readers {} --remove READER", target.id)));
     }
     for entered in expired {
         reader::leave(ctx, &target.id, entered)?;

@@ -56,8 +56,8 @@ fn not_passed_on(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
         [own] if own.grant.holder == who => format!("held by {who}, until {}", holders::until(&own.grant)),
         _ => holders::holders_of(who, holders),
     };
-    Rejection::new(Code::NotHolder, format!("{who} has passed on no grant of {} that is left", target.id))
+    Rejection::new(Code::NotHolder, format!("{who} has delegated no current grant of {}", target.id))
         .found(found)
         .wanted("a grant that it delegated")
-        .next(format!("to get it: ledgerctl acquire {}", target.id))
+        .next(format!("to acquire it: ledgerctl acquire {}", target.id))
 }

@@ -52,9 +52,9 @@ pub(crate) fn release(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
 fn nothing_to_release(who: &str, target: &Target, holders: &[Holding]) -> Rejection {
     let (id, owner) = (&target.id, &target.robot.organisation);
     let next = match holders {
-        [] => format!("there is nothing to release; ledgerctl robot show {} tells who holds what", target.robot.name),
+        [] => format!("there is nothing to release; ledgerctl robot show {} shows the holders", target.robot.name),
         [holding] if holding.grant.holder == who => {
-            format!("it ends by itself; to end it now: ledgerctl acquire {id}, then release it")
+            format!("it expires by itself; to end it now: ledgerctl acquire {id}, then release it")
         }
         _ => format!("only the holder, or an admin of {owner}, can release it"),
     };
@@ -67,7 +67,7 @@ fn nothing_to_release(who: &str, target: &Target, holders: &[Holding]) -> Reject
 fn not_yours_to_take(principal: &Principal, target: &Target, holder: &str) -> Rejection {
     let (id, owner) = (&target.id, &target.robot.organisation);
     let code = if principal.organisation == *owner { Code::NotAdmin } else { Code::NotOwner };
-    Rejection::new(code, format!("{} may not take {id} back from {}", principal.id(), shown(holder)))
+    Rejection::new(code, format!("{} may not revoke the grant of {id} of {}", principal.id(), shown(holder)))
         .found(format!("role {} of {}", principal.role, principal.organisation))
         .wanted(format!("an admin of {owner}, which owns {}", target.robot.name))
         .next(format!("ask an admin of {owner}, or release your own grant: ledgerctl release {id}"))

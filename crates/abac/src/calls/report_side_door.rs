@@ -28,7 +28,7 @@ pub(crate) fn report(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rej
     check_reporter(submitter, &target.robot)?;
     if target.service.direction != Direction::Command || target.is_for_readers() {
         return Err(Rejection::new(Code::BadArgument, format!("{} has no side door", target.id))
-            .found(if target.is_for_readers() { "places of subscribers" } else { "a feed: the robot publishes there" })
+            .found(if target.is_for_readers() { "subscriber slots" } else { "a feed: the robot publishes there" })
             .wanted("a command service")
             .next(format!("choose a command service: ledgerctl robot show {}", target.robot.name)));
     }
@@ -42,7 +42,12 @@ pub(crate) fn report(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rej
     let (now, by) = (ctx.block_time(), submitter.id());
     let open = last.filter(|last| last.publishers > 0);
     if open.is_none() && publishers == 0 {
-        return Err(args.bad(2, "PUBLISHERS", "0, and no side door is open".to_owned(), "how many publish there"));
+        return Err(args.bad(
+            2,
+            "PUBLISHERS",
+            "0, although no side door is reported".to_owned(),
+            "the number of rogue publishers",
+        ));
     }
     let since = open.map_or(now, |open| open.since);
     let report = SideDoor { service: target.id.clone(), topic: topic.to_owned(), publishers, by, since, at: now };
@@ -73,8 +78,8 @@ fn check_pause(ctx: &Context<'_>, target: &Target, last: Option<&SideDoor>) -> R
         return Ok(());
     }
     let seconds = PAUSE_US / 1_000_000;
-    Err(Rejection::new(Code::LimitExceeded, format!("a side door of {} was reported just now", target.id))
+    Err(Rejection::new(Code::LimitExceeded, format!("a side door of {} was reported a moment ago", target.id))
         .found(format!("a report by {} {} s ago", last.by, since / 1_000_000))
         .wanted(format!("a report at most once in {seconds} s"))
-        .next("report again in a minute, if it is open then"))
+        .next("report again in a minute, if it is still open then"))
 }

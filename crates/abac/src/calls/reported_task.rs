@@ -17,7 +17,7 @@ pub(crate) fn find(ctx: &Context<'_>, id: u64) -> Result<Kept, Rejection> {
         Rejection::new(Code::NotFound, format!("there is no task {id}"))
             .found("no task with this number, or one that ended long ago")
             .wanted("the number of a task")
-            .next("ledgerctl task list tells the numbers; the event task tells how older ones ended")
+            .next("ledgerctl task list shows the numbers; the event task reports how older ones ended")
     })
 }
 
@@ -27,13 +27,13 @@ pub(crate) fn reported(ctx: &Context<'_>, id: u64) -> Result<Kept, Rejection> {
     let name = target::split(&kept.task.service).0;
     let robot: Option<Robot> = store::read(ctx, &store::robot_key(name))?;
     if submitter.id() != kept.task.submitter && !robot.as_ref().is_some_and(|robot| robot.is(submitter)) {
-        return Err(Rejection::new(Code::NotOwner, format!("{} may not report about task {id}", submitter.id()))
+        return Err(Rejection::new(Code::NotOwner, format!("{} may not report on task {id}", submitter.id()))
             .found(format!("role {} of {}", submitter.role, submitter.organisation))
             .wanted(format!("its submitter {}, or the robot {name} itself", kept.task.submitter))
             .next(format!("ask {}", kept.task.submitter)));
     }
     if tasks::grant_of(ctx, &kept)?.is_none() {
-        return Err(not(&kept, "running", "only a running task makes progress or fails; cancel another one"));
+        return Err(not(&kept, "running", "only a running task can progress or fail; cancel others"));
     }
     Ok(kept)
 }

@@ -48,9 +48,12 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     let before = last::read(ctx, &target.id, sequence, &publisher)?;
     let next_seq = last::follows(before.as_ref(), sequence, epoch);
     if first_seq < next_seq {
-        return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
-            .found(format!("sequence number {first_seq}"))
-            .wanted(format!("at least {next_seq}")));
+        return Err(Rejection::new(
+            Code::StaleSequence,
+            format!("newer messages of {} were published before", target.id),
+        )
+        .found(format!("sequence number {first_seq}"))
+        .wanted(format!("at least {next_seq}")));
     }
     let permitted = match &right {
         Right::Grant(own) => {

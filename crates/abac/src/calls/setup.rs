@@ -45,8 +45,9 @@ fn exists(ctx: &Context<'_>, robot: &Robot) -> Result<Rejection, Rejection> {
     let name = &robot.name;
     Ok(Rejection::new(Code::AlreadyExists, format!("robot {name} is registered already"))
         .found(format!("robot of {} with {}", robot.organisation, services.join(", ")))
-        .wanted("a name that no robot has")
+        .wanted("an unused name")
         .next(format!(
-            "to change it: ledgerctl robot set {name} KEY=VALUE; to replace all of it: ledgerctl robot add {name} --replace …"
+            "to change it: ledgerctl robot set {name} KEY=VALUE; to replace it completely: ledgerctl robot add {name} \
+             --replace …"
         )))
 }

@@ -36,9 +36,9 @@ pub(crate) fn share(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     publishing::may_publish(ctx, decider, submitter, &target, Some(epoch))?;
     let publisher = submitter.id();
     if reader::shared(ctx, &target.id, &publisher)?.is_some_and(|shared| shared.key >= ctx.height()) {
-        return Err(Rejection::new(Code::LimitExceeded, format!("{publisher} has shared a key in this block already"))
+        return Err(Rejection::new(Code::LimitExceeded, format!("{publisher} has already shared a key in this block"))
             .found("a second content key of one publisher in one block")
-            .wanted("one in a block: its height names it")
+            .wanted("one per block: the height identifies the key")
             .next("use the first one, or share again"));
     }
     let until = check_share(ctx, decider, &target, &share)?;
@@ -65,29 +65,32 @@ fn check_share(ctx: &Context<'_>, decider: &Decider, target: &Target, share: &Sh
     if !is_owners {
         return Err(Rejection::new(
             Code::ReadersChanged,
-            format!("{owner}, the owner of {id}, has no reading key there"),
+            format!("no reader of {owner}, the owner of {id}, has a key"),
         )
         .found("no reader that is an admin, a node or the robot of the owner")
-        .wanted(format!("one of {owner} at least: the owner always reads"))
+        .wanted(format!("at least one of {owner}: the owner can always read"))
         .next(format!("as an admin of {owner}: ledgerctl readers {id} --enter")));
     }
     let given = share.readers.iter().map(|Wrapped { reader, key, .. }| (reader.as_str(), key.as_str()));
     let is_exact = given.eq(wanted.iter().map(|(reader, key)| (reader.as_str(), key.as_str())));
     if !is_exact && !active(Mutation::ShareWithAnybody) {
-        let names = |names: Vec<&str>| if names.is_empty() { "nobody".to_owned() } else { names.join(", ") };
+        let names = |names: Vec<&str>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
         let given: Vec<&str> = share.readers.iter().take(READERS_MAX).map(|one| one.reader.as_str()).collect();
         return Err(Rejection::new(
             Code::ReadersChanged,
-            format!("the content key is not for those who read {id} now"),
+            format!("the content key is not for the current readers of {id}"),
         )
         .found(shown(&names(given)))
         .wanted(names(wanted.iter().map(|(reader, _)| reader.as_str()).collect()))
-        .next("wrap it for each of them with the key that they have now, in this order"));
+        .next("wrap it for each of them with their current key, in this order"));
     }
     if let Some(bad) = share.readers.iter().find(|one| !content_keys::is_hex(&one.wrapped, WRAPPED_BYTES)) {
-        return Err(Rejection::new(Code::BadArgument, format!("the content key for {} is not wrapped", bad.reader))
-            .found(format!("{} bytes of text", bad.wrapped.len()))
-            .wanted(format!("{} lower-case hexadecimal digits", 2 * WRAPPED_BYTES)));
+        return Err(Rejection::new(
+            Code::BadArgument,
+            format!("the content key for {} is not wrapped correctly", bad.reader),
+        )
+        .found(format!("{} bytes of text", bad.wrapped.len()))
+        .wanted(format!("{} lower-case hexadecimal digits", 2 * WRAPPED_BYTES)));
     }
     Ok(good)
 }

@@ -90,10 +90,13 @@ fn checked(ctx: &Context<'_>, args: Arguments<'_>, terms: ShareTerms, robot: &Ro
     };
     if attribute.is_some() && !robot.trusted.iter().any(|name| name == organisation) {
         let (name, trusted) = (&robot.name, robot.trusted.join(","));
-        let message = format!("{name} does not trust {organisation}, so its attributes do not count");
+        let message = format!("{name} does not trust {organisation}, so its attributes have no effect");
         return Err(Rejection::new(Code::BadArgument, message)
             .found(format!("trust={trusted}, and a share for those with {}", attribute.unwrap_or_default()))
-            .wanted(format!("{organisation} among those whom {name} trusts, or a share without an attribute"))
+            .wanted(format!(
+                "{organisation} among the organisations that {name} trusts, or a share without an \
+                             attribute"
+            ))
             .next(format!("to trust its attributes: ledgerctl robot set {name} trust={trusted},{organisation}")));
     }
     Ok(ShareTerms { attribute, from, until, ..terms })

@@ -43,10 +43,10 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
         robots.push(robot.name);
     }
     if cancelled && robots.is_empty() && unchanged.is_empty() {
-        return Err(Rejection::new(Code::Refused, "a resume has cancelled this stop before it was ordered")
+        return Err(Rejection::new(Code::Refused, "a resume cancelled this stop before it was ordered")
             .found("its id among the cancelled ones")
-            .wanted("a stop that was signed after the resume")
-            .next("repeat the stop if the robot must stand still"));
+            .wanted("a stop signed after the resume")
+            .next("repeat the stop if the robot must stay stopped"));
     }
     let ended = settle(ctx, ending)?;
     store::json(&EmergencyAnswer { robots, unchanged, ended })

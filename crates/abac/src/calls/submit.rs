@@ -17,6 +17,7 @@ use crate::records::{line, robot, store, target, task};
 use crate::rules::terms::QUEUE_MAX;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{
@@ -94,8 +95,8 @@ fn commanded(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
     if target.service.direction == Direction::Command && !target.is_for_readers() {
         return Ok(target);
     }
-    Err(Rejection::new(Code::BadArgument, format!("{} takes no tasks", target.id))
-        .found(if target.is_for_readers() { "places of subscribers" } else { "a feed: the robot publishes there" })
+    Err(Rejection::new(Code::BadArgument, format!("{} does not accept tasks", target.id))
+        .found(if target.is_for_readers() { "subscriber slots" } else { "a feed: the robot publishes there" })
         .wanted("a command service")
         .next(format!("choose a command service: ledgerctl robot show {}", target.robot.name)))
 }
@@ -124,11 +125,11 @@ fn read(ctx: &Context<'_>, principal: &Principal, args: Arguments<'_>) -> Result
     let now = ctx.block_time();
     let earliest = spec.not_before.unwrap_or(now).max(now);
     if let Some(deadline) = spec.deadline.filter(|deadline| *deadline <= earliest) {
-        return Err(bad(format!("deadline {deadline} µs"), &format!("a deadline after {earliest} µs")));
+        return Err(bad(format!("deadline {}", rfc3339(deadline)), &format!("a deadline after {}", rfc3339(earliest))));
     }
     if let Some(time) = spec.not_before.filter(|time| *time >= principal.not_after) {
-        let wanted = format!("a time before {} µs, when the certificate runs out", principal.not_after);
-        return Err(bad(format!("not_before {time} µs"), &wanted));
+        let wanted = format!("a time before {}, when the certificate expires", rfc3339(principal.not_after));
+        return Err(bad(format!("not_before {}", rfc3339(time)), &wanted));
     }
     Ok(spec)
 }
@@ -137,7 +138,7 @@ fn read(ctx: &Context<'_>, principal: &Principal, args: Arguments<'_>) -> Result
 fn check_unconfirmed(target: &Target) -> Result<(), Rejection> {
     let Some(wanted) = target.service.sharing.confirm else { return Ok(()) };
     let id = &target.id;
-    Err(Rejection::new(Code::BadArgument, format!("{id} takes no tasks: others must confirm who uses it"))
+    Err(Rejection::new(Code::BadArgument, format!("{id} does not accept tasks: it requires confirmations"))
         .found(format!("confirm={wanted}"))
         .wanted("a service without confirm")
         .next(format!("acquire it and command the robot without a task: ledgerctl acquire {id}")))

@@ -131,7 +131,7 @@ pub(crate) fn outcome(
 }
 
 fn full(target: &Target, holders: usize) -> Rejection {
-    Rejection::new(Code::LimitExceeded, format!("{} has no room for another holder", target.id))
+    Rejection::new(Code::LimitExceeded, format!("{} has reached its limit of holders", target.id))
         .found(format!("{holders} holders"))
         .wanted(format!("at most {HOLDERS_MAX}"))
 }

@@ -135,8 +135,8 @@ fn check_room(ctx: &Context<'_>, target: &Target, principal: &Principal) -> Resu
     let id = &target.id;
     let others = pending::all(ctx, id)?.len();
     if others >= PENDING_MAX {
-        return Err(Rejection::new(Code::LineFull, format!("too many wait to be confirmed for {id}"))
-            .found(format!("{others} who wait"))
+        return Err(Rejection::new(Code::LineFull, format!("too many contenders wait for confirmation for {id}"))
+            .found(format!("{others} contenders"))
             .wanted(format!("fewer than {PENDING_MAX}"))
             .next(format!("try again later; to see them: ledgerctl queue {id}")));
     }
@@ -149,7 +149,7 @@ fn check_room(ctx: &Context<'_>, target: &Target, principal: &Principal) -> Resu
         )
         .found(format!("{asks} services"))
         .wanted(format!("fewer than {WAITS_MAX}"))
-        .next("take one back first: ledgerctl release ROBOT/TOPIC"));
+        .next("withdraw one first: ledgerctl release ROBOT/TOPIC"));
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ use crate::records::reader::{GRACE_US, MadeFor};
 use crate::records::robot::Robot;
 use crate::records::target::Target;
 use ledger::Context;
+use ledger_base::moment::rfc3339;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::Role;
@@ -30,23 +31,20 @@ pub(crate) fn check_key(
     }
     let key = envelope.ok_or_else(|| {
         Rejection::new(Code::BadArgument, format!("{id} is confidential, and this message is not encrypted"))
-            .found("a message that everybody can read")
+            .found("a message in clear text")
             .wanted("an envelope of format.md, under a content key that was shared")
             .next("publish with a client that encrypts: ledgerctl publish, or a bridge of this version")
     })?;
     let stale = |found: String| {
-        Rejection::new(
-            Code::ReadersChanged,
-            format!("the readers of {id} are others than the content key was made for"),
-        )
-        .found(found)
-        .wanted("the newest content key of this publisher, shared with those who read now")
+        Rejection::new(Code::ReadersChanged, format!("the readers of {id} have changed since the content key was made"))
+            .found(found)
+            .wanted("the newest content key of this publisher, shared with the current readers")
     };
     let Some(shared) = reader::shared(ctx, id, publisher)?.filter(|shared| shared.key == key) else {
         return Err(stale(format!("key {key}, which is not the newest one of {publisher}")));
     };
     if shared.until <= ctx.block_time() {
-        return Err(stale(format!("key {key}, which was good until {} µs", shared.until)));
+        return Err(stale(format!("key {key}, which expired at {}", rfc3339(shared.until))));
     }
     if shared.made_for != made_for(ctx, target)? && !active(Mutation::KeepAnOldContentKey) {
         return Err(stale(format!("key {key}, from before a change of readers, policies or the robot")));
@@ -57,12 +55,12 @@ pub(crate) fn check_key(
     }
     if changes.moved_at.saturating_add(GRACE_US) <= ctx.block_time() {
         return Err(stale(format!(
-            "key {key}, from before a reader came or went {} s ago or more",
+            "key {key}, from before a change of readers {} s ago or more",
             GRACE_US / 1_000_000
         )));
     }
     if reader::revoked_since(ctx, shared.key)? {
-        return Err(stale(format!("key {key}, from before a reader came or went and somebody was revoked")));
+        return Err(stale(format!("key {key}, from before a change of readers and a revocation")));
     }
     Ok(())
 }
@@ -78,7 +76,7 @@ fn not_confidential(id: &str) -> Rejection {
     Rejection::new(Code::BadArgument, format!("{id} is not confidential, and this message is encrypted"))
         .found("an envelope")
         .wanted("CDR with its encapsulation header")
-        .next("publish it as it is")
+        .next("publish it unencrypted")
 }
 
 /// Until when this reader may read (block time, microseconds), as far as that is known; none if it may not now.

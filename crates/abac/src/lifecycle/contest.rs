@@ -135,7 +135,7 @@ fn of_attribute(target: &Target, principal: &Principal, name: &str) -> Result<i6
     let value = principal.attributes.get(name).filter(|_| target.robot.trusted.contains(&principal.organisation));
     let Some(value) = value else { return Ok(0) };
     priority::parse(value).ok_or_else(|| {
-        Rejection::new(Code::BadArgument, format!("the attribute {name} of {} is no priority", principal.id()))
+        Rejection::new(Code::BadArgument, format!("the attribute {name} of {} is not a priority", principal.id()))
             .found(format!("{name}={value:?}"))
             .wanted(format!(
                 "a whole number from -{PRIORITY_MAX} to {PRIORITY_MAX}: {} takes priorities from it",

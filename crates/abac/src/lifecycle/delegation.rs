@@ -89,18 +89,18 @@ pub(crate) fn only_stop(args: Arguments<'_>, index: usize, options: &PassOptions
 fn check_may_pass_on(target: &Target, own: &Holding, for_good: bool) -> Result<(), Rejection> {
     let (id, owner) = (&target.id, &target.robot.organisation);
     let refused =
-        |why: &str| Rejection::new(Code::NotDelegable, format!("the grant of {id} cannot be passed on: {why}"));
+        |why: &str| Rejection::new(Code::NotDelegable, format!("the grant of {id} cannot be delegated: {why}"));
     if target.service.sharing.delegable != Some(true) {
-        return Err(refused("its owner does not allow it")
+        return Err(refused("its owner does not permit it")
             .found("delegable=false")
             .wanted("delegable=true")
             .next(format!("ask an admin of {owner}: ledgerctl robot set {id} delegable=true; or release it")));
     }
     if own.grant.taken.is_some() {
-        return Err(refused("it was taken whatever the rule says")
-            .found("a grant by take")
+        return Err(refused("it is an override")
+            .found("a grant by override")
             .wanted("a grant by acquire")
-            .next(format!("release it; the next one acquires it: ledgerctl release {id}")));
+            .next(format!("release it, so that the next contender can acquire it: ledgerctl release {id}")));
     }
     if let Some(task) = own.grant.task {
         return Err(refused("it serves a task")
@@ -110,16 +110,16 @@ fn check_may_pass_on(target: &Target, own: &Holding, for_good: bool) -> Result<(
     }
     let Some(giver) = own.givers.last().map(|giver| giver.principal.id()) else { return Ok(()) };
     if !own.grant.may_delegate {
-        return Err(refused("its giver does not allow it")
+        return Err(refused("its giver does not permit it")
             .found(format!("delegated by {giver}"))
             .wanted("a delegation with may_delegate")
             .next(format!("ask {giver} to delegate it with --may-delegate")));
     }
     if own.givers.len() >= GIVERS_MAX && !for_good {
-        return Err(refused("it was passed on too often")
-            .found(format!("{GIVERS_MAX} who passed it on"))
+        return Err(refused("it was delegated too often")
+            .found(format!("{GIVERS_MAX} delegations"))
             .wanted(format!("fewer than {GIVERS_MAX}"))
-            .next(format!("hand it over for good: ledgerctl handover {id} --to ORGANISATION/NAME")));
+            .next(format!("hand it over permanently: ledgerctl handover {id} --to ORGANISATION/NAME")));
     }
     Ok(())
 }
@@ -128,18 +128,18 @@ fn check_may_pass_on(target: &Target, own: &Holding, for_good: bool) -> Result<(
 fn check_receiver(ctx: &Context<'_>, target: &Target, own: &Holding, to: &str) -> Result<(), Rejection> {
     let id = &target.id;
     let refused =
-        |why: String| Rejection::new(Code::BadArgument, format!("{id} cannot be passed to {}: {why}", shown(to)));
+        |why: String| Rejection::new(Code::BadArgument, format!("{id} cannot be delegated to {}: {why}", shown(to)));
     if own.grant.holder == to {
-        return Err(refused("it is the holder itself".to_owned())
+        return Err(refused("the receiver is the holder".to_owned())
             .found(to)
-            .wanted("somebody else")
-            .next(format!("to keep it longer: ledgerctl acquire {id}")));
+            .wanted("another identity")
+            .next(format!("to hold it longer: ledgerctl acquire {id}")));
     }
     if own.givers.iter().any(|giver| giver.principal.id() == to) {
-        return Err(refused("it would come back to one who passed it on".to_owned())
-            .found(format!("passed on by {}", own.grant.givers.join(", then ")))
-            .wanted("somebody who has not passed it on")
-            .next(format!("{to} takes it back: ledgerctl recall {id}; or release it")));
+        return Err(refused("the receiver delegated it before".to_owned())
+            .found(format!("delegated by {}", own.grant.givers.join(", then ")))
+            .wanted("an identity that has not delegated it")
+            .next(format!("{to} can recall it: ledgerctl recall {id}; or release it")));
     }
     check_has_none(ctx, target, to)
 }
@@ -150,10 +150,10 @@ pub(crate) fn check_has_none(ctx: &Context<'_>, target: &Target, to: &str) -> Re
     if grant::held_by(ctx, id, to)?.is_none() {
         return Ok(());
     }
-    Err(Rejection::new(Code::BadArgument, format!("{id} cannot be passed to {}: it holds it already", shown(to)))
+    Err(Rejection::new(Code::BadArgument, format!("{id} cannot be delegated to {}: it has a grant already", shown(to)))
         .found("a grant of its own")
-        .wanted("somebody without one")
-        .next(format!("one of the two is released first: ledgerctl release {id}")))
+        .wanted("an identity without a grant")
+        .next(format!("first release one of the two: ledgerctl release {id}")))
 }
 
 /// The limits of the receiver, if policies permit it and everybody who passes it on to hold the service.

@@ -82,7 +82,7 @@ pub(crate) fn create(
         || since.is_some() && active(Mutation::PassOnWithoutANewEpoch);
     let epoch = newest
         .checked_add(u64::from(newest == 0 || !reuses))
-        .ok_or_else(|| Rejection::new(Code::LimitExceeded, format!("{} has used up its epochs", target.id)))?;
+        .ok_or_else(|| Rejection::new(Code::LimitExceeded, format!("{} has no epochs left", target.id)))?;
     store::write(ctx, &store::epoch_key(&target.id), &epoch)?;
     let mut holding = Holding {
         grant: Grant {

@@ -38,7 +38,7 @@ fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
         .wanted(format!("a grant of {id} to {who}"))
         .next(match holders {
             [holding] if holding.grant.givers.iter().any(|giver| giver == who) => {
-                format!("take it back: ledgerctl recall {id}")
+                format!("recall it: ledgerctl recall {id}")
             }
             [holding] if holding.grant.holder != who => format!("once it is free: ledgerctl acquire {id}"),
             _ => format!("ledgerctl acquire {id}"),
@@ -48,7 +48,7 @@ fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
 /// The refusal that names the holders of a service to somebody who is none.
 pub(crate) fn holders_of(who: &str, holders: &[Holding]) -> String {
     match holders {
-        [] => "held by nobody".to_owned(),
+        [] => "no holder".to_owned(),
         [holding] if holding.grant.holder == who => {
             format!("acquired with another certificate, until {}", until(&holding.grant))
         }
@@ -57,9 +57,9 @@ pub(crate) fn holders_of(who: &str, holders: &[Holding]) -> String {
     }
 }
 
-/// When a grant ends, for people and for programs.
+/// The expiry of a grant, for people; programs read `expires`.
 pub(crate) fn until(grant: &Grant) -> String {
-    format!("{} ({} µs)", rfc3339(grant.expires), grant.expires)
+    rfc3339(grant.expires)
 }
 
 /// The smallest sequence number that `set` accepts from a publisher in an epoch.
@@ -78,7 +78,7 @@ pub(crate) fn held(target: &Target, holders: &[Holding]) -> Rejection {
     let (id, mode, owner) = (&target.id, &target.service.mode, &target.robot.organisation);
     // Whoever ends first; no rule refuses while nobody holds the service.
     let Some(first) = holders.iter().min_by_key(|holding| holding.grant.expires) else {
-        return Rejection::new(Code::Held, format!("{id} cannot be had now")).found(format!("{mode} service"));
+        return Rejection::new(Code::Held, format!("{id} is not available")).found(format!("{mode} service"));
     };
     let Grant { holder, epoch, .. } = &first.grant;
     if let [_] = holders {
@@ -86,11 +86,11 @@ pub(crate) fn held(target: &Target, holders: &[Holding]) -> Rejection {
             .found(format!("{mode} service, held by {holder} with epoch {epoch}"))
             .wanted("no other holder")
             .next(format!(
-                "acquire it after that time, ask {holder} to release it, or ask an admin of {owner} to take it back"
+                "acquire it after that time, ask {holder} to release it, or ask an admin of {owner} to revoke the grant"
             ));
     }
     let names: Vec<&str> = holders.iter().map(|holding| holding.grant.holder.as_str()).collect();
-    Rejection::new(Code::Held, format!("every place of {id} is taken until {}", until(&first.grant)))
+    Rejection::new(Code::Held, format!("all slots of {id} are taken until {}", until(&first.grant)))
         .found(format!("{mode} service, held by {}", names.join(", ")))
         .wanted(format!("fewer than {} holders", holders.len()))
         .next(format!("acquire it after that time, ask one of them to release it, or ask an admin of {owner}"))

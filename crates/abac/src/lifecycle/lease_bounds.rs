@@ -27,7 +27,8 @@ pub(crate) fn check_lease(target: &Target, args: Arguments<'_>, index: usize, le
     }
     let (service, owner) = (target.service_id(), &target.robot.organisation);
     Err(refused.next(format!(
-        "renew it again and again: ledgerctl acquire {} --keep; an admin of {owner} allows longer ones: ledgerctl robot set {service} lease-max=…",
+        "renew it repeatedly: ledgerctl acquire {} --keep; an admin of {owner} can permit longer leases: ledgerctl \
+         robot set {service} lease-max=…",
         target.id
     )))
 }

@@ -25,9 +25,7 @@ pub(crate) fn own(ctx: &Context<'_>, organisation: &str) -> Result<Option<Quorum
 pub(crate) fn parse(text: Option<&str>) -> Result<Option<Quorum>, Rejection> {
     let read = |text: &str| {
         text.parse().map_err(|_| {
-            Rejection::new(Code::Corrupt, "a rule of approvals is not readable")
-                .found(text.to_owned())
-                .wanted("a quorum")
+            Rejection::new(Code::Corrupt, "an approval rule is not readable").found(text.to_owned()).wanted("a quorum")
         })
     };
     text.map(read).transpose()
@@ -66,18 +64,18 @@ pub(crate) fn check_alone(ctx: &mut Context<'_>, caller: &Identity) -> Result<()
     let needs = needs(ctx, &caller.organisation, alone.into_iter())?;
     match needs.iter().find(|need| need.missing > 0) {
         None => Ok(()),
-        Some(need) => Err(not_agreed(&caller.organisation, need)
-            .found(format!("{} alone", caller.id()))
-            .next("propose the whole set, with every policy that shall stay: ledgerctl policy propose FILE... (or --restore VERSION, \
-                   --built-in); then the others: ledgerctl policy approve ID")),
+        Some(need) => Err(not_agreed(&caller.organisation, need).found(format!("{} alone", caller.id())).next(
+            "propose the complete set, with every policy that must stay: ledgerctl policy propose FILE... (or \
+                   --restore VERSION, --built-in); then to approve: ledgerctl policy approve ID",
+        )),
     }
 }
 
 /// The refusal of a set to which too few agree.
 pub(crate) fn not_agreed(organisation: &str, PolicyNeed { of, quorum, missing }: &PolicyNeed) -> Rejection {
     let whose = if of == OF_NETWORK { "the network".to_owned() } else { of.clone() };
-    let message = format!("others must agree before the policies of {organisation} change");
-    Rejection::new(Code::NeedsApproval, message).wanted(format!("{quorum}, as {whose} demands: {missing} more"))
+    let message = format!("a change of the policies of {organisation} needs approvals");
+    Rejection::new(Code::NeedsApproval, message).wanted(format!("{quorum}, as {whose} requires: {missing} more"))
 }
 
 /// Reads the rule that an organisation gives itself.

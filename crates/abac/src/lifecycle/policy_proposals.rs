@@ -47,9 +47,9 @@ pub(crate) fn find(ctx: &Context<'_>, args: Arguments<'_>) -> Result<Proposed, R
     let is_id = id.len() == ID_DIGITS && id.bytes().all(|digit| digit.is_ascii_hexdigit());
     let proposed = if is_id { proposed::find(ctx, id)? } else { None };
     proposed.ok_or_else(|| {
-        Rejection::new(Code::NotFound, "no proposed set of policies has this id")
+        Rejection::new(Code::NotFound, "no proposed policy set has this id")
             .found(shown(id))
-            .wanted(format!("the id of one that stands, {ID_DIGITS} hexadecimal digits"))
+            .wanted(format!("the id of an open proposal, {ID_DIGITS} hexadecimal digits"))
             .next("ledgerctl policy proposals")
     })
 }

@@ -73,7 +73,7 @@ pub(crate) fn check_number(ctx: &mut Context<'_>, organisation: &str, wanted: us
     if wanted as u64 <= most {
         return Ok(());
     }
-    Err(quota_reached(organisation, "policies", most, "put several rules into one policy, or remove one"))
+    Err(quota_reached(organisation, "policies", most, "combine several rules in one policy, or remove one"))
 }
 
 pub(crate) fn check_id(id: &str) -> Result<(), Rejection> {
@@ -81,7 +81,7 @@ pub(crate) fn check_id(id: &str) -> Result<(), Rejection> {
     if (1..=ID_BYTES_MAX).contains(&id.len()) && id.bytes().all(allowed) {
         return Ok(());
     }
-    Err(Rejection::new(Code::BadName, "id of a policy is not usable")
+    Err(Rejection::new(Code::BadName, "the id of a policy is not usable")
         .found(shown(id))
         .wanted(format!("1 to {ID_BYTES_MAX} letters, digits, \"_\" and \"-\"")))
 }
@@ -158,9 +158,9 @@ pub(crate) fn check_base(organisation: &str, made_from: u64, in_force: u64) -> R
     if made_from == in_force {
         return Ok(());
     }
-    Err(Rejection::new(Code::PoliciesChanged, format!("the policies of {organisation} have changed meanwhile"))
+    Err(Rejection::new(Code::PoliciesChanged, format!("the policies of {organisation} have changed in the meantime"))
         .found(format!("version {in_force} in force"))
-        .wanted(format!("version {made_from}, which this was made from")))
+        .wanted(format!("version {made_from}, from which this was made")))
 }
 
 fn texts_of(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Result<Texts, Rejection> {
@@ -176,20 +176,22 @@ pub(crate) fn checked(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyTe
         return Err(Rejection::new(Code::LimitExceeded, "the set has too many policies")
             .found(policies.len().to_string())
             .wanted(format!("at most {POLICIES_MAX}"))
-            .next("put several rules into one policy"));
+            .next("combine several rules in one policy"));
     }
     let (mut texts, mut ids) = (Texts::new(), BTreeSet::new());
     for PolicyText { id, text } in policies {
         if id.is_empty() || id.len() > ID_BYTES_MAX || !ids.insert(id) {
             return Err(Rejection::new(Code::BadArgument, "the name of a policy is not usable")
                 .found(shown(id))
-                .wanted(format!("a name of its own of at most {} bytes for each", ID_BYTES_MAX))
+                .wanted(format!("a unique name of at most {} bytes for each policy", ID_BYTES_MAX))
                 .next("name each policy file differently"));
         }
         decider.check(ctx, text).map_err(|mut refused| {
             refused.message = format!("{} ({id})", refused.message);
-            refused
-                .next(format!("its places: ledgerctl policy check FILE; a policy has at most {POLICY_BYTES_MAX} bytes"))
+            refused.next(format!(
+                "for the positions: ledgerctl policy check FILE; a policy has at most \
+                               {POLICY_BYTES_MAX} bytes"
+            ))
         })?;
         texts.push((id.clone(), text.clone()));
     }
@@ -226,7 +228,7 @@ pub(crate) fn record(
 pub(crate) fn find(ctx: &Context<'_>, organisation: &str, version: u64) -> Result<PolicySet, Rejection> {
     let set = policy_set::of(ctx, organisation, version)?;
     set.ok_or_else(|| {
-        Rejection::new(Code::NotFound, format!("{organisation} keeps no set of policies with this number"))
+        Rejection::new(Code::NotFound, format!("{organisation} has no stored policy set with this number"))
             .found(version.to_string())
             .wanted(format!("one of its newest {} sets", policy_set::KEPT))
             .next("ledgerctl policy history")

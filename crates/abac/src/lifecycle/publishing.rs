@@ -76,22 +76,29 @@ pub(crate) fn may_publish(
 /// Places of subscribers are for reading.
 fn for_readers(target: &Target) -> Rejection {
     let id = target.service_id();
-    Rejection::new(Code::UnknownService, format!("nobody publishes on {}, the places of subscribers", target.id))
-        .found("places for reading")
-        .wanted(id)
-        .next(format!("publish on {id}"))
+    Rejection::new(
+        Code::UnknownService,
+        format!(
+            "{} cannot be published on: it stands for the subscriber slots of a \
+                                                  service",
+            target.id
+        ),
+    )
+    .found("subscriber slots")
+    .wanted(id)
+    .next(format!("publish on {id}"))
 }
 
 /// Limits are part of a grant, from which the robot learns them.
 fn limited(target: &Target, who: &str) -> Rejection {
-    Rejection::new(Code::NotHolder, format!("policies limit the use of {} by {who}, so it needs a grant", target.id))
+    Rejection::new(Code::NotHolder, format!("policies limit the use of {} by {who}, so a grant is needed", target.id))
         .found("no grant")
         .wanted("a grant, whose limits the robot enforces")
         .next(format!("ledgerctl acquire {}", target.id))
 }
 
 fn stale(target: &Target, epoch: Option<u64>, wanted: u64) -> Rejection {
-    Rejection::new(Code::StaleEpoch, format!("this is not the epoch in which {} is held", target.id))
+    Rejection::new(Code::StaleEpoch, format!("{} is held in another epoch", target.id))
         .found(format!("epoch {}", epoch.unwrap_or(0)))
         .wanted(format!("epoch {wanted}, held by its holder"))
         .next(format!("ledgerctl acquire {}", target.id))

@@ -60,7 +60,7 @@ pub(crate) fn join(
     line::look_by(ctx, &target.id, waiting.until)?;
     let places = Contest::of(ctx, target)?.places(decider.rules.of(target)?);
     let place = places.iter().find(|place| place.contender == contender && place.task.is_none()).cloned();
-    let place = place.ok_or_else(|| Rejection::new(Code::Internal, format!("{contender} is not in line")))?;
+    let place = place.ok_or_else(|| Rejection::new(Code::Internal, format!("{contender} is not in the queue")))?;
     ctx.emit("queued", &target.id, store::json(&place)?);
     if is_new {
         tell_places(ctx, target, &places)?;
@@ -78,18 +78,18 @@ pub(crate) fn check_room(
 ) -> Result<(), Rejection> {
     let id = &target.id;
     if contest.line.len() as u64 >= most {
-        return Err(Rejection::new(Code::LineFull, format!("the line of {id} is full"))
-            .found(format!("{} who wait", contest.line.len()))
+        return Err(Rejection::new(Code::LineFull, format!("the queue for {id} is full"))
+            .found(format!("{} contenders", contest.line.len()))
             .wanted(format!("fewer than {most}"))
-            .next(format!("try again later; to see who waits: ledgerctl queue {id}")));
+            .next(format!("try again later; to see the queue: ledgerctl queue {id}")));
     }
     let serial = hex::decode(&principal.serial).unwrap_or_default();
     let waits = line::of_certificate(ctx, &principal.issuer.0, &serial).len();
     if waits >= WAITS_MAX {
-        return Err(Rejection::new(Code::LimitExceeded, format!("{} waits in too many lines", principal.id()))
-            .found(format!("{waits} lines"))
+        return Err(Rejection::new(Code::LimitExceeded, format!("{} waits in too many queues", principal.id()))
+            .found(format!("{waits} queues"))
             .wanted(format!("fewer than {WAITS_MAX}"))
-            .next("leave a line first: ledgerctl release ROBOT/TOPIC"));
+            .next("leave a queue first: ledgerctl release ROBOT/TOPIC"));
     }
     Ok(())
 }

@@ -46,9 +46,9 @@ pub(crate) fn check(
     if more > 0 {
         names = format!("{names} and {more} more");
     }
-    Err(Rejection::new(Code::NobodyMayPublish, "nobody whom the ledger knows may publish to a robot any more")
+    Err(Rejection::new(Code::NobodyMayPublish, "no known identity could publish to a robot any more")
         .found(names)
-        .wanted("somebody who may acquire one of its services and publish on it"))
+        .wanted("an identity that may acquire one of its services and publish on it"))
 }
 
 /// The robots of an organisation to which nobody with a certificate of a CA of the network may publish any more under a set, at

@@ -31,7 +31,7 @@ pub(crate) fn check_quota(ctx: &mut Context<'_>, organisation: &str) -> Result<(
     if (robot::names_of(ctx, organisation).len() as u64) < most {
         return Ok(());
     }
-    Err(quota_reached(organisation, "robots", most, "remove a robot that nobody uses: ledgerctl robot remove NAME"))
+    Err(quota_reached(organisation, "robots", most, "remove an unused robot: ledgerctl robot remove NAME"))
 }
 
 /// Refuses a budget of a service that is larger than its owner's quota. The owner lowers it alone; with a larger quota, which
@@ -52,12 +52,12 @@ pub(crate) fn check_budgets(ctx: &mut Context<'_>, robot: &Robot) -> Result<(), 
                 let organisation = &robot.organisation;
                 return Err(Rejection::new(
                     Code::QuotaReached,
-                    format!("the budget of {} is larger than the quota of {organisation}", robot.service_id(service)),
+                    format!("the budget of {} exceeds the quota of {organisation}", robot.service_id(service)),
                 )
                 .found(wanted.to_string())
                 .wanted(format!("at most {quota}: the quota {kind} of {organisation}"))
                 .next(format!(
-                    "set less; or propose a larger quota: ledgerctl network propose msp set_quota \
+                    "set a smaller budget; or propose a larger quota: ledgerctl network propose msp set_quota \
                      '{{\"organisation\":\"{organisation}\",\"{kind}\":{wanted}}}'"
                 )));
             }

@@ -45,7 +45,7 @@ pub(crate) fn due(ctx: &mut Context<'_>, target: &Target) -> Result<(), Rejectio
                 ctx,
                 &before,
                 TaskState::Failed,
-                "the service takes no tasks now: others must confirm who uses it",
+                "the service no longer accepts tasks: it requires confirmations",
             )?;
             continue;
         }

@@ -96,40 +96,40 @@ pub(crate) fn grant_ended(ctx: &mut Context<'_>, id: u64, reason: Reason) -> Res
 /// How a task ends with its grant, and why.
 fn outcome(reason: Reason) -> (TaskState, &'static str) {
     match reason {
-        Reason::Released => (TaskState::Cancelled, "its submitter gave the service back"),
-        Reason::Delegated => (TaskState::Cancelled, "its submitter passed the service on"),
-        Reason::Preempted => (TaskState::Preempted, "a contender with a higher priority took its place"),
-        Reason::Overridden => (TaskState::Preempted, "somebody took the service whatever its rule says"),
+        Reason::Released => (TaskState::Cancelled, "its submitter released the service"),
+        Reason::Delegated => (TaskState::Cancelled, "its submitter delegated the service"),
+        Reason::Preempted => (TaskState::Preempted, "a contender with a higher priority preempted it"),
+        Reason::Overridden => (TaskState::Preempted, "an emergency operator overrode it"),
         Reason::Stopped => (TaskState::Preempted, "the robot was stopped"),
-        Reason::Expired => (TaskState::Failed, "its lease ran out"),
+        Reason::Expired => (TaskState::Failed, "its lease expired"),
         Reason::Revoked => (TaskState::Failed, REVOKED),
         Reason::Policy => (TaskState::Failed, POLICY),
         Reason::RobotRemoved => (TaskState::Failed, REMOVED),
-        Reason::Idle => (TaskState::Failed, "its submitter published nothing for as long as the service allows"),
-        Reason::Taken => (TaskState::Failed, "the owner took the service back, or its rule has no room for it"),
+        Reason::Idle => (TaskState::Failed, "its submitter published nothing within the idle limit of the service"),
+        Reason::Taken => (TaskState::Failed, "the owner revoked the grant, or its rule has no slot for it"),
         _ => (TaskState::Failed, "its grant ended"),
     }
 }
 
-pub(crate) const REVOKED: &str = "its submitter's certificate was revoked, or its organisation left";
+pub(crate) const REVOKED: &str = "its submitter's certificate was revoked, or its organisation was removed";
 
 const POLICY: &str = "policies no longer permit it";
 
-pub(crate) const REMOVED: &str = "the robot or the service was taken out of service";
+pub(crate) const REMOVED: &str = "the robot or the service was removed";
 
 /// A task has lost its place in line, and got no grant.
 pub(crate) fn left(ctx: &mut Context<'_>, id: u64, reason: LeftReason) -> Result<(), Rejection> {
     let waits = |kept: &Kept| kept.task.state == TaskState::Waiting;
     let Some(before) = task::find(ctx, id)?.filter(waits) else { return Ok(()) };
     let (state, why) = match reason {
-        LeftReason::Left | LeftReason::Removed => (TaskState::Cancelled, "it was taken out of the line"),
-        LeftReason::TimedOut => (TaskState::Expired, "it waited as long as the service allows"),
+        LeftReason::Left | LeftReason::Removed => (TaskState::Cancelled, "it was removed from the queue"),
+        LeftReason::TimedOut => (TaskState::Expired, "its waiting time reached the limit of the service"),
         LeftReason::Policy => (TaskState::Failed, POLICY),
         LeftReason::Revoked => (TaskState::Failed, REVOKED),
-        LeftReason::Expired => (TaskState::Failed, "its submitter's certificate has run out"),
+        LeftReason::Expired => (TaskState::Failed, "its submitter's certificate has expired"),
         LeftReason::RobotRemoved => (TaskState::Failed, REMOVED),
-        _ if before.task.started.is_some() => (TaskState::Preempted, "its place was taken, and the line has no room"),
-        _ => (TaskState::Failed, "others hold the service, and its line has no room"),
+        _ if before.task.started.is_some() => (TaskState::Preempted, "its slot was taken, and the queue is full"),
+        _ => (TaskState::Failed, "others hold the service, and its queue is full"),
     };
     finish(ctx, &before, state, why).map(drop)
 }

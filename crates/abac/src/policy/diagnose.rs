@@ -29,7 +29,7 @@ fn found(validator: &Validator, text: &str) -> Vec<PolicyFault> {
     };
     if policies.num_of_templates() > 0 {
         let at = ["?principal", "?resource"].iter().find_map(|slot| Some((text.find(slot)?, slot.len())));
-        let message = "a template with ?principal or ?resource, which nothing here fills in";
+        let message = "a template with ?principal or ?resource, which is never instantiated";
         return vec![fault(text, message.to_owned(), String::new(), at)];
     }
     if policies.is_empty() {

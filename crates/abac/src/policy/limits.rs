@@ -30,7 +30,7 @@ pub(crate) const STEPS_MAX: u64 = 1024 * 1024;
 pub(super) fn check(text: &str) -> Result<(), Rejection> {
     if text.len() > POLICY_BYTES_MAX {
         return Err(invalid(
-            "policy is too long",
+            "the policy is too long",
             format!("{} bytes", text.len()),
             &format!("at most {POLICY_BYTES_MAX} bytes; split it into several"),
         ));
@@ -38,11 +38,11 @@ pub(super) fn check(text: &str) -> Result<(), Rejection> {
     let (nesting, chain) = nesting(text);
     if nesting > NESTING_MAX {
         let wanted = format!("at most {NESTING_MAX} brackets within each other, and as many ifs in one policy");
-        return Err(invalid("policy is nested too deeply", format!("nesting of {nesting}"), &wanted));
+        return Err(invalid("the policy is nested too deeply", format!("nesting of {nesting}"), &wanted));
     }
     if chain > CHAIN_MAX {
         let wanted = format!("at most {CHAIN_MAX} operators before a semicolon; split it into several");
-        return Err(invalid("policy is too long a chain", format!("{chain} operators"), &wanted));
+        return Err(invalid("the chain of operators in the policy is too long", format!("{chain} operators"), &wanted));
     }
     Ok(())
 }
@@ -106,7 +106,7 @@ pub(crate) fn steps(text: &str) -> Result<u64, Rejection> {
     ];
     if let Some((found, most, what)) = limits.into_iter().find(|(found, most, _)| found > most) {
         return Err(invalid(
-            "policy takes too much work to decide",
+            "the policy needs too much work to evaluate",
             format!("{found} {what}"),
             &format!("at most {most}"),
         ));
@@ -131,7 +131,7 @@ pub(crate) fn steps_of_all(texts: &[(String, String)]) -> Result<u64, Rejection>
         return Ok(all);
     }
     let wanted = format!("at most {STEPS_MAX} steps by all policies of an organisation together");
-    Err(invalid("the policies take too much work to decide", format!("{all} steps"), &wanted))
+    Err(invalid("the policies need too much work to evaluate", format!("{all} steps"), &wanted))
 }
 
 /// The sizes of what takes long in a text.

@@ -47,15 +47,18 @@ fn faults(policy: &Policy) -> Vec<Misfit> {
     let mut faults: Vec<Misfit> = unnamed
         .map(|right| {
             let quoted = format!("Action::\"{right}\"");
-            let message = format!("a condition speaks of {quoted}, and the scope does not name it; wanted action in [{quoted}, …] in the scope");
+            let message = format!(
+                "a condition uses {quoted}, but the scope does not name it; wanted action in \
+                                   [{quoted}, …] in the scope"
+            );
             fault(message, quoted)
         })
         .collect();
     let open = policy.effect() == Effect::Permit && policy.action_constraint() == ActionConstraint::Any;
     if open && is_of_robots(&policy.resource_constraint()) {
         faults.push(fault(
-            "the permit gives nothing: stop and resume of a robot must be named, other actions are of its services; wanted \
-             action in [Action::\"stop\", …], or a resource in Robot::\"…\""
+            "the permit has no effect: stop and resume of a robot must be named, other actions are of its services; \
+             wanted action in [Action::\"stop\", …], or a resource in Robot::\"…\""
                 .to_owned(),
             "resource".to_owned(),
         ));

@@ -67,8 +67,8 @@ pub(crate) fn explain(
             .found(format!("organisation {}", principal.organisation))
             .wanted(format!("one of {}", robot.trusted.join(", ")))
             .next(format!(
-                "{ask_owner}: ledgerctl share {name} --with {who}, or, so that all attributes of {org} count, ledgerctl robot set \
-                 {name} trust={trusted},{org}",
+                "{ask_owner}: ledgerctl share {name} --with {who}, or, so that all attributes of {org} count, \
+                 ledgerctl robot set {name} trust={trusted},{org}",
                 name = robot.name,
                 org = principal.organisation,
                 trusted = robot.trusted.join(",")
@@ -103,7 +103,7 @@ fn nearest(why: &Explanation) -> Option<(String, String)> {
     let wanted: Vec<&str> = failed.iter().map(|failed| failed.wanted.as_str()).collect();
     Some((
         found.join("; "),
-        format!("{}, as policy {policy} demands, or another policy that permits it", wanted.join("; ")),
+        format!("{}, as policy {policy} requires, or another policy that permits it", wanted.join("; ")),
     ))
 }
 
@@ -118,20 +118,21 @@ fn forbidden(ids: &[String], why: &Explanation) -> String {
 /// The refusal of what policies permit at other times.
 fn closed(owner: &str, refused: String, windows: &[String]) -> Rejection {
     Rejection::new(Code::DeniedByPolicy, format!("{refused} now: the policies of {owner} permit it at other times"))
-        .found("a time outside of every window")
+        .found("a time outside all windows")
         .wanted(format!("a time within {}", windows.join(", or ")))
-        .next("try again when the window is open")
+        .next("try again within a window")
 }
 
 /// The refusal of something that the owner's admins may always do, and others if a policy permits the action.
 fn may_not(principal: &Principal, owner: &str, refused: String, action: &str, why: &Explanation) -> Rejection {
-    let or = match nearest(why) {
-        Some((found, wanted)) => format!("; found {found}; wanted {wanted}"),
-        None => String::new(),
+    // The nearest policy shows what is missing; its condition and its value belong to the lines of their own.
+    let (found, or) = match nearest(why) {
+        Some((found, wanted)) => (format!("; {found}"), format!("; or {wanted}")),
+        None => (String::new(), String::new()),
     };
     let by_rule = if action == RobotAction::Stop.name() { BY_RULE } else { "" };
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits {action}"))
-        .found(format!("role {} of {}", principal.role, principal.organisation))
+        .found(format!("role {} of {}{found}", principal.role, principal.organisation))
         .wanted(format!("an admin of {owner},{by_rule} or a permit that names the action {action}{or}"))
         .next(format!("ask an admin of {owner}, or read the policies: ledgerctl policy list"))
 }

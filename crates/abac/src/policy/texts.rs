@@ -103,7 +103,7 @@ pub(crate) fn version(ctx: &Context<'_>, organisation: &str) -> Result<Version, 
     match Stored::parse(&value) {
         Some(Stored::Own(version)) => Ok(version),
         Some(Stored::BuiltIn(number)) => Ok(built_in(number)),
-        None => Err(Rejection::new(Code::Corrupt, format!("policy version of {organisation} is not readable"))
+        None => Err(Rejection::new(Code::Corrupt, format!("the policy version of {organisation} is not readable"))
             .found(format!("{} bytes", value.len()))
             .wanted("8 or 48 bytes")),
     }
@@ -146,10 +146,10 @@ pub(crate) fn check(ctx: &mut Context<'_>, organisation: &str, own: &Texts) {
     if found != wanted {
         let shown = |version: Option<Vec<u8>>| version.map_or_else(|| "none".to_owned(), hex::encode);
         ctx.contradicted(
-            Rejection::new(Code::Corrupt, format!("the policies of {organisation} and their version do not agree"))
+            Rejection::new(Code::Corrupt, format!("the policies of {organisation} do not match their version"))
                 .found(format!("version {}", shown(found)))
                 .wanted(format!("version {} for {} policies", shown(wanted), own.len()))
-                .next("stop the node and delete its state directory; it is rebuilt from the blocks"),
+                .next("stop the node and delete its directory state/; it is rebuilt from the blocks"),
         );
     }
 }

@@ -44,10 +44,10 @@ pub(crate) fn cancel(ctx: &mut Context<'_>, robot: &str, calls: &[CallRef]) -> R
         }
     }
     if all.len() > CANCELLED_MAX {
-        return Err(Rejection::new(Code::LimitExceeded, format!("too many stops of {robot} are cancelled at a time"))
+        return Err(Rejection::new(Code::LimitExceeded, format!("too many cancelled stops of {robot}"))
             .found(all.len().to_string())
             .wanted(format!("at most {CANCELLED_MAX}"))
-            .next("wait until the older ones are over, two minutes at most"));
+            .next("wait until the older ones have expired, two minutes at most"));
     }
     store::write(ctx, &store::cancelled_key(robot), &all)?;
     Ok(true)

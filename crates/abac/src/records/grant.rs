@@ -159,10 +159,10 @@ fn check_offered(ctx: &mut Context<'_>, id: &str) -> Result<(), Rejection> {
     let offers = robot.as_ref().is_some_and(|robot| Target::all_of(robot).any(|target| target.id == id));
     if !offers {
         ctx.contradicted(
-            Rejection::new(Code::Corrupt, format!("{id} is granted, and no robot offers it"))
+            Rejection::new(Code::Corrupt, format!("{id} is granted, but no robot offers it"))
                 .found(robot.map_or_else(|| "no robot".to_owned(), |robot| format!("robot {}", robot.name)))
                 .wanted("a registered robot with that service")
-                .next("stop the node and delete its state directory; it is rebuilt from the blocks"),
+                .next("stop the node and delete its directory state/; it is rebuilt from the blocks"),
         );
     }
     Ok(())
@@ -214,16 +214,13 @@ fn check(ctx: &mut Context<'_>, holding: &Holding, wanted: Option<&Holding>) {
         let found =
             stored.map_or_else(|| "no such grant".to_owned(), |value| String::from_utf8_lossy(&value).into_owned());
         ctx.contradicted(
-            Rejection::new(
-                Code::Corrupt,
-                format!("the grant of {service} to {holder} and its index keys do not agree"),
-            )
-            .found(found)
-            .wanted(wanted.map_or_else(
-                || "no grant before this one".to_owned(),
-                |_| format!("the grant with epoch {epoch} and the keys that find it"),
-            ))
-            .next("stop the node and delete its state directory; it is rebuilt from the blocks"),
+            Rejection::new(Code::Corrupt, format!("the grant of {service} to {holder} does not match its index keys"))
+                .found(found)
+                .wanted(wanted.map_or_else(
+                    || "no grant before this one".to_owned(),
+                    |_| format!("the grant with epoch {epoch} and the keys that find it"),
+                ))
+                .next("stop the node and delete its directory state/; it is rebuilt from the blocks"),
         );
     }
 }

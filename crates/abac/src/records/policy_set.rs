@@ -73,10 +73,10 @@ pub(crate) fn texts(
     let text = |digest: &PolicyDigest| {
         let bytes = ctx.get(&store::text_key(organisation, &digest.sha256));
         let text = bytes.and_then(|bytes| String::from_utf8(bytes.to_vec()).ok()).ok_or_else(|| {
-            Rejection::new(Code::Corrupt, format!("the text of policy {} of {organisation} is not kept", digest.id))
+            Rejection::new(Code::Corrupt, format!("the text of policy {} of {organisation} is missing", digest.id))
                 .found("no text")
                 .wanted(format!("one with SHA-256 {}", digest.sha256))
-                .next("stop the node and delete its state directory; it is rebuilt from the blocks")
+                .next("stop the node and delete its directory state/; it is rebuilt from the blocks")
         })?;
         Ok(PolicyText { id: digest.id.clone(), text })
     };

@@ -350,7 +350,7 @@ pub(crate) const APPROVALS: &[u8] = b"approvals/";
 pub(crate) fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
     serde_json::to_vec(value)
         .map(Bytes::from)
-        .map_err(|fault| Rejection::new(Code::Internal, "a value cannot be written as JSON").found(fault.to_string()))
+        .map_err(|fault| Rejection::new(Code::Internal, "a value cannot be encoded as JSON").found(fault.to_string()))
 }
 
 /// Reads the JSON of a value that this chaincode wrote.
@@ -358,7 +358,7 @@ pub(crate) fn parse<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, 
     serde_json::from_slice(value).map_err(|fault| {
         Rejection::new(Code::Corrupt, format!("value of key {:?} is not readable", String::from_utf8_lossy(key)))
             .found(fault.to_string())
-            .next("stop the node and delete its state directory; it is rebuilt from the blocks")
+            .next("stop the node and delete its directory state/; it is rebuilt from the blocks")
     })
 }
 

@@ -113,5 +113,5 @@ fn unlimited(service: &str) -> Rejection {
     Rejection::new(Code::UnknownService, format!("{service} does not limit its subscribers"))
         .found("no setting subscribers")
         .wanted("a service with mode=limited and subscribers=K")
-        .next(format!("read it without a place: ledgerctl echo {service}"))
+        .next(format!("subscribe without a slot: ledgerctl echo {service}"))
 }

@@ -57,8 +57,9 @@ fn submitted_prefix(principal: &Principal) -> Vec<u8> {
 /// The number of the next task, which is used up by this.
 pub(crate) fn next_id(ctx: &mut Context<'_>) -> Result<u64, Rejection> {
     let newest: u64 = store::read(ctx, store::TASKS)?.unwrap_or(0);
-    let id =
-        newest.checked_add(1).ok_or_else(|| Rejection::new(Code::LimitExceeded, "no number is left for a task"))?;
+    let id = newest
+        .checked_add(1)
+        .ok_or_else(|| Rejection::new(Code::LimitExceeded, "the numbers of tasks are exhausted"))?;
     store::write(ctx, store::TASKS, &id)?;
     Ok(id)
 }

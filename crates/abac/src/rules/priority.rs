@@ -33,10 +33,10 @@ impl<'a> Source<'a> {
             _ => None,
         };
         read.ok_or_else(|| {
-            Rejection::new(Code::BadArgument, "priority says not where priorities come from")
+            Rejection::new(Code::BadArgument, "the source of priorities is not usable")
                 .found(shown(setting))
                 .wanted(WANTED)
-                .next("give one of these forms")
+                .next("use one of these forms")
         })
     }
 }

@@ -88,13 +88,13 @@ pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(
     let refuse = |message: String| Rejection::new(Code::BadArgument, message);
     let mode = rule.mode();
     if let Some((key, value)) = sharing.set().find(|(key, _)| !rule.keys().contains(key) && !OF_ALL.contains(key)) {
-        return Err(refuse(format!("mode={mode} and {key} of service {topic} do not go together"))
+        return Err(refuse(format!("mode={mode} and {key} of service {topic} cannot be combined"))
             .found(format!("{key}={}", shown(&value)))
             .wanted(match rule.keys() {
                 [] => format!("no other setting with mode={mode}"),
                 keys => format!("with mode={mode}: {}", keys.join(", ")),
             })
-            .next(format!("leave {key} out, or choose another mode")));
+            .next(format!("omit {key}, or choose another mode")));
     }
     let required = rule.required();
     if !required.is_empty() && required.iter().all(|key| sharing.shown(key).is_empty()) {
@@ -102,14 +102,14 @@ pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(
         return Err(refuse(format!("mode={mode} of service {topic} needs {keys}"))
             .found(format!("no {}", required.join(", no ")))
             .wanted(required.iter().map(|key| format!("{key}=N")).collect::<Vec<_>>().join(" or "))
-            .next(format!("give {keys}, or choose another mode")));
+            .next(format!("set {keys}, or choose another mode")));
     }
     for (key, read, min, max, unit) in BOUNDS {
         if let Some(value) = read(sharing).filter(|value| !(min..=max).contains(value)) {
             return Err(refuse(format!("{key} of service {topic} is out of range"))
                 .found(format!("{value}{unit}"))
                 .wanted(format!("{min} to {max}{unit}"))
-                .next("give a value within this range"));
+                .next("use a value within this range"));
         }
     }
     Source::of(sharing.priority.as_deref())?;
@@ -119,22 +119,19 @@ pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(
 /// A key that has no effect without another one, or undoes it, is a mistake of its owner.
 fn check_together(sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
     if sharing.confirm_within_ms.is_some() && sharing.confirm.is_none() {
-        return Err(Rejection::new(
-            Code::BadArgument,
-            format!("no confirm and confirm_within_ms of service {topic} do not go together"),
-        )
-        .found(format!("confirm_within_ms={}", sharing.shown("confirm_within_ms")))
-        .wanted("confirm=N with confirm_within")
-        .next("leave confirm_within out, or set confirm"));
+        return Err(Rejection::new(Code::BadArgument, format!("confirm_within_ms of service {topic} needs confirm"))
+            .found(format!("confirm_within_ms={}", sharing.shown("confirm_within_ms")))
+            .wanted("confirm=N with confirm_within")
+            .next("omit confirm_within, or set confirm"));
     }
     if sharing.confirm.is_some() && sharing.delegable == Some(true) {
         return Err(Rejection::new(
             Code::BadArgument,
-            format!("confirm and delegable of service {topic} do not go together"),
+            format!("confirm and delegable of service {topic} cannot be combined"),
         )
-        .found("delegable=true: a receiver whom nobody has confirmed")
-        .wanted("one of both")
-        .next("leave one of them out"));
+        .found("delegable=true: a receiver without confirmations")
+        .wanted("one of the two")
+        .next("omit one of them"));
     }
     let terms = Terms::of(sharing);
     let on_conflict = terms.on_conflict;
@@ -151,12 +148,12 @@ fn check_together(sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
         OnConflict::Preempt => "no queue_max".to_owned(),
         _ => format!("on_conflict={on_conflict}"),
     };
-    Err(Rejection::new(Code::BadArgument, format!("{other} and {key} of service {topic} do not go together"))
+    Err(Rejection::new(Code::BadArgument, format!("{other} and {key} of service {topic} cannot be combined"))
         .found(format!("{key}={}", shown(&value)))
         .wanted(match key {
             "min_hold_ms" => "on_conflict=preempt with min_hold",
-            "queue_wait_max_ms" | "aging_ms" | "queue_max" => "a line: on_conflict=queue, or preempt with queue_max",
+            "queue_wait_max_ms" | "aging_ms" | "queue_max" => "a queue: on_conflict=queue, or preempt with queue_max",
             _ => "on_conflict=queue or preempt with priority",
         })
-        .next(format!("leave {key} out, or set the other one")))
+        .next(format!("omit {key}, or set the other one")))
 }

@@ -93,7 +93,7 @@ fn spans_are_neither_negative_nor_endless() {
         (format!(r#""deadline":{}"#, now - SECOND), "a deadline after"),
         (format!(r#""not_before":{},"deadline":{}"#, now + 9 * SECOND, now + 8 * SECOND), "a deadline after"),
         (r#""deadline":-1"#.to_owned(), "not_before, deadline"),
-        (r#""not_before":18446744073709551615"#.to_owned(), "when the certificate runs out"),
+        (r#""not_before":18446744073709551615"#.to_owned(), "when the certificate expires"),
         (r#""lease_ms":99"#.to_owned(), "100 to"),
     ] {
         let task = two(&more);
@@ -167,12 +167,12 @@ fn nobody_passes_a_robot_to_itself_or_in_a_circle() {
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
     for function in ["delegate", "handover"] {
         let call = (function, &[TURTLEBOT, "Org1/Salma"][..]);
-        bad(&mut fleet, &salma(), Code::BadArgument, call, ["Org1/Salma", "somebody else", "ledgerctl acquire"]);
+        bad(&mut fleet, &salma(), Code::BadArgument, call, ["Org1/Salma", "another identity", "ledgerctl acquire"]);
     }
     fleet.ok(&salma(), "delegate", &[TURTLEBOT, "Org1/Farhad", r#"{"may_delegate":true}"#]);
     for function in ["delegate", "handover"] {
         let call = (function, &[TURTLEBOT, "Org1/Salma"][..]);
-        let parts = ["passed on by Org1/Salma", "somebody who has not passed it on", "ledgerctl recall"];
+        let parts = ["passed on by Org1/Salma", "an identity that has not delegated it", "ledgerctl recall"];
         bad(&mut fleet, &farhad(), Code::BadArgument, call, parts);
     }
 }
@@ -183,7 +183,7 @@ fn only_those_who_may_confirm_do_and_never_themselves() {
     fleet.ok(&owner(), "configure", &[TURTLEBOT, r#"{"sharing":{"confirm":1}}"#]);
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
     let call = ("confirm", &[TURTLEBOT, "Org1/Salma"][..]);
-    bad(&mut fleet, &salma(), Code::BadArgument, call, ["the contender", "somebody else", "an admin of Org2"]);
+    bad(&mut fleet, &salma(), Code::BadArgument, call, ["the contender", "another identity", "an admin of Org2"]);
     for other in [farhad(), admin1(), identity("Org1", "Officer", Role::Member, &["Turtlebot4"], 71)] {
         bad(&mut fleet, &other, Code::DeniedByPolicy, call, ["role", "an admin of Org2", "Org2"]);
     }
@@ -191,7 +191,7 @@ fn only_those_who_may_confirm_do_and_never_themselves() {
     let stranger = identity("Org3", "Officer", Role::Member, &["safety"], 72);
     bad(&mut fleet, &stranger, Code::DeniedByPolicy, call, ["role", "an admin of Org2", "Org2"]);
     let nobody = ("confirm", &[TURTLEBOT, "Org1/Nobody"][..]);
-    bad(&mut fleet, &owner(), Code::NotFound, nobody, ["Org1/Salma", "somebody who waits", "ledgerctl acquire"]);
+    bad(&mut fleet, &owner(), Code::NotFound, nobody, ["Org1/Salma", "a contender that waits", "ledgerctl acquire"]);
 }
 
 #[test]

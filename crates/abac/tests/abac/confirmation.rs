@@ -184,8 +184,8 @@ fn who_asked_takes_it_back_and_a_removed_robot_forgets_it() {
 fn confirm_goes_together_with_what_keeps_its_promise() {
     let mut fleet = Fleet::of_the_paper();
     for (sharing, message) in [
-        (r#"{"confirm":2,"delegable":true}"#, "confirm and delegable of service /cmd_vel do not go together"),
-        (r#"{"confirm_within_ms":1000}"#, "no confirm and confirm_within_ms of service /cmd_vel do not go together"),
+        (r#"{"confirm":2,"delegable":true}"#, "confirm and delegable of service /cmd_vel cannot be combined"),
+        (r#"{"confirm_within_ms":1000}"#, "confirm_within_ms of service /cmd_vel needs confirm"),
         (r#"{"confirm":0}"#, "confirm of service /cmd_vel is out of range"),
         (r#"{"confirm":17}"#, "confirm of service /cmd_vel is out of range"),
     ] {
@@ -195,5 +195,5 @@ fn confirm_goes_together_with_what_keeps_its_promise() {
     }
     let open = r#"{"mode":"open","sharing":{"confirm":2}}"#;
     let refused = fleet.refused(&owner(), Code::BadArgument, "configure", &[TURTLEBOT, open]);
-    assert_eq!(refused.message, "mode=open and confirm of service /cmd_vel do not go together");
+    assert_eq!(refused.message, "mode=open and confirm of service /cmd_vel cannot be combined");
 }

@@ -66,8 +66,9 @@ impl Members {
     fn holder(&self, id: &[u8]) -> Result<Bytes, Rejection> {
         let known = self.1.lock().unwrap();
         let found = known.iter().rev().find(|known| known.id().as_bytes() == id);
-        let Identity { organisation, name, role, attributes, issuer, serial, fingerprint, not_after, .. } =
-            found.cloned().ok_or_else(|| Rejection::new(Code::NotFound, "no certificate of this name counts now"))?;
+        let Identity { organisation, name, role, attributes, issuer, serial, fingerprint, not_after, .. } = found
+            .cloned()
+            .ok_or_else(|| Rejection::new(Code::NotFound, "no identity with a valid certificate has this name"))?;
         let (issuer, serial, fingerprint) = (Hash(issuer), hex::encode(&serial), Hash(fingerprint));
         let holder = CertifiedHolder { organisation, name, role, attributes, issuer, serial, fingerprint, not_after };
         Ok(serde_json::to_vec(&holder).unwrap().into())

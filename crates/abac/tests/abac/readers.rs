@@ -139,7 +139,7 @@ fn places_end_with_the_limit_and_with_the_robot_and_a_smaller_limit_keeps_the_ol
     assert_eq!(change.ended.len(), 1);
     assert_eq!(reads(&fleet, &farhad()), Ok(()));
     let gone = fleet.refused(&salma(), Code::UnknownService, "acquire", &[PLACES]);
-    assert_eq!(gone.advice(), format!("read it without a place: ledgerctl echo {TURTLEBOT}"));
+    assert_eq!(gone.advice(), format!("subscribe without a slot: ledgerctl echo {TURTLEBOT}"));
 
     fleet.ok(
         &owner(),

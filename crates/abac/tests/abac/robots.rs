@@ -81,7 +81,7 @@ fn a_name_that_differs_from_a_robots_only_in_case_is_rejected() {
     for function in ["setup", "replace"] {
         let refused = fleet.refused(&owner(), Code::AlreadyExists, function, &[&robot("turtlebot4", "open")]);
         assert_eq!(refused.found, "robot Turtlebot4");
-        assert!(refused.message.contains("case of its letters"), "{refused}");
+        assert!(refused.message.contains("upper and lower case"), "{refused}");
     }
     fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "open")]);
 }

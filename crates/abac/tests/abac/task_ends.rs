@@ -44,7 +44,7 @@ fn a_stop_or_a_take_interrupts_a_task_that_waits_again_until_the_robot_is_free()
     fleet.tick();
     is(&fleet, 2, TaskState::Running);
     fleet.ok(&owner(), "take", &[TURTLEBOT, "person in the cell"]);
-    assert!(is(&fleet, 2, TaskState::Preempted).contains("whatever its rule says"));
+    assert!(is(&fleet, 2, TaskState::Preempted).contains("emergency operator"));
     fleet.ok(&owner(), "release", &[TURTLEBOT]);
     fleet.tick();
     is(&fleet, 1, TaskState::Running);
@@ -58,14 +58,14 @@ fn a_task_whose_grant_ends_ends_with_it() {
     is(&fleet, 1, TaskState::Cancelled);
     submit(&mut fleet, &salma(), TWO);
     fleet.ok(&owner(), "release", &[TURTLEBOT]);
-    assert!(is(&fleet, 2, TaskState::Failed).contains("took the service back"));
+    assert!(is(&fleet, 2, TaskState::Failed).contains("revoked the grant"));
     submit(&mut fleet, &salma(), &two(r#""lease_ms":20000"#));
     fleet.time += 19 * SECOND;
     fleet.tick();
     is(&fleet, 3, TaskState::Running);
     fleet.time += SECOND;
     fleet.tick();
-    assert_eq!(is(&fleet, 3, TaskState::Failed), "its lease ran out");
+    assert_eq!(is(&fleet, 3, TaskState::Failed), "its lease expired");
     submit(&mut fleet, &salma(), TWO);
     submit(&mut fleet, &farhad(), TWO);
     let forbid = r#"permit (principal, action, resource) unless { principal.name == "Salma" };"#;
@@ -74,7 +74,7 @@ fn a_task_whose_grant_ends_ends_with_it() {
     fleet.tick();
     is(&fleet, 5, TaskState::Running);
     fleet.ok(&owner(), "remove", &["Turtlebot4"]);
-    assert!(is(&fleet, 5, TaskState::Failed).contains("out of service"));
+    assert!(is(&fleet, 5, TaskState::Failed).contains("was removed"));
 }
 
 #[test]
@@ -107,7 +107,7 @@ fn a_task_that_waits_as_long_as_the_service_allows_expires() {
     submit(&mut fleet, &farhad(), TWO);
     fleet.time += 3 * SECOND;
     fleet.tick();
-    assert!(is(&fleet, 2, TaskState::Expired).contains("as long as the service allows"));
+    assert!(is(&fleet, 2, TaskState::Expired).contains("within the idle limit"));
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn the_tasks_of_a_robot_that_was_removed_fail() {
     fleet.ok(&owner(), "remove", &["Turtlebot4"]);
     fleet.tick();
     for id in 1..=3 {
-        assert!(is(&fleet, id, TaskState::Failed).contains("out of service"), "{id}");
+        assert!(is(&fleet, id, TaskState::Failed).contains("was removed"), "{id}");
     }
     assert_eq!(fleet.next_deadline(), None);
 }

@@ -94,7 +94,7 @@ impl Client {
         let statement = &proof.certificate.statement;
         let (height, time, block) = (statement.height, statement.time, statement.block);
         if (height, time) != (delivery.height, delivery.time) || block.0[..] != delivery.block_hash[..] {
-            return Err(Rejection::new(Code::Untrusted, "the proof of a delivery is one of another block")
+            return Err(Rejection::new(Code::Untrusted, "the proof of a delivery is for another block")
                 .found(format!("a proof of block {height}"))
                 .wanted(format!("a proof of block {}", delivery.height))
                 .next("ask another node"));
@@ -174,7 +174,7 @@ impl Client {
         steps: &mut Streaming<v1::GovernanceStep>,
     ) -> Result<Option<v1::GovernanceStep>, Rejection> {
         let step = timeout(STEP_MAX, steps.message()).await;
-        let step = step.map_err(|_| unreachable(&self.node(), "no answer to a question"))?;
+        let step = step.map_err(|_| unreachable(&self.node(), "no answer to a query"))?;
         step.map_err(|status| from_status(&self.node(), &status))
     }
 }
@@ -188,12 +188,12 @@ pub fn read_checkpoint(network: &Hash, path: &Path) -> Result<Checkpoint, Reject
     Checkpoint::from_bytes(network, &found).map_err(|refused| {
         refused
             .prefix(format_args!("{} is not usable: ", path.display()))
-            .next("name another file, or none: then the way begins at the genesis")
+            .next("name another file, or none to start at the genesis")
     })
 }
 
 fn no_way() -> Rejection {
-    Rejection::new(Code::NotFound, "the node shows no beginning of the network").next("ask another node")
+    Rejection::new(Code::NotFound, "the node does not send the genesis of the network").next("ask another node")
 }
 
 /// Takes a step of a node on the way of a reader, which begins at the genesis if it has not begun. `to` is the proof to which the
@@ -226,7 +226,7 @@ fn begin(network: &Hash, genesis: &[u8]) -> Result<Governance, Rejection> {
 }
 
 fn other_genesis(named: &Hash, network: &Hash) -> Rejection {
-    Rejection::new(Code::WrongNetwork, "a node shows the genesis of another network")
+    Rejection::new(Code::WrongNetwork, "a node sent the genesis of another network")
         .found(named.to_string())
         .wanted(network.to_string())
         .next("ask another node")

@@ -91,7 +91,7 @@ impl EventStream {
                     Ok(open) => self.open = Some(open),
                     Err(refused) if is_final(&refused) => return Err(refused),
                     Err(refused) => {
-                        tracing::debug!(code = refused.code.name(), reason = %refused.message, "subscription is tried again");
+                        tracing::debug!(code = refused.code.name(), reason = %refused.message, "resubscribing");
                         sleep(RETRY_AFTER).await;
                         continue;
                     }
@@ -164,7 +164,7 @@ impl EventStream {
                 Ok(Err(refused)) => last.insert(refused),
                 Err(_) => return Err(last.unwrap_or_else(|| self.client.session.no_connection())),
             };
-            tracing::debug!(code = refused.code.name(), reason = %refused.message, "subscription is tried again");
+            tracing::debug!(code = refused.code.name(), reason = %refused.message, "resubscribing");
             sleep(RETRY_AFTER).await;
         }
         Ok(())
@@ -201,7 +201,7 @@ impl EventStream {
         };
         let Some(next) = next else { return false };
         let told = self.next_height - 1;
-        tracing::warn!(node = &*by, told, committed, "a node has told of a block that does not exist");
+        tracing::warn!(node = &*by, told, committed, "a node reported a block that does not exist");
         (self.next_height, self.told) = (next, None);
         true
     }

@@ -84,7 +84,7 @@ impl Client {
         };
         let done = self.invoke(MSP, "register", argument(&register)?).await.map_err(|refused| match refused.code {
             Code::Timeout => refused.next(format!(
-                "ledgerctl identity show {name} tells whether it happened; then --reissue makes another secret"
+                "ledgerctl identity show {name} shows whether it was registered; --reissue then creates another secret"
             )),
             _ => refused,
         })?;
@@ -199,7 +199,7 @@ impl Client {
 
 fn argument(value: &impl Serialize) -> Result<Vec<Bytes>, Rejection> {
     let text = serde_json::to_vec(value)
-        .map_err(|error| Rejection::new(Code::Internal, "an argument cannot be written").found(error.to_string()))?;
+        .map_err(|error| Rejection::new(Code::Internal, "an argument cannot be encoded").found(error.to_string()))?;
     Ok(vec![text.into()])
 }
 

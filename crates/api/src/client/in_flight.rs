@@ -411,7 +411,7 @@ impl Entry {
             let why = reason.map_or_else(|| "the node did not answer".to_owned(), |reason| in_words(&reason));
             return unknown(id, self.attempts, &why);
         }
-        let reason = reason.unwrap_or_else(|| Rejection::new(Code::Unreachable, "no node took the transaction"));
+        let reason = reason.unwrap_or_else(|| Rejection::new(Code::Unreachable, "no node accepted the transaction"));
         let found = if reason.found.is_empty() { String::new() } else { format!("{}; ", reason.found) };
         reason.found(format!("{found}the id of the transaction is {id}"))
     }
@@ -431,10 +431,10 @@ fn in_words(Rejection { message, found, .. }: &Rejection) -> String {
 
 /// The outcome is unknown, and how to learn it.
 pub(super) fn unknown(id: Hash, attempts: u32, why: &str) -> Rejection {
-    Rejection::new(Code::Timeout, format!("no verdict came in time; the outcome is unknown, the id is {id}"))
+    Rejection::new(Code::Timeout, format!("no verdict in time; the outcome is unknown, the id is {id}"))
         .found(format!("sent {attempts} times; {why}"))
         .wanted("a verdict")
-        .next(format!("ledgerctl tx {id}"))
+        .next(format!("check the outcome before repeating the call: ledgerctl tx {id}"))
 }
 
 fn units(transaction: &Transaction) -> u32 {

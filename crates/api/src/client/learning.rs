@@ -108,7 +108,8 @@ impl Nodes {
                 true
             }
             Err(reason) => {
-                tracing::debug!(code = reason.code.name(), %reason, address, "cannot use the node's description of its network");
+                tracing::debug!(code = reason.code.name(), %reason, address, "cannot use the network description of a \
+                                                                              node");
                 false
             }
         }
@@ -120,7 +121,7 @@ impl Nodes {
         let context = learner.lock().unwrap_or_else(PoisonError::into_inner).context.clone();
         let noted = timeout(NOTE_MAX, tokio::task::spawn_blocking(move || context.note())).await;
         if let Ok(Ok(Err(reason))) = noted {
-            tracing::debug!(code = reason.code.name(), %reason, "cannot store the description of the network");
+            tracing::debug!(code = reason.code.name(), %reason, "cannot store the network description");
         }
     }
 

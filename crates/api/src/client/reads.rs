@@ -206,7 +206,7 @@ impl Client {
                 }
                 // Cut short by the deadline: what the node said before is the better reason.
                 Err(_) if until == deadline && last.is_some() => break,
-                Err(_) => (crate::connect::unreachable(&connection.address, "no answer to a question"), true),
+                Err(_) => (crate::connect::unreachable(&connection.address, "no answer to a query"), true),
             };
             if is_final(&refused) {
                 return Err(refused);

@@ -337,7 +337,7 @@ impl Reconnector {
                 complaint = &mut complaint => {
                     complaint.ok()?;
                     let address = self.session.upgrade()?.address();
-                    let reason = crate::connect::unreachable(&address, "the node could not serve, another one is tried");
+                    let reason = crate::connect::unreachable(&address, "the node could not serve; trying another one");
                     return Some(reason.into());
                 }
                 Look { told, better } = looking => {
@@ -345,7 +345,7 @@ impl Reconnector {
                     self.session.upgrade()?.take_note(told);
                     if better.is_some() {
                         let address = self.session.upgrade()?.address();
-                        let reason = crate::connect::unreachable(&address, "another node serves better");
+                        let reason = crate::connect::unreachable(&address, "another node is more suitable");
                         return Some(End { reason, better });
                     }
                     continue;

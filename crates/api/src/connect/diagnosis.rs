@@ -86,7 +86,7 @@ pub(crate) fn other_network(address: &str, expected: &Expected, told: &NetworkRe
         _ => String::new(),
     };
     let found = format!("{FOUND}{} {:?}{found}", hex::encode(&told.network), told.label);
-    let wanted = format!("network {}, of which the context is", expected.network);
+    let wanted = format!("network {}, as in the context", expected.network);
     Some(match own.filter(|_| authority.is_some()) {
         Some(own) => Rejection::new(Code::WrongNetwork, format!("a different network answers at {address}"))
             .found(found)
@@ -133,11 +133,11 @@ fn ended(own: &Certificate, organisation: Option<&str>, now: u64) -> Rejection {
     let id = organisation.map_or_else(|| name.to_owned(), |organisation| format!("{organisation}/{name}"));
     Rejection::new(Code::CertificateExpired, format!("the certificate of {id} has expired"))
         .found(format!(
-            "its end on {}, {} ago",
+            "a certificate that expired on {}, {} ago",
             rfc3339_seconds(own.not_after),
             span(now.saturating_sub(own.not_after))
         ))
-        .wanted("a certificate that is still valid; it is renewed at use in the last third of its life")
+        .wanted("a valid certificate; it is renewed when used in the last third of its validity")
         .next(way_back(own, organisation))
 }
 
@@ -145,11 +145,11 @@ fn ended(own: &Certificate, organisation: Option<&str>, now: u64) -> Rejection {
 pub(crate) fn way_back(own: &Certificate, organisation: Option<&str>) -> String {
     let name = own.name().unwrap_or("NAME");
     let organisation = organisation.unwrap_or("the organisation");
-    let again = format!("ledgerctl identity register {name} --reissue; then type what it prints");
+    let again = format!("ledgerctl identity register {name} --reissue; then run the command that it prints");
     match own.role() {
         Ok(Role::Admin) => format!(
             "ask another admin of {organisation} for: {again}; if there is none: ledgerd admin-secret, at a node of \
-             {organisation} that carries its CA"
+             {organisation} that holds its CA key"
         ),
         _ => format!("ask an admin of {organisation} for: {again}"),
     }

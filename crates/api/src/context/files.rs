@@ -6,6 +6,7 @@
 
 use ledger_base::durable::SECRET_MODE;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -64,9 +65,9 @@ pub(super) fn read_secret(path: &Path) -> Result<String, Rejection> {
     if let Ok(metadata) = fs::metadata(path) {
         let mode = metadata.permissions().mode() & 0o777;
         if mode & OTHERS != 0 {
-            return Err(bad_file(path, format!("mode {mode:04o}: others can read or change the key"))
+            return Err(bad_file(path, format!("mode {mode:04o}: other users can read or change the key"))
                 .wanted(format!("mode {SECRET_MODE:04o}"))
-                .next(format!("chmod 600 {}, and enrol again if somebody may have read it", path.display())));
+                .next(format!("chmod 600 {}, and enrol again if others may have read it", shell::path(path))));
         }
     }
     read(path)
@@ -170,7 +171,7 @@ fn advised(refused: Rejection) -> Rejection {
     refused
         .code(Code::BadFile)
         .wanted("a place to store a context")
-        .next("check the owner and the free space of the directory, or set LEDGERD_HOME to another")
+        .next("check the owner and the free space of the directory, or set LEDGERD_HOME to another one")
 }
 
 /// A failed operation on the files of contexts.

@@ -24,10 +24,10 @@ pub fn home() -> Result<PathBuf, Rejection> {
         .or_else(|| set("XDG_CONFIG_HOME").map(|path| path.join("ledgerd")))
         .or_else(|| set("HOME").map(|path| path.join(".config").join("ledgerd")))
         .ok_or_else(|| {
-            Rejection::new(Code::BadFile, "there is no place for contexts")
-                .found("neither LEDGERD_HOME nor XDG_CONFIG_HOME nor HOME is set")
-                .wanted("a directory for them")
-                .next("set LEDGERD_HOME to one")
+            Rejection::new(Code::BadFile, "no directory for contexts")
+                .found("LEDGERD_HOME, XDG_CONFIG_HOME and HOME are not set")
+                .wanted("one of these variables")
+                .next("set LEDGERD_HOME to a directory")
         })
 }
 
@@ -122,7 +122,7 @@ pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
         return Ok(());
     }
     let shown: String = name.chars().take(CONTEXT_NAME_BYTES_MAX).collect();
-    Err(Rejection::new(Code::NoContext, "a context cannot have this name")
+    Err(Rejection::new(Code::NoContext, "the name of the context is not usable")
         .found(format!("{shown:?}"))
         .wanted(format!("1 to {CONTEXT_NAME_BYTES_MAX} bytes of letters, digits, \"-\", \"_\" and \".\""))
         .next("choose another name"))
@@ -133,9 +133,9 @@ pub(super) fn none_selected(home: &Path) -> Rejection {
     let names = Context::list(home).unwrap_or_default();
     let refused = Rejection::new(Code::NoContext, "no context is selected").found(listed(home, &names));
     match names.first() {
-        Some(first) => {
-            refused.wanted("one of them").next(format!("add --context {first}, or: ledgerctl context use {first}"))
-        }
+        Some(first) => refused
+            .wanted("a selected context")
+            .next(format!("add --context {first}, or: ledgerctl context use {first}")),
         None => refused
             .wanted("the context of an enrolled identity")
             .next("ledgerctl enroll NAME --node HOST:PORT --ca-fingerprint SHA256 --secret S"),

@@ -50,10 +50,10 @@ impl Lock {
         if wait(patience, || file.try_lock().is_ok()) {
             return Ok(Self { _file: Some(file) });
         }
-        Err(Rejection::new(Code::BadFile, format!("another program changes the contexts in {}", home.display()))
-            .found(format!("a lock on {} that is not released", path.display()))
+        Err(Rejection::new(Code::BadFile, format!("another program is changing the contexts in {}", home.display()))
+            .found(format!("a lock on {}", path.display()))
             .wanted("one change at a time")
-            .next(format!("end that program: fuser {}", path.display())))
+            .next(format!("wait for that program, or end it: fuser {}", path.display())))
     }
 }
 

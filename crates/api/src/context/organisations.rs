@@ -46,7 +46,7 @@ pub(super) fn to_json(msps: &Msps) -> Result<String, Rejection> {
 /// A file as JSON that people can read.
 pub(super) fn pretty(content: &impl Serialize, file: &str) -> Result<String, Rejection> {
     serde_json::to_string_pretty(content)
-        .map_err(|error| Rejection::new(Code::Internal, format!("{file} cannot be written: {error}")))
+        .map_err(|error| Rejection::new(Code::Internal, format!("{file} cannot be encoded: {error}")))
 }
 
 /// Reads `msps.json`; the error is the reason alone.

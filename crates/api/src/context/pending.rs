@@ -56,17 +56,17 @@ impl PendingEnrolment {
         let settings = Settings { name: name.to_owned(), ca_fingerprint };
         if let Some(key) = earlier(&directory, &settings)? {
             if kind.is_some_and(|kind| kind != key.kind()) {
-                return Err(Rejection::new(Code::BadArgument, "this enrolment was begun with a key of another kind")
+                return Err(Rejection::new(Code::BadArgument, "this enrolment was started with another kind of key")
                     .found(format!("a key of kind {} in {}", key.kind(), directory.display()))
-                    .wanted("the same kind, in case the certificate was issued already")
-                    .next("leave out --key"));
+                    .wanted("the same kind, because the certificate may have been issued already")
+                    .next("omit --key"));
             }
             return Ok(Self { directory, key, resumed: true });
         }
         let key = SigningKey::generate(kind.unwrap_or(KeyKind::Ed25519), &SystemRandom::new())
             .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
         let text = toml::to_string(&settings)
-            .map_err(|error| Rejection::new(Code::Internal, format!("{SETTINGS} cannot be written: {error}")))?;
+            .map_err(|error| Rejection::new(Code::Internal, format!("{SETTINGS} cannot be encoded: {error}")))?;
         files::create_directories(&contexts)?;
         files::replace_directory(&contexts, &entry, &[(SETTINGS, text), (files::KEY, key.to_pkcs8_pem())])?;
         Ok(Self { directory, key, resumed: false })

@@ -19,9 +19,9 @@ impl Context {
     /// [`Code::BadFile`] if the context is not stored, or the file cannot be read or written.
     pub fn reading_secret(&self) -> Result<Vec<u8>, Rejection> {
         let directory = self.memory.directory().ok_or_else(|| {
-            Rejection::new(Code::BadFile, format!("context {:?} has no place for a reading key", self.name))
+            Rejection::new(Code::BadFile, format!("context {:?} cannot store a reading key", self.name))
                 .found("a context that is not stored")
-                .wanted("a context in a directory of its own")
+                .wanted("a stored context")
                 .next("enrol, and use the context that this stores")
         })?;
         if let Some(secret) = stored(directory)? {
@@ -38,7 +38,7 @@ impl Context {
         let mut secret = vec![0; SECRET_BYTES];
         SystemRandom::new()
             .fill(&mut secret)
-            .map_err(|_| Rejection::new(Code::Internal, "the operating system gives no random bytes"))?;
+            .map_err(|_| Rejection::new(Code::Internal, "the operating system provides no randomness"))?;
         files::replace_file_in(directory, files::READING, &hex::encode(&secret))?;
         Ok(secret)
     }
@@ -61,6 +61,6 @@ fn stored(directory: &Path) -> Result<Option<Vec<u8>>, Rejection> {
         // Its content is a secret: only its length is told.
         _ => Err(bad_file(&path, format!("{} characters", text.trim().len()))
             .wanted(format!("{} hexadecimal digits", 2 * SECRET_BYTES))
-            .next("restore the file; without it a new key is made, which opens nothing of before")),
+            .next("restore the file; without it a new key is created, which cannot decrypt earlier messages")),
     }
 }

@@ -15,7 +15,7 @@ use tokio::time::sleep;
 /// A renewal that failed is not tried at every command.
 const RETRY_AFTER: Duration = Duration::from_secs(600);
 /// The reason of a try that has not come to its end.
-const CUT_SHORT: &str = "the command that tried it last ended before it was done";
+const CUT_SHORT: &str = "the previous renewal was interrupted";
 /// Bytes of a reason that are read.
 const REASON_MAX: u64 = 4096;
 /// How long one who was asked to renew waits for another one who does.
@@ -87,7 +87,7 @@ impl Context {
                 None if Instant::now() >= deadline => {
                     return Err(bad_file(&path, "a lock that another program holds")
                         .wanted("one renewal at a time")
-                        .next(format!("end that program: fuser {}", path.display())));
+                        .next(format!("wait for that program, or end it: fuser {}", path.display())));
                 }
                 None => sleep(LOOK).await,
             }

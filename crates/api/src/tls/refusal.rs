@@ -55,11 +55,11 @@ impl Refusal {
     pub fn remedy(&self) -> String {
         match self {
             Self::Identity(error) => error.remedy(),
-            Self::NotANode { .. } => "give the server a certificate of role node, or check the address".into(),
+            Self::NotANode { .. } => "use a server with a certificate of role node, or check the address".into(),
             Self::OtherNode { .. } => "check the address, or the node that the context names".into(),
             Self::Fingerprint { .. } => "ask the operator of the node for the fingerprint of its CA".into(),
-            Self::Revoked { .. } => "enrol again, if the organisation's admin agrees".into(),
-            Self::NoCertificate => "check that the address is a node's".into(),
+            Self::Revoked { .. } => "an admin of the organisation can enrol it again".into(),
+            Self::NoCertificate => "check that the address is that of a node".into(),
         }
     }
 

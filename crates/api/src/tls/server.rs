@@ -18,7 +18,7 @@ pub fn server_config(identity: TlsIdentity, trust: Arc<dyn TrustSource>) -> Resu
     let provider = provider();
     let verifier = Verifier::new(&provider, move |chain, _| {
         client_identity(Some(chain), trust.as_ref()).map(drop).map_err(|refusal| {
-            tracing::info!(error = %refusal, "a client's certificate is refused");
+            tracing::info!(error = %refusal, "client certificate rejected");
             told(refusal)
         })
     });

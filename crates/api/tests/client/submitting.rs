@@ -455,7 +455,7 @@ async fn a_call_that_a_node_executed_on_a_branch_of_its_own_is_reported_by_the_n
     let (refused, id) = (refused.unwrap_err(), ids(&first.received()).pop().unwrap());
     assert_eq!(refused.code, Code::Contradicted, "{refused}");
     assert!(refused.message.contains(&id.to_string()), "{refused}");
-    assert!(refused.advice().contains("call again what is still wanted"), "{refused}");
+    assert!(refused.advice().contains("repeat calls that are still wanted"), "{refused}");
     assert!(second.received().is_empty(), "it is not signed or sent again by itself");
     // The client goes on with the other node.
     assert_eq!(client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap_err().code, Code::Contradicted);

@@ -18,9 +18,9 @@ pub enum Class {
     Denied,
     /// The input is wrong; repeating it unchanged cannot succeed.
     Invalid,
-    /// Nobody answered, or no majority could be reached; repeating it may succeed.
+    /// No node answered, or no majority could be reached; repeating it may succeed.
     Unreachable,
-    /// Somebody else holds what was asked for.
+    /// Another identity holds the requested service.
     Conflict,
 }
 
@@ -92,11 +92,11 @@ codes! {
         "send the same transaction again with the certificate attached";
     /// Block time has passed the transaction's `not_after`.
     Expired = 1006 "EXPIRED" Invalid,
-        "make a new transaction";
-    /// `not_after` lies further ahead of block time than ids are remembered.
+        "the command was not executed and will not be; if it is still wanted, send a new one";
+    /// `not_after` is beyond the duplicate-detection window.
     NotAfterTooFar = 1007 "NOT_AFTER_TOO_FAR" Invalid,
         "sign it again with an earlier not_after, and check this machine's clock";
-    /// A transaction with this id was executed before; the first verdict stands.
+    /// A transaction with this id was executed before; its first verdict is final.
     Duplicate = 1008 "DUPLICATE" Invalid;
     /// No chaincode of this name is installed.
     UnknownChaincode = 1009 "UNKNOWN_CHAINCODE" Invalid;
@@ -114,9 +114,9 @@ codes! {
     Refused = 1015 "REFUSED" Denied;
     /// This node has dropped the blocks that were asked for.
     Pruned = 1016 "PRUNED" Invalid;
-    /// The function only reads: it is a query, and no transaction.
+    /// The function is read-only: it must be called as a query.
     QueryOnly = 1017 "QUERY_ONLY" Invalid;
-    /// The call uses more than the budget of a call, or its organisation more than its budget of a block.
+    /// The call exceeds the budget of a call, or the calls of its organisation exceed the budget of a block.
     OverBudget = 1018 "OVER_BUDGET" Invalid;
 
     /// The certificate is not of an organisation of this network.
@@ -140,19 +140,19 @@ codes! {
     /// A name is already registered.
     AlreadyRegistered = 2009 "ALREADY_REGISTERED" Invalid,
         "choose another name";
-    /// No invitation stands on the ledger for this organisation, or this is not what it invites.
+    /// The ledger has no invitation for this organisation, or the request does not match it.
     NotInvited = 2010 "NOT_INVITED" Denied;
-    /// The node is none of this network's, or no longer.
+    /// The node is not, or no longer, a member of this network.
     NotAMember = 2011 "NOT_A_MEMBER" Denied,
         "bring it in as a new node: ledgerctl network invite --node NAME";
-    /// The node does not carry the CA of the organisation; others may.
+    /// The node does not hold the CA key of the organisation; other nodes may.
     CaElsewhere = 2012 "CA_ELSEWHERE" Unreachable;
-    /// A revocation list that does not follow the newest one of its authority, or is not of today.
+    /// A revocation list that is older than the newest one of its CA, or is not valid now.
     OldList = 2013 "OLD_LIST" Invalid,
         "fetch the newest list from the CA";
-    /// The organisation refuses its members: the revocation list of its CA has ended.
+    /// The organisation rejects its members: the revocation list of its CA has expired.
     ListStale = 2014 "LIST_STALE" Denied;
-    /// The clocks of this machine and of a node differ so much that good certificates look expired.
+    /// The clocks of this machine and of a node differ so much that valid certificates seem expired.
     ClockOff = 2020 "CLOCK_OFF" Failure,
         "set the clock of this machine: timedatectl set-ntp true; if it is right, inform the node's operator";
 
@@ -186,44 +186,44 @@ codes! {
     PolicyError = 3013 "POLICY_ERROR" Denied;
     /// The policy text is not acceptable.
     PolicyInvalid = 3014 "POLICY_INVALID" Invalid;
-    /// The network cannot go on without its last voter, organisation or root.
+    /// The network needs its last voter, organisation or root certificate.
     LastOne = 3015 "LAST_ONE" Invalid;
-    /// The service is in a mode whose rule this program does not know.
+    /// The service is in a mode with a rule that this program does not support.
     UnknownMode = 3016 "UNKNOWN_MODE" Invalid,
         "install the version of the nodes on the machine of the bridge, or let the owner set another mode";
-    /// A voter does not speak the rules of execution that are to be activated.
+    /// A voter does not support the execution rules to be activated.
     RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid,
         "install the newer release on the nodes that the message names, and start them; ledgerctl network rules shows the \
          rules that every node supports";
-    /// The function is executed only once enough have agreed to a proposal of this call.
+    /// The function needs a proposal of this call with enough approvals.
     NeedsApproval = 3018 "NEEDS_APPROVAL" Denied;
-    /// The organisation has as many of these as its quota allows.
+    /// The organisation has reached its quota.
     QuotaReached = 3019 "QUOTA_REACHED" Invalid;
-    /// The robot is stopped: nobody commands it until it is resumed.
+    /// The robot is stopped until it is resumed.
     Stopped = 3020 "STOPPED" Conflict;
-    /// As many wait for the service as its owner allows.
+    /// The queue for this service is full.
     LineFull = 3021 "LINE_FULL" Conflict;
-    /// The grant cannot be passed on.
+    /// The grant cannot be delegated.
     NotDelegable = 3022 "NOT_DELEGABLE" Conflict;
-    /// Another set of policies is in force than the one that this was made from.
+    /// The policy set in force differs from the one on which the change is based.
     PoliciesChanged = 3023 "POLICIES_CHANGED" Conflict,
         "ledgerctl policy history shows the changes since; repeat your change from the set in force";
-    /// Under these policies nobody could publish to a robot.
+    /// Under these policies no known identity could publish to a robot.
     NobodyMayPublish = 3024 "NOBODY_MAY_PUBLISH" Conflict,
         "ledgerctl can --who-could lists the permitted identities; to apply the set anyway, add --i-mean-it to the rejected command";
     /// The readers of a confidential service have changed since its content key was shared.
     ReadersChanged = 3025 "READERS_CHANGED" Conflict,
-        "share a new content key and send the message again; ledgerctl and bridges do so by themselves";
-    /// A robot has other settings than those that this was made from.
+        "share a new content key and send the message again; ledgerctl and bridges do so automatically";
+    /// The settings of a robot differ from those on which the change is based.
     RobotChanged = 3026 "ROBOT_CHANGED" Conflict,
         "ledgerctl robot show NAME shows the current settings; repeat your change from these";
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable,
-        "try again, or another node";
+        "try again, or use another node";
     /// No leader is known, so nothing can be ordered now.
     NoLeader = 4002 "NO_LEADER" Unreachable,
-        "try the same again shortly, unchanged, or through another node";
+        "repeat the same call shortly, unchanged, or through another node";
     /// A queue is full.
     Overloaded = 4003 "OVERLOADED" Unreachable,
         "send less often; send newer data instead, or the same call again after 100 ms";
@@ -237,29 +237,29 @@ codes! {
     ShuttingDown = 4006 "SHUTTING_DOWN" Unreachable;
     /// The clock of the only voter is in doubt, so it orders nothing.
     ClockJumped = 4007 "CLOCK_JUMPED" Unreachable,
-        "set the clock right; the node continues by itself. If the clock is right, end the node and confirm it: \
+        "correct the clock; the node continues automatically. If the clock is right, stop the node and confirm it: \
          ledgerd run --trust-clock --config FILE";
     /// The clock of the node's machine is too far from those of most voters.
     ClockOutOfBounds = 4008 "CLOCK_OUT_OF_BOUNDS" Unreachable,
         "use another node, and set the clock of the machine that the message names: timedatectl set-ntp true";
 
-    /// The disk is full; nothing more is accepted.
+    /// The disk is full; no calls are accepted.
     DiskFull = 5001 "DISK_FULL" Failure,
-        "make room on that file system";
+        "free disk space on that file system";
     /// Stored bytes are damaged.
     Corrupt = 5002 "CORRUPT" Failure;
     /// The disk failed.
     DiskFailed = 5003 "DISK_FAILED" Failure,
-        "see the system's log (dmesg); repair or replace the disk, then start again";
+        "check the system log (dmesg); repair or replace the disk, then start again";
     /// The chain does not verify.
     ChainInvalid = 5004 "CHAIN_INVALID" Failure,
         "compare with the same height on a node of another organisation (ledgerctl block N), and keep the directory as evidence";
-    /// Something inside failed; the log has the details.
+    /// An internal error; the log has the details.
     Internal = 5005 "INTERNAL" Failure;
     /// The world state of this node differs from that of most others.
     Diverged = 5006 "DIVERGED" Failure,
         "start the node with the program that the other nodes run: it rebuilds its world state from its blocks";
-    /// The network executes blocks by rules that this release does not speak.
+    /// The network executes blocks with rules that this release does not support.
     UnknownRules = 5007 "UNKNOWN_RULES" Failure,
         "install the release of ledgerd that the other nodes of the network run";
     /// The network has another history than this node.

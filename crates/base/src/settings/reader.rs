@@ -297,17 +297,17 @@ impl<'t> Section<'_, 't> {
     /// A setting that is gone: what is written instead.
     pub fn replaced(&mut self, name: &str, instead: &str) {
         let Some(value) = self.table.remove(name) else { return };
-        let rejection = Rejection::new(Code::BadConfiguration, format!("{} is no setting any more", self.path(name)))
+        let rejection = Rejection::new(Code::BadConfiguration, format!("{} is no longer a setting", self.path(name)))
             .found(self.reader.found(&value.span()))
             .wanted(instead)
-            .next("remove the line, and write the other setting if its default is not what you want");
+            .next("remove the line, and use the other setting if its default is not suitable");
         self.reader.fault(Some(&value.span()), rejection);
     }
 
     /// Settings of this section that do not go together, by their names.
     pub fn conflict(&mut self, names: [&str; 2], found: String, wanted: String) {
         let [first, second] = names.map(|name| self.path(name));
-        let rejection = Rejection::new(Code::BadConfiguration, format!("{first} does not fit {second}"))
+        let rejection = Rejection::new(Code::BadConfiguration, format!("{first} conflicts with {second}"))
             .found(found)
             .wanted(wanted)
             .next(format!("change {first} or {second}"));
@@ -342,7 +342,7 @@ impl<'t> Section<'_, 't> {
         Rejection::new(Code::BadConfiguration, format!("{} has a wrong value", self.path(name)))
             .found(self.reader.found(span))
             .wanted(wanted)
-            .next("correct it, or leave the setting out for its default")
+            .next("correct it, or omit the setting for its default")
     }
 
     /// Takes a setting out of the section.

@@ -59,7 +59,7 @@ fn bounded(source: impl Read, name: &Path) -> Result<Bytes, Rejection> {
         return Err(Rejection::new(Code::TooLarge, format!("{} is too large for a transaction", name.display()))
             .found(format!("more than {TRANSACTION_BYTES_MAX} bytes"))
             .wanted(format!("at most {TRANSACTION_BYTES_MAX} bytes"))
-            .next("split it into several"));
+            .next("split it into several messages"));
     }
     Ok(bytes.into())
 }

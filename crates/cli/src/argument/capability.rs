@@ -29,18 +29,18 @@ fn read(value: &str) -> Result<Option<Attribute>, String> {
         return Ok(None);
     }
     if let Some(quoted) = value.strip_prefix('"') {
-        let text = quoted.strip_suffix('"').ok_or_else(|| format!("{value}: the text in quotes does not end"))?;
+        let text = quoted.strip_suffix('"').ok_or_else(|| format!("{value}: the closing quote is missing"))?;
         return Ok(Some(Attribute::Text(text.to_owned())));
     }
     let digits = value.strip_prefix('-').unwrap_or(value);
     if !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()) {
-        let number = value.parse().map_err(|_| format!("{value} is no number of 64 bits; a text stands in quotes"))?;
+        let number = value.parse().map_err(|_| format!("{value} is not a 64-bit number; texts are quoted"))?;
         return Ok(Some(Attribute::Number(number)));
     }
     if value.contains(',') {
         let texts = value.split(',').map(str::trim).filter(|text| !text.is_empty());
         if let Some(other) = texts.clone().find(|text| text.contains('=')) {
-            return Err(format!("{value}: {other} looks like another attribute: give it an option of its own"));
+            return Err(format!("{value}: {other} looks like another attribute: use a separate option for it"));
         }
         return Ok(Some(Attribute::Set(texts.map(str::to_owned).collect())));
     }
@@ -91,7 +91,7 @@ mod tests {
         ] {
             assert_eq!(read(typed), Ok(wanted), "{typed}");
         }
-        assert!(read("\"a").unwrap_err().contains("does not end"));
+        assert!(read("\"a").unwrap_err().contains("quote is missing"));
         assert!(read("crane,payload_kg=20").unwrap_err().contains("payload_kg=20 looks like another attribute"));
         assert!(read("9223372036854775808").unwrap_err().contains("quotes"));
     }

@@ -9,7 +9,7 @@ use std::path::Path;
 /// Definitions of types that are not built in.
 #[derive(Debug, Default, clap::Args)]
 pub(crate) struct Definitions {
-    /// Definition of a type that is not built in; the path ends with package/msg/Name.msg, or the name stands before it.
+    /// Definition of a type that is not built in: a path that ends in package/msg/Name.msg, or package/msg/Name=FILE.
     /// May be given several times
     #[arg(long = "msg", value_name = "[TYPE=]FILE")]
     msg: Vec<String>,
@@ -30,7 +30,7 @@ impl Definitions {
     /// As [`Self::library`].
     pub(crate) fn check(&self, output: &Output) -> Result<(), Rejection> {
         for (path, fault) in self.read()?.1 {
-            output.note(&format!("the definition {path} cannot be used: {} (found {})", fault.message, fault.found));
+            output.note(&format!("the definition {path} is ignored: {} (found {})", fault.message, fault.found));
         }
         Ok(())
     }
@@ -49,7 +49,7 @@ impl Definitions {
             let name = Library::full_name(&name).map_err(|fault| unusable(argument, fault))?;
             let text = bytes::from_file(Path::new(path))?;
             let text = ledger_base::text::of_bytes(&text).map_err(|fault| {
-                Rejection::new(Code::BadFile, format!("{path} is no definition of a message"))
+                Rejection::new(Code::BadFile, format!("{path} is not a message definition"))
                     .found(fault.to_string())
                     .wanted("the text of a .msg file")
             })?;
@@ -75,7 +75,7 @@ impl Definitions {
 
 fn unusable(path: &str, fault: Fault) -> Rejection {
     let Fault { message, found, wanted, next } = fault;
-    Rejection::new(Code::BadFile, format!("the definition {path} cannot be used: {message}"))
+    Rejection::new(Code::BadFile, format!("the definition {path} is ignored: {message}"))
         .found(found)
         .wanted(wanted)
         .next(if next.is_empty() { "compare with: ros2 interface show TYPE".to_owned() } else { next })

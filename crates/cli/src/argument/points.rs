@@ -61,15 +61,15 @@ fn millionths(text: &str) -> Result<Option<i64>, String> {
         None => (false, text.strip_prefix('+').unwrap_or(text)),
     };
     if ["nan", "inf", "infinity"].iter().any(|word| digits.eq_ignore_ascii_case(word)) {
-        return Err("is no finite number".to_owned());
+        return Err("is not finite".to_owned());
     }
     let (whole, part) = digits.split_once('.').unwrap_or((digits, ""));
     let is_number = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
     if whole.len() + part.len() == 0 || !is_number(whole) || !is_number(part) {
-        return Err("is no decimal number such as -2.5".to_owned());
+        return Err("is not a decimal number such as -2.5".to_owned());
     }
     if part.len() > DECIMALS {
-        return Err(format!("has {} decimals, of which at most {DECIMALS} are kept", part.len()));
+        return Err(format!("has {} decimals, but at most {DECIMALS} are possible", part.len()));
     }
     let size = format!("{whole}{part:0<DECIMALS$}").parse::<i64>().ok();
     Ok(size.map(|size| if negative { -size } else { size }))
@@ -112,17 +112,17 @@ mod tests {
             ("1,0;;2,0", "point 2: it is empty"),
             ("1", "point 1: one number"),
             ("1,2;1,2,3,4", "point 2: 4 numbers"),
-            ("1,", "point 1: y \"\" is no decimal number"),
-            ("NaN,0", "x \"NaN\" is no finite number"),
-            ("0,-inf", "y \"-inf\" is no finite number"),
-            ("0,0,Infinity", "yaw \"Infinity\" is no finite number"),
-            ("1e3,0", "x \"1e3\" is no decimal number"),
-            ("1.2.3,0", "no decimal number"),
-            ("--1,0", "no decimal number"),
-            ("-,0", "no decimal number"),
-            (".,0", "no decimal number"),
-            ("١,0", "no decimal number"),
-            ("0.1234567,0", "has 7 decimals, of which at most 6 are kept"),
+            ("1,", "point 1: y \"\" is not a decimal number"),
+            ("NaN,0", "x \"NaN\" is not finite"),
+            ("0,-inf", "y \"-inf\" is not finite"),
+            ("0,0,Infinity", "yaw \"Infinity\" is not finite"),
+            ("1e3,0", "x \"1e3\" is not a decimal number"),
+            ("1.2.3,0", "not a decimal number"),
+            ("--1,0", "not a decimal number"),
+            ("-,0", "not a decimal number"),
+            (".,0", "not a decimal number"),
+            ("١,0", "not a decimal number"),
+            ("0.1234567,0", "has 7 decimals, but at most 6 are possible"),
             ("1000000.000001,0", "is not within -1000000 to 1000000 m"),
             ("0,99999999999999999999", "is not within -1000000 to 1000000 m"),
             ("0,0,-6.3", "is not within -6.283186 to 6.283186 rad"),

@@ -24,7 +24,10 @@ pub(crate) fn text(path: &Path) -> Result<String, Rejection> {
     if path.is_dir() {
         return Err(Rejection::new(Code::BadFile, format!("{} is a directory", path.display()))
             .wanted("files with policies in Cedar")
-            .next(format!("name its files: {}/*.cedar", path.display().to_string().trim_end_matches('/'))));
+            .next(format!(
+                "name its files: {}/*.cedar",
+                shell_word(path.display().to_string().trim_end_matches('/'))
+            )));
     }
     ledger_base::text::of_bytes(&bytes::from_file(path)?).map_err(|fault| {
         Rejection::new(Code::BadFile, format!("{} is not text", path.display()))
@@ -46,9 +49,9 @@ pub(crate) fn read(paths: &[PathBuf]) -> Result<Option<Vec<PolicyText>>, Rejecti
         check_kind(path, &text)?;
         let id = id_of(path)?;
         if let Some(first) = named.insert(id.clone(), path) {
-            return Err(Rejection::new(Code::BadName, format!("two files are the policy {id}"))
+            return Err(Rejection::new(Code::BadName, format!("two files define the policy {id}"))
                 .found(format!("{} and {}", first.display(), path.display()))
-                .wanted("files with names of their own: night.cedar is the policy night")
+                .wanted("files with different names: night.cedar is the policy night")
                 .next("rename one of them"));
         }
         policies.push(PolicyText { id, text });
@@ -67,7 +70,7 @@ fn id_of(path: &Path) -> Result<String, Rejection> {
     let better = if parts.is_empty() { "policy".to_owned() } else { parts.join("-") };
     let renamed = path.with_file_name(format!("{better}.cedar")).display().to_string();
     let before = shell_word(&path.display().to_string());
-    Err(Rejection::new(Code::BadName, format!("the name of {} is none for a policy", path.display()))
+    Err(Rejection::new(Code::BadName, format!("the name of {} is not a policy name", path.display()))
         .found(format!("{stem:?}"))
         .wanted("letters, digits, '_' and '-' before the ending: night.cedar is the policy night")
         .next(format!("rename it: mv {before} {}", shell_word(&renamed))))
@@ -76,12 +79,12 @@ fn id_of(path: &Path) -> Result<String, Rejection> {
 /// Rejects files of other kinds, of which the parser of Cedar would say little.
 fn check_kind(path: &Path, text: &str) -> Result<(), Rejection> {
     let refused = |found: &str| {
-        Rejection::new(Code::BadFile, format!("{} has no policies", path.display()))
+        Rejection::new(Code::BadFile, format!("{} contains no policies", path.display()))
             .found(found.to_owned())
             .wanted("policies in Cedar, such as permit (principal, action, resource);")
     };
     if text.trim().is_empty() {
-        return Err(refused("an empty file").next("no policy of your own: ledgerctl policy apply --built-in"));
+        return Err(refused("an empty file").next("for no policies of your own: ledgerctl policy apply --built-in"));
     }
     let begins = |key: &str| text.lines().any(|line| line.trim_start().starts_with(key));
     match OTHERS.iter().find(|(key, _)| begins(key)) {

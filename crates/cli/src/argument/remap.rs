@@ -17,7 +17,7 @@ impl std::str::FromStr for Remap {
             Some((from, to)) if from.starts_with('/') && to.starts_with('/') => {
                 Ok(Self { from: from.to_owned(), to: to.to_owned() })
             }
-            _ => Err("wanted FROM:=TO, two names of topics with their leading slashes".to_owned()),
+            _ => Err("wanted FROM:=TO, two topic names with leading slashes".to_owned()),
         }
     }
 }

@@ -29,6 +29,7 @@ impl std::str::FromStr for Milliseconds {
             "m" | "min" => 60_000,
             "h" => 3_600_000,
             "d" => 86_400_000,
+            unit if unit.starts_with('-') => return Err(format!("a span has no sign; wanted {wanted}")),
             "" if digits > 0 => return Err(format!("the unit is missing; wanted {wanted} (did you mean {number}s?)")),
             _ => return Err(format!("wanted {wanted}")),
         };

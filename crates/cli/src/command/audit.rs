@@ -26,12 +26,12 @@ const FOLLOW_PAUSE: Duration = Duration::from_millis(500);
 /// The decision of rows about commands.
 const COMMANDS: &str = "used";
 
-/// Show who did what, who was refused, and under which policies.
+/// Show commands, rejections and changes of permissions, each with its identity and policy.
 ///
-/// The node answers from an index, also for blocks of long ago. Commands and refusals of one minute are one row, with how many they
-/// were. A refusal before ordering is the word of the node that made it, which the row names. Everybody sees who holds what. Rows
-/// about commands and refusals are shown to admins, to those whose organisation they concern, and to the owner of the robot.
-/// With `-o json` each row is one line.
+/// The node answers from an index that includes old blocks. Commands and rejections within one minute are one row with
+/// a count. A rejection before ordering is a report of the node that rejected it; the row names that node. Grants are
+/// visible to all members. Rows about commands and rejections are visible to admins, to the organisations that they
+/// concern, and to the owner of the robot. With `-o json` each row is one line.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -41,39 +41,39 @@ Example:
 pub(crate) struct Audit {
     #[command(flatten)]
     about: About,
-    /// From this moment on: a span ago such as 10m, a time of today, a time, or a height; one day ago by default
+    /// Start of the period: a span before now such as 10m, a time of today, a time, or a height; one day ago by default
     #[arg(long, value_name = "MOMENT", default_value = "1d")]
     since: Moment,
-    /// Up to this moment
+    /// End of the period
     #[arg(long, value_name = "MOMENT", conflicts_with = "follow")]
     until: Option<Moment>,
-    /// At most N rows; without it 10000, unless --follow is given
+    /// Print at most N rows; 10000 by default, without a limit with --follow
     #[arg(long, value_name = "N", value_parser = number::count)]
     limit: Option<u64>,
-    /// Go on with what happens, until Ctrl-C
+    /// Continue with new rows until Ctrl-C
     #[arg(long)]
     follow: bool,
     /// The same as -o csv
     #[arg(long)]
     csv: bool,
-    /// From now on, and without commands: what `ledgerctl watch` shows
+    /// Start now, without rows about commands: the output of `ledgerctl watch`
     #[arg(skip)]
     from_now: bool,
 }
 
-/// The rows that are wanted: all that are named must fit.
+/// Conditions on the rows; a row must meet all of them.
 #[derive(Debug, clap::Args)]
 pub(super) struct About {
-    /// Only about this robot
+    /// Only rows about this robot
     #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
-    /// Only what this identity did, or what was done to it; without an organisation one of your own
+    /// Only actions of this identity and actions on it; a name without an organisation is one of your own
     #[arg(long, value_name = "[ORG/]NAME")]
     user: Option<String>,
-    /// Only what concerns identities of this organisation
+    /// Only rows about identities of this organisation
     #[arg(long, value_name = "ORG")]
     organisation: Option<String>,
-    /// Only refusals with this code
+    /// Only rejections with this code
     #[arg(long, value_name = "LGR-NNNN", value_parser = code)]
     code: Option<Code>,
 }
@@ -82,7 +82,7 @@ pub(super) struct About {
 fn code(text: &str) -> Result<Code, String> {
     let number = text.strip_prefix("LGR-").unwrap_or(text).parse::<u16>().ok();
     let known = number.and_then(Code::from_number).filter(|code| *code != Code::Ok);
-    known.ok_or_else(|| "wanted the code of a refusal, such as LGR-3001".to_owned())
+    known.ok_or_else(|| "wanted the code of a rejection, such as LGR-3001".to_owned())
 }
 
 impl Audit {
@@ -148,7 +148,7 @@ impl Audit {
             user: user.unwrap_or_default(),
             organisation: self.about.organisation.clone().unwrap_or_default(),
             code: self.about.code.map(|code| code.number().into()).unwrap_or_default(),
-            since: if self.from_now { session.client.now() } else { moment(session, self.since).await? },
+            since: if self.from_now { session.client.now() } else { since(session, self.since).await? },
             until,
             after: Bytes::new(),
             limit: 0,
@@ -162,6 +162,22 @@ pub(super) async fn moment(session: &Session, moment: Moment) -> Result<u64, Rej
         Instant::Time(time) => Ok(time),
         Instant::Height(height) => Ok(session.client.block(height).await?.time),
     }
+}
+
+/// The beginning of what is asked for, as block time in microseconds.
+///
+/// # Errors
+/// [`Code::BadArgument`] if it is in the future: an empty answer would look as if nothing had happened.
+pub(super) async fn since(session: &Session, since: Moment) -> Result<u64, Rejection> {
+    let (at, now) = (moment(session, since).await?, session.client.now());
+    if at > now { Err(in_the_future(at, now)) } else { Ok(at) }
+}
+
+fn in_the_future(at: u64, now: u64) -> Rejection {
+    Rejection::new(Code::BadArgument, "--since is in the future")
+        .found(format!("{} ({})", time::moment(at), time::relative(at, now)))
+        .wanted("a time before now")
+        .next("check the date and the time zone, or give a span before now, such as --since 10m")
 }
 
 /// The rows that may still be shown, of a node that need not be honest.
@@ -220,19 +236,19 @@ impl Budget {
 
 /// There is more than is shown.
 fn cut() -> Rejection {
-    Rejection::new(Code::TooLarge, "the audit has more rows than are shown")
+    Rejection::new(Code::TooLarge, "the audit has more rows than the limit")
         .found(format!("the first {ROWS_MAX} rows, and the node has more"))
         .wanted(format!("at most {ROWS_MAX} rows without --limit"))
-        .next("ask for less with --since, --until, --robot, --user or --code, or name a larger --limit")
+        .next("narrow the query with --since, --until, --robot, --user or --code, or set a larger --limit")
 }
 
 /// Tells which part of the past the node does not know.
 fn extent(output: &Output, (from, height, executed): (u64, u64, u64)) {
     if from > 1 {
-        output.note(&format!("this node knows nothing of what happened before block {from}"));
+        output.note(&format!("this node has no records from before block {from}"));
     }
     if height < executed {
-        output.note(&format!("this node is still making its index: it is at block {height} of {executed}"));
+        output.note(&format!("this node is still building its index: block {height} of {executed}"));
     }
 }
 

@@ -9,7 +9,7 @@ use crate::global::Global;
 use crate::output::Output;
 use clap::Subcommand;
 
-/// Prepare the robot's graph for a bridge.
+/// Prepare a robot's ROS graph for a bridge.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bridge {
     ExportSros2(export_sros2::ExportSros2),

@@ -21,9 +21,9 @@ use std::time::Duration;
 /// How long a node may take to show that it is there.
 const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 
-/// See and change which nodes carry the CA of your organisation.
+/// Show and change which nodes hold the CA key of your organisation.
 ///
-/// A node that carries the CA enrols and renews. Registering and revoking need no CA: they work through any node.
+/// A node with the CA key enrols and renews. Registration and revocation need no CA key: they work through any node.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Ca {
     Status(Status),
@@ -34,15 +34,15 @@ pub(crate) enum Ca {
     Move(copy::Move),
 }
 
-/// Show which nodes carry the CA of your organisation, and which of them answer.
+/// Show which nodes hold the CA key of your organisation, and which of them answer.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca status")]
 pub(crate) struct Status {}
 
-/// Let another node of your organisation carry its CA; for admins.
+/// Copy the CA key to another node of your organisation; for admins.
 ///
-/// The CA's key goes from a node that carries it to the other one, sealed for that node: this command cannot read it.
-/// If it was interrupted, type it again.
+/// The key is transferred from a node that holds it, encrypted for the other node; this command cannot read it. If
+/// interrupted, run the command again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca carry node2")]
 pub(crate) struct Carry {
@@ -50,13 +50,13 @@ pub(crate) struct Carry {
     node: String,
 }
 
-/// Say that a node carries the CA no more, because its disk is lost; for admins.
+/// Record that a node no longer holds the CA key, because its disk is lost; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca forget node1")]
 pub(crate) struct Forget {
     /// The node: its name, or ORGANISATION/NAME
     node: String,
-    /// Do not ask when no other node carries the CA
+    /// Do not ask if no other node holds the CA key
     #[arg(long)]
     i_mean_it: bool,
 }
@@ -117,7 +117,7 @@ impl Facts for Carriers {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { organisation, carriers } = self;
         if !carriers.is_empty() {
-            let mut table = Table::new(["NODE", "ADDRESS", "CARRIES THE CA SINCE", "ANSWERS"]);
+            let mut table = Table::new(["NODE", "ADDRESS", "HOLDS THE CA KEY SINCE", "ANSWERS"]);
             for carrier in carriers {
                 table.row([
                     carrier.node.clone(),
@@ -131,14 +131,14 @@ impl Facts for Carriers {
         match carriers.as_slice() {
             [] => writeln!(
                 out,
-                "no node carries the CA of {organisation}: nobody can enrol or renew\n\
-                 put it back from a copy: ledgerctl ca restore FILE"
+                "no node holds the CA key of {organisation}: enrolment and renewal do not work\nrestore it from a \
+                 backup: ledgerctl ca restore FILE"
             ),
             [only] => writeln!(
                 out,
-                "without {} nobody can enrol or renew, and without its disk and a copy never again\n\
-                 let another node carry the CA: ledgerctl ca carry NODE\n\
-                 make a copy under a passphrase: ledgerctl ca backup FILE",
+                "only {} holds the CA key: without that node, enrolment and renewal do not work; if its disk is lost, \
+                 only a backup restores them\ncopy the key to another node: ledgerctl ca carry NODE\nmake a backup \
+                 under a passphrase: ledgerctl ca backup FILE",
                 only.node
             ),
             _ => Ok(()),
@@ -181,7 +181,7 @@ struct Carried {
 
 impl Facts for Carried {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{} carries the CA of {}, as {} does", self.node, self.organisation, self.from)
+        writeln!(out, "{} holds the CA key of {}, as does {}", self.node, self.organisation, self.from)
     }
 }
 
@@ -200,7 +200,7 @@ async fn own_node(session: &Session, organisation: &str, node: &str) -> Result<N
     if target.organisation == organisation {
         return Ok(target.clone());
     }
-    Err(Rejection::new(Code::WrongRole, format!("{} may not carry this CA", target.full_name()))
+    Err(Rejection::new(Code::WrongRole, format!("{} may not hold this CA key", target.full_name()))
         .found(format!("a node of {}", target.organisation))
         .wanted(format!("a node of {organisation}"))
         .into())
@@ -226,7 +226,7 @@ async fn carry(session: &Session, node: &str) -> Result<Carried, Failure> {
         signature: offer.signature,
         certificate: offer.certificate,
     };
-    let mut refused = Rejection::new(Code::CaElsewhere, format!("no node carries the CA of {organisation}"))
+    let mut refused = Rejection::new(Code::CaElsewhere, format!("no node holds the CA key of {organisation}"))
         .next("ledgerctl ca restore FILE");
     for carrier in &own {
         let Some(address) = address(&nodes, carrier) else { continue };
@@ -258,10 +258,10 @@ struct Forgotten {
 
 impl Facts for Forgotten {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{} carries the CA of {} no more, as far as the ledger knows", self.node, self.organisation)?;
+        writeln!(out, "{} no longer holds the CA key of {}, according to the ledger", self.node, self.organisation)?;
         writeln!(
             out,
-            "a node that still has the key says so again when it starts: then remove its directory ca/{}",
+            "a node that still has the key registers it again when it starts: first remove its directory ca/{}",
             self.organisation
         )
     }
@@ -275,12 +275,13 @@ impl Forget {
         own.retain(|carrier| carrier.organisation == organisation);
         let is_last = own.len() == 1 && own.iter().all(|carrier| carrier.full_name() == node);
         let lost = format!(
-            "no other node carries the CA of {organisation}: nobody enrols or renews until it is restored (ledgerctl ca restore FILE)"
+            "no other node holds the CA key of {organisation}: enrolment and renewal do not work until it is restored \
+             (ledgerctl ca restore FILE)"
         );
-        confirm("forgetting the carrier", &Vec::from_iter(is_last.then_some(lost)), self.i_mean_it)?;
+        confirm("removing the last holder of the CA key", &Vec::from_iter(is_last.then_some(lost)), self.i_mean_it)?;
         let uncarry = UncarryCa { organisation: organisation.clone(), node: Some(node.clone()) };
         let argument = serde_json::to_vec(&uncarry).map_err(|error| {
-            Rejection::new(Code::Internal, "an argument cannot be written").found(error.to_string())
+            Rejection::new(Code::Internal, "an argument cannot be encoded").found(error.to_string())
         })?;
         session.call(MSP, "uncarry_ca", vec![Bytes::from(argument)]).await?;
         output.show(&Forgotten { organisation, node })

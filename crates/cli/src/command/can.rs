@@ -23,14 +23,15 @@ use std::path::PathBuf;
 /// Most names of a page: each is decided about.
 const PAGE: usize = 32;
 /// The answer about an organisation of which nobody is registered.
-const UNLISTED: &str = "the ledger lists nobody of your organisation: people of a CA of another software are in no registry, and ask \
-                        only about themselves";
+const UNLISTED: &str = "the ledger lists no identity of your organisation: with an external CA, its members are not \
+                        registered and can only ask about themselves";
 
-/// Ask whether somebody may do something, and why.
+/// Check whether an identity may do something, and why.
 ///
-/// A yes names the policies that decided. A no names the conditions that failed, with the values found and wanted, and ends
-/// with exit code 2. It is about permission alone: whether the service is free, `robot list` shows. People of a CA of another
-/// software ask only about themselves: they are in no registry of the ledger.
+/// A positive answer names the policies that decided. A negative answer names the conditions that failed, with the
+/// values found and wanted, and exits with 2. The answer is about permission only: `robot list` shows whether the
+/// service is free. Members of an organisation with an external CA can only ask about themselves, because the ledger
+/// does not list them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Actions: acquire, publish, subscribe, override, confirm; of a robot stop and resume.
@@ -41,28 +42,28 @@ Example:
   ledgerctl can --matrix
   ledgerctl can --as Org1/Salma")]
 pub(crate) struct Can {
-    /// The person, such as Org1/Farhad; a name alone is of your organisation
+    /// The identity, such as Org1/Farhad; a name without an organisation is one of your own
     #[arg(required_unless_present_any = ["matrix", "as"])]
     who: Option<String>,
-    /// An action, such as acquire
+    /// The action, such as acquire
     #[arg(required_unless_present_any = ["matrix", "as"])]
     action: Option<String>,
     /// The service, or the robot
     #[arg(value_name = "ROBOT[/TOPIC]", required_unless_present_any = ["matrix", "as"])]
     service: Option<String>,
-    /// At this time instead of now: 10m from now, or a time such as 2027-05-01T22:00:00+02:00
+    /// Decide for another time than now: 10m for ten minutes from now, or a time such as 2027-05-01T22:00:00+02:00
     #[arg(long, value_name = "TIME")]
     at: Option<When>,
     /// Decide by these policies instead of those in force
     #[arg(long = "policy", value_name = "FILE", num_args = 1..)]
     policies: Vec<PathBuf>,
-    /// Also tell who of your organisation could do it; for its admins
+    /// Also list the members of your organisation that could do it; for its admins
     #[arg(long)]
     who_could: bool,
-    /// Tell who may do what on every robot: of each organisation for admins of its owner, of their own for other admins
+    /// List all permissions on every robot: of each organisation for admins of its owner, of their own for other admins
     #[arg(long, conflicts_with_all = ["who", "action", "service", "who_could"])]
     matrix: bool,
-    /// Tell all that this person may do, such as Org1/Salma
+    /// List all permissions of this identity, such as Org1/Salma
     #[arg(long = "as", id = "as", value_name = "ORG/PERSON", conflicts_with_all = ["who", "action", "service", "who_could"])]
     person: Option<String>,
 }
@@ -101,7 +102,7 @@ impl Can {
 /// The answer to one question.
 pub(super) async fn asked(session: &Session, ask: &Ask) -> Result<Answer, Rejection> {
     let response = session.ask(ABAC, "can", vec![session::argument(ask)?]).await;
-    answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "whether somebody may")
+    answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "the permission of an identity")
 }
 
 /// All answers of a function that gives them in pages: `could` for the caller's organisation, `access` for a robot.
@@ -124,7 +125,7 @@ async fn in_pages<T: DeserializeOwned>(
         if after.is_none() {
             return Ok(all);
         }
-        bound.count("those who may", count)?;
+        bound.count("those with the permission", count)?;
     }
 }
 
@@ -143,7 +144,7 @@ async fn matrix(
     let mut rows = Vec::new();
     for robot in robots {
         let ask = AskAccess { robot: robot.name.clone(), who: who.clone(), at, policies: policies.clone() };
-        for Access { who, rights, .. } in in_pages(session, "access", &ask, "the rights of people").await? {
+        for Access { who, rights, .. } in in_pages(session, "access", &ask, "the permissions of identities").await? {
             rows.extend(rows_of(&who, &robot.name, rights));
         }
     }
@@ -212,8 +213,8 @@ impl Facts for Told {
         match self.who_could.as_deref() {
             None => Ok(()),
             Some([]) if !self.is_listed => writeln!(out, "{UNLISTED}"),
-            Some([]) => writeln!(out, "nobody of your organisation could, of those whom the ledger lists"),
-            Some(names) => writeln!(out, "of your organisation {} could", printable(&names.join(", "))),
+            Some([]) => writeln!(out, "no listed identity of your organisation could"),
+            Some(names) => writeln!(out, "of your organisation, {} could", printable(&names.join(", "))),
         }
     }
 }
@@ -306,7 +307,7 @@ mod tests {
         assert!(text(&no).ends_with(&format!("\n{UNLISTED}\n")), "{}", text(&no));
         assert!(text(&Matrix(vec![])).contains(UNLISTED));
         no.is_listed = true;
-        assert!(text(&no).ends_with("\nnobody of your organisation could, of those whom the ledger lists\n"));
+        assert!(text(&no).ends_with("\nno listed identity of your organisation could\n"));
     }
 
     #[test]

@@ -15,8 +15,8 @@ use std::io::{self, Write};
 
 /// Call a function of a chaincode in a transaction, and wait for its verdict.
 ///
-/// Standard output is the function's response: JSON with one field per line, text as it is, other bytes in
-/// hexadecimal digits. With `-o json` it is an object that also holds id, height and time.
+/// Standard output is the response of the function: JSON with one field per line, text as it is, other bytes in
+/// hexadecimal. With `-o json` it is one object that also contains id, height and time.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -28,28 +28,28 @@ pub(crate) struct Invoke {
     call: Call,
 }
 
-/// Call a function of a chaincode on the committed state, and throw its writes away.
+/// Call a function of a chaincode on the committed state, and discard its writes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl query abac robots
   ledgerctl query abac authorize Turtlebot4/cmd_vel")]
 pub(crate) struct Query {
-    /// Answer from the node's own state, which may be older than what others were told; needs no leader
+    /// Answer from the node's own state, which may be stale; needs no leader
     #[arg(long)]
     stale: bool,
     #[command(flatten)]
     call: Call,
 }
 
-/// A call as it stands on a command line.
+/// A call as it is written on a command line.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Call {
-    /// Name of the chaincode; `ledgerctl status` lists those installed
+    /// Name of the chaincode; `ledgerctl status` lists the installed ones
     chaincode: String,
     /// Name of the function
     function: String,
-    /// Text; or hex:BYTES, @FILE, - for standard input, text:… for text that begins like one of these
+    /// Text; hex:BYTES, @FILE or - for standard input; text:… for text that starts like one of these
     #[arg(value_name = "ARG", allow_negative_numbers = true)]
     args: Vec<String>,
 }
@@ -137,7 +137,7 @@ impl Query {
         output.show(&Queried { height, time, stale_for, answer: DecodedBytes::read(&response) })?;
         if stale_for > 0 {
             output.note(&format!(
-                "as of block {height}, {}: the node has reached no leader for {} s, and others may know more",
+                "as of block {height}, {}: the node has had no contact with a leader for {} s, so this may be stale",
                 moment(time),
                 stale_for / 1_000_000
             ));

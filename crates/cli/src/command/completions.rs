@@ -8,8 +8,8 @@ use clap_complete::env::Shells;
 
 /// Print the script with which a shell completes commands and names.
 ///
-/// The shell asks ledgerctl while you type: contexts, robots, services, users, nodes, codes and roles are those of now. Without a
-/// node that answers within a second, only commands and options are completed.
+/// The shell runs ledgerctl as you type, so contexts, robots, services, users, nodes, codes and roles are current. If
+/// no node answers within a second, only commands and options are completed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:

@@ -18,10 +18,10 @@ use std::time::Duration;
 /// Added to the name of the caller for the name of its browser.
 const BROWSER: &str = "-browser";
 
-/// Print a link for a browser: it opens the console of the node, and makes an identity of its own there.
+/// Print a link that opens the console of the node in a browser and creates an identity for that browser.
 ///
-/// For admins. The link holds a one-time secret: whoever opens it first is the new identity. The key stays in that browser. Without a
-/// name the browser is called after you, and has your role and your attributes.
+/// For admins. The link contains a one-time secret: the first browser that opens it becomes the new identity. The key
+/// never leaves that browser. By default, the identity is named after you and has your role and attributes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -30,21 +30,21 @@ Example:
   ledgerctl console --reissue
   ledgerctl console --at https://robots.example:7452")]
 pub(crate) struct Console {
-    /// The name of the new identity
+    /// Name of the new identity
     name: Option<String>,
-    /// Its role: member or admin; yours, where neither a name nor a role is given, otherwise member
+    /// Its role, member or admin; by default yours if no name is given, otherwise member
     #[arg(long, value_name = "ROLE", value_parser = role)]
     role: Option<Role>,
-    /// An attribute to sign into its certificate; KEY alone means KEY=true
+    /// Attribute to sign into its certificate; KEY alone means KEY=true
     #[arg(long = "attr", value_name = "KEY[=VALUE]")]
     attributes: Vec<Attribute>,
-    /// A new link for a name that was registered before, such as for another browser
+    /// Print a new link for a registered name, such as for another browser
     #[arg(long, conflicts_with_all = ["role", "attributes"])]
     reissue: bool,
-    /// How long the link can be used
+    /// How long the link is valid
     #[arg(long = "for", value_name = "SPAN", default_value = "1h")]
     span: Milliseconds,
-    /// Where the console is; otherwise where the node says
+    /// Address of the console; by default the one that the node reports
     #[arg(long, value_name = "URL", value_parser = page)]
     at: Option<String>,
 }
@@ -59,7 +59,9 @@ fn page(text: &str) -> Result<String, String> {
     match name {
         Some(name) if is_of_this_machine(name) => Ok(text.to_owned()),
         None if text.starts_with("https://") => Ok(text.to_owned()),
-        _ => Err("wanted https://…, or http:// with this machine: a browser makes no key on another page".to_owned()),
+        _ => {
+            Err("wanted https://…, or http:// with this machine: browsers create keys only on secure pages".to_owned())
+        }
     }
 }
 
@@ -89,7 +91,7 @@ impl Facts for Link {
         table.pair("identity", &self.id);
         table.pair("role", self.role);
         table.pair("attributes", attributes(&self.attributes));
-        table.pair("good once, until", time::moment(self.expires));
+        table.pair("valid once, until", time::moment(self.expires));
         table.write(out, 2)
     }
 }
@@ -142,15 +144,19 @@ fn no_console(node: impl std::fmt::Display) -> Rejection {
     Rejection::new(Code::NotFound, "this node has no console")
         .found(format!("node {node} without the setting console.listen"))
         .wanted("a node with a console")
-        .next("set listen = \"127.0.0.1:7452\" in the section [console] of its ledgerd.toml, or name another one with --at URL")
+        .next(
+            "set listen = \"127.0.0.1:7452\" in the section [console] of its ledgerd.toml, or name another console \
+               with --at URL",
+        )
 }
 
 fn no_ca(node: impl std::fmt::Display, organisation: &str) -> Rejection {
-    Rejection::new(Code::CaElsewhere, format!("the node of this console does not carry the CA of {organisation}"))
+    Rejection::new(Code::CaElsewhere, format!("the node of this console does not hold the CA key of {organisation}"))
         .found(format!("node {node}"))
-        .wanted("the console of a node that carries it: ledgerctl ca status shows which")
+        .wanted("the console of a node that holds it: ledgerctl ca status")
         .next(
-            "let this node carry it, too: ledgerctl ca carry NODE, or name the console of one that does with --at URL",
+            "copy the CA key to this node (ledgerctl ca carry NODE), or name the console of a node that holds it with \
+             --at URL",
         )
 }
 
@@ -158,7 +164,7 @@ fn no_ca(node: impl std::fmt::Display, organisation: &str) -> Rejection {
 fn again(refused: Rejection) -> Rejection {
     match refused.code {
         Code::AlreadyRegistered => {
-            refused.next("ledgerctl console --reissue gives the same identity a new link; or choose a NAME")
+            refused.next("ledgerctl console --reissue creates a new link for the same identity; or choose another NAME")
         }
         _ => refused,
     }

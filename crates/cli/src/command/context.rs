@@ -13,7 +13,7 @@ use crate::output::{Facts, Output, Table};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// See and choose the identities that are stored on this machine.
+/// Show and select the identities stored on this machine.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Context {
     List(List),
@@ -24,12 +24,12 @@ pub(crate) enum Context {
     Delete(Delete),
 }
 
-/// List the contexts; a star marks the one in use.
+/// List the contexts; an asterisk marks the selected one.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context list")]
 pub(crate) struct List {}
 
-/// Act as this context from now on, unless --context or LEDGERCTL_CONTEXT says otherwise.
+/// Select a context for the following commands; --context and LEDGERCTL_CONTEXT override it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context use Salma")]
 pub(crate) struct Use {
@@ -37,7 +37,7 @@ pub(crate) struct Use {
     name: String,
 }
 
-/// Delete a context with its key. The certificate stays valid: revoke it if the key may have been seen.
+/// Delete a context with its key. The certificate stays valid: revoke it if the key may be compromised.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context delete Salma")]
 pub(crate) struct Delete {
@@ -123,7 +123,7 @@ impl Entry {
 impl Facts for Contexts {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(out, "no context yet; `ledgerctl enroll` makes one");
+            return writeln!(out, "no contexts; `ledgerctl enroll` creates one");
         }
         let mut table = Table::new(["", "NAME", "IDENTITY", "NETWORK", "NODES"]);
         for entry in &self.0 {

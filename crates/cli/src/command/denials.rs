@@ -10,13 +10,13 @@ use ledger_api::facts::DenialFacts;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Show what the node refused lately before it was ordered, newest first; for admins.
+/// Show what the node rejected recently before ordering, newest first; for admins.
 ///
-/// Calls that were refused after ordering stand in the blocks: `ledgerctl block N`.
+/// Calls that were rejected after ordering are in the blocks: `ledgerctl block N`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl denials --limit 20")]
 pub(crate) struct Denials {
-    /// At most so many
+    /// Print at most N rejections
     #[arg(long, default_value_t = 100, value_name = "N", value_parser = number::count)]
     limit: u64,
 }
@@ -35,7 +35,7 @@ struct Shown(Vec<DenialFacts>);
 impl Facts for Shown {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(out, "nothing was refused");
+            return writeln!(out, "no rejections");
         }
         let mut table = Table::new(["TIME", "WHO", "CALL", "CODE", "TIMES", "WHY"]);
         for denial in &self.0 {

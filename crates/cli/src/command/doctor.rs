@@ -21,12 +21,12 @@ use std::path::PathBuf;
 /// Exit code where something is wrong.
 const EXIT_WRONG: u8 = 1;
 
-/// Look for everything that keeps commands from robots, and say how to repair it.
+/// Check for problems that keep commands from robots, and print how to fix them.
 ///
-/// It looks at the context, the clocks, the certificates, the ports of nodes, the nodes themselves and their disks. It looks at the ROS
-/// domain of this machine, with its interfaces, multicast and receive buffers, and at side doors, stops and policies. A line is `ok`,
-/// `advice` (works, but may not always), `wrong` or `unknown` (it could not be looked at). Ends with 1 if something is wrong.
-/// Nothing is changed.
+/// It checks the context, clocks, certificates, the ports of nodes, the nodes and their disks. On this machine it
+/// checks the ROS domain, interfaces, multicast and receive buffers. On the ledger it checks side doors, stops and
+/// policies. The result of a check is `ok`, `advice` (works, but not in all cases), `wrong`, or `unknown` (could not be
+/// checked). Exits with 1 if something is wrong. Changes nothing.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -34,10 +34,10 @@ Example:
   ledgerctl doctor --config bridge.toml
   ledgerctl doctor -o json")]
 pub(crate) struct Doctor {
-    /// Look with the settings of this bridge
+    /// Check with the settings of this bridge
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The ROS domain; otherwise that of the bridge, ROS_DOMAIN_ID or 0
+    /// The ROS domain; by default that of the bridge, ROS_DOMAIN_ID or 0
     #[arg(long, value_name = "NUMBER", value_parser = domain::parse)]
     domain: Option<u16>,
     /// The same as -o json
@@ -82,18 +82,22 @@ async fn network(context: &Context, findings: &mut Vec<Finding>) {
             if peers::look(&session, findings).await {
                 fleet::look(&session, findings).await;
             } else {
-                unknown(&["side doors", "policy"], "nothing can be asked without a quorum", findings);
+                unknown(&["side doors", "policy"], "not checked, because there is no quorum", findings);
             }
         }
         Err(refused) => {
             findings.push(Finding::refused("node", &refused));
-            unknown(&["clock", "peers", "disk", "side doors", "policy"], "no node answers", findings);
+            unknown(
+                &["clock", "peers", "disk", "side doors", "policy"],
+                "not checked, because no node answers",
+                findings,
+            );
         }
     }
 }
 
 fn unknown(checks: &[&'static str], why: &str, findings: &mut Vec<Finding>) {
-    let repair = "repair the lines above that are wrong, then look again";
+    let repair = "fix the findings above that are `wrong`, then run the command again";
     findings.extend(checks.iter().map(|check| Finding::unknown(*check, why, repair)));
 }
 
@@ -121,10 +125,10 @@ impl Facts for Report {
         table.write(out, 0)?;
         writeln!(out)?;
         match (self.wrong, self.advice) {
-            (0, 0) => writeln!(out, "nothing is wrong"),
-            (0, advice) => writeln!(out, "nothing is wrong; {advice} to think about"),
+            (0, 0) => writeln!(out, "no problems"),
+            (0, advice) => writeln!(out, "no problems, {advice} to review"),
             (wrong, 0) => writeln!(out, "{wrong} wrong"),
-            (wrong, advice) => writeln!(out, "{wrong} wrong, {advice} to think about"),
+            (wrong, advice) => writeln!(out, "{wrong} wrong, {advice} to review"),
         }
     }
 }
@@ -158,9 +162,9 @@ advice  receive buffers  small
 wrong   clock            9 s ahead
                          try: timedatectl set-ntp true
 
-1 wrong, 1 to think about
+1 wrong, 1 to review
 ";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
-        assert!(Report::of(vec![Finding::unknown("peers", "no answer", "look again")]).ok);
+        assert!(Report::of(vec![Finding::unknown("peers", "no answer", "run the command again")]).ok);
     }
 }

@@ -19,13 +19,14 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// Stop a robot: whoever commands it loses it, and nobody gets it until it is resumed.
+/// Stop a robot: its grants end, and no new ones are given until it is resumed.
 ///
-/// For admins of the robot's owner, for identities with the attribute safety=true of organisations that the owner trusts,
-/// for the robot itself, and those whom the owner's policies permit `stop`. Each holder acquires again after `resume`.
+/// For admins of the robot's owner, the robot itself, and holders of its command services. Also for identities with the
+/// attribute safety=true of organisations that the owner trusts, and those to which its policies permit `stop`. Holders
+/// must acquire again after `resume`.
 ///
-/// Where nothing can be ordered, robots are notified at once, and the stop is signed and sent again until it is in force. Ended before,
-/// by Ctrl-C or --timeout, the command fails: repeat it.
+/// If nothing can be ordered, the robots are notified directly, and the stop is signed and sent again until it is in
+/// force. If the command ends earlier, by Ctrl-C or --timeout, it fails: repeat it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -34,15 +35,15 @@ Example:
 pub(crate) struct Stop {
     #[command(flatten)]
     which: Which,
-    /// Give up after this time, with an error if it is not in force by then [default: never]
+    /// Give up after this time, and fail if the stop is not in force by then [default: never]
     #[arg(long, value_name = "TIME")]
     timeout: Option<Milliseconds>,
 }
 
-/// Let a stopped robot be commanded again; for admins of its owner and those whom policies permit `resume`.
+/// Resume a stopped robot; for admins of its owner and identities to which policies permit `resume`.
 ///
-/// The next contender in the queue gets it, if there is one. Grants that the stop ended do not come back: their holders acquire
-/// again. Stops of the robot that have no verdict yet are cancelled.
+/// The next contender in the queue, if any, gets the service. Grants that the stop ended are not restored: their
+/// holders must acquire again. Pending stops of the robot without a verdict are cancelled.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl resume Turtlebot4 --reason 'cell is empty'")]
 pub(crate) struct Resume {
@@ -55,10 +56,10 @@ struct Which {
     /// Name of the robot
     #[arg(value_name = "ROBOT", required_unless_present = "all", conflicts_with = "all")]
     robot: Option<String>,
-    /// Every robot for which you may do so
+    /// Every robot for which you have this permission
     #[arg(long)]
     all: bool,
-    /// Why, for everybody to read
+    /// Reason; visible to all members
     #[arg(long, value_name = "TEXT")]
     reason: Option<String>,
 }
@@ -90,10 +91,10 @@ impl Facts for Done {
             writeln!(out, "  ended the grant of {} to {} (epoch {})", grant.service, grant.holder, grant.epoch)?;
         }
         if !ended.is_empty() {
-            writeln!(out, "  after `ledgerctl resume` they acquire again: these grants do not come back")?;
+            writeln!(out, "the holders must acquire again after `ledgerctl resume`")?;
         }
         if *state == "resumed" && !robots.is_empty() {
-            writeln!(out, "  grants that the stop ended do not come back: acquire again")?;
+            writeln!(out, "grants that the stop ended are not restored: their holders must acquire again")?;
         }
         if robots.is_empty() && unchanged.is_empty() {
             writeln!(out, "there is no robot")?;
@@ -150,7 +151,7 @@ impl Stop {
 impl Resume {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
-        let cancels = |by: &str| output.note(&format!("cancels the stop by {by}, which has no verdict yet"));
+        let cancels = |by: &str| output.note(&format!("cancels the pending stop by {by}, which has no verdict yet"));
         let done = resume(&session, self.which.robot(), self.which.reason.clone(), cancels).await?;
         show(done, "resumed", output)
     }

@@ -18,29 +18,31 @@ use std::path::PathBuf;
 
 /// Get a certificate with a one-time secret, and store it as a context.
 ///
-/// The key is made on this machine and never leaves it. An admin runs `ledgerctl identity register NAME`, which prints
-/// the whole command. If it breaks off, type it again: for 15 minutes the same secret gives the same certificate.
+/// The key is generated on this machine and never leaves it. An admin runs `ledgerctl identity register NAME`, which
+/// prints the whole command. If interrupted, run the command again: for 15 minutes, the same secret returns the same
+/// certificate.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl enroll Salma --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --secret u7Qm-2fKx
   ledgerctl enroll Salma --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --secret @salma.secret")]
 pub(crate) struct Enroll {
-    /// The registered name, or ORGANISATION/NAME where a node serves several organisations; also names the context
+    /// The registered name, or ORGANISATION/NAME if a node serves several organisations; also the name of the context
     name: String,
     /// Address of a node of your organisation
     #[arg(long, value_name = "HOST:PORT")]
     node: String,
-    /// SHA-256 of the CA's certificate, as the admin gave it to you
+    /// SHA-256 of the CA's certificate, from the admin
     #[arg(long, value_name = "SHA256")]
     ca_fingerprint: String,
-    /// The one-time secret; @FILE for the first line of a file, - for standard input: other users of this machine can read arguments
+    /// The one-time secret; @FILE for the first line of a file, - for standard input. Other users of this machine can
+    /// read arguments
     #[arg(long, value_name = "SECRET")]
     secret: String,
-    /// Kind of key: ed25519, which is also the default, p256 or p384
+    /// Kind of key: ed25519 (default), p256 or p384
     #[arg(long, value_name = "KIND")]
     key: Option<KeyKind>,
-    /// Is the certificate renewed at use, in the last third of its life? auto or never
+    /// Whether the certificate is renewed when it is used in the last third of its validity: auto or never
     #[arg(long, value_name = "RULE", default_value = "auto", value_parser = rule)]
     renew: RenewalRule,
     /// Replace a context of this name; its key is lost
@@ -88,9 +90,9 @@ impl Enroll {
         let name = global.context.as_deref().unwrap_or(plain);
         let home = context::home()?;
         if !self.force && Context::list(&home)?.iter().any(|known| known == name) {
-            return Err(Rejection::new(Code::AlreadyExists, format!("there is a context {name:?} already"))
+            return Err(Rejection::new(Code::AlreadyExists, format!("the context {name:?} exists already"))
                 .found(format!("a key in {}", context::directory(&home, name).display()))
-                .wanted("a name that is free: the key would be lost")
+                .wanted("an unused name: the key would be lost")
                 .next("choose another with --context NAME, or replace it with --force")
                 .into());
         }
@@ -106,16 +108,16 @@ impl Enroll {
         let enrolled = Enrolment::new(&self.node, fingerprint).enrol_key(&self.name, &secret, pending.key()?).await;
         let mut enrolled = enrolled.map_err(|refused| match refused.code.class() {
             Class::Unreachable if refused.own_advice().is_empty() => {
-                refused.next("type the same command again: the key is kept, and the secret is not spent twice")
+                refused.next("run the same command again: the key is kept, and the secret remains valid")
             }
             _ => refused,
         })?;
         name.clone_into(&mut enrolled.name);
         enrolled.renew = self.renew;
         enrolled.save(&home).map_err(|full| {
-            let first = if full.advice().is_empty() { "mend that" } else { full.advice() };
+            let first = if full.advice().is_empty() { "fix that" } else { full.advice() };
             let next =
-                format!("{first}; then type the same command again within 15 minutes: the same certificate comes back");
+                format!("{first}; then run the same command again within 15 minutes to get the same certificate");
             full.next(next)
         })?;
         pending.finish();

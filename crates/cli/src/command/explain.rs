@@ -9,7 +9,7 @@ use std::io::{self, Write};
 /// The book of codes, as it stands in the repository.
 const BOOK: &str = include_str!("../../../../docs/errors.md");
 
-/// Tell what a code means, where it comes from, and what to do.
+/// Explain a code: its meaning, causes and remedy.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl explain LGR-3005\n  ledgerctl explain 3005\n  ledgerctl explain HELD")]
 pub(crate) struct Explain {
@@ -63,7 +63,7 @@ fn unknown(text: &str, near: Option<Code>) -> Rejection {
         .found(format!("{text:?}"))
         .wanted("a code such as LGR-3005, its number 3005, or its name HELD")
         .next(near.map_or_else(
-            || "copy the code that stands in brackets behind the error".to_owned(),
+            || "copy the code in brackets from the error message".to_owned(),
             |near| format!("did you mean {near} {}?", near.name()),
         ))
 }

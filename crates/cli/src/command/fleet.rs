@@ -28,12 +28,12 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Make the fleet of your organisation as a file has it; for admins.
+/// Change the fleet of your organisation to match a file; for admins.
 ///
-/// The file names robots with their services and trust, policies, and shares: `ledgerctl export` writes one. It shows the difference,
-/// with the grants that end and the rights that people gain or lose, and asks. All of it comes in force in one step, or nothing does:
-/// also if another admin has changed the network meanwhile. Without --prune, all that the file does not name stays. Applied again, a
-/// file changes nothing.
+/// The file lists robots with their services and trust, policies, and shares; `ledgerctl export` writes such a file.
+/// The command shows the difference, with the grants that end and the permissions that people gain or lose, and asks
+/// for confirmation. All changes take effect together, or none, even if another admin has changed the network in the
+/// meantime. Without --prune, everything that the file does not name stays. Applying the file again changes nothing.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -42,10 +42,10 @@ Example:
 pub(crate) struct Apply {
     #[command(flatten)]
     which: FleetSource,
-    /// Do not ask
+    /// Do not ask for confirmation
     #[arg(long)]
     yes: bool,
-    /// Why, for those who read the history of policies
+    /// Reason; recorded in the history of policies
     #[arg(long, short, default_value = "", hide_default_value = true)]
     message: String,
 }
@@ -58,14 +58,14 @@ pub(crate) struct Diff {
     which: FleetSource,
 }
 
-/// Write the fleet of your organisation as a file for `apply`.
+/// Print the fleet of your organisation as a file for `apply`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl export > fleet.toml")]
 pub(crate) struct Export {}
 
 #[derive(Debug, clap::Args)]
 struct FleetSource {
-    /// The file, in TOML
+    /// File, in TOML
     file: PathBuf,
     /// Remove what the file does not name: robots, services, attributes, policies and shares
     #[arg(long)]
@@ -123,12 +123,12 @@ impl FleetSource {
     async fn prepare(&self, session: &Session) -> Result<PreparedPlan, Rejection> {
         let path = self.file.display().to_string();
         let unreadable = |found: String| {
-            Rejection::new(Code::BadFile, format!("{path} is no file of a fleet"))
+            Rejection::new(Code::BadFile, format!("{path} is not a fleet file"))
                 .found(found)
                 .wanted("TOML with robots, policies and shares")
                 .next(match self.file.extension().is_some_and(|extension| extension == "cedar") {
                     true => format!("ledgerctl policy apply {}", shell_word(&path)),
-                    false => "ledgerctl export shows the form of a file".to_owned(),
+                    false => "ledgerctl export prints a file in this form".to_owned(),
                 })
         };
         let text = text::of_bytes(&from_file(&self.file)?).map_err(|fault| unreadable(fault.to_string()))?;
@@ -164,10 +164,11 @@ async fn state(session: &Session) -> Result<FleetState, Rejection> {
 fn in_words(refused: Rejection) -> Rejection {
     match refused.code {
         Code::PoliciesChanged | Code::RobotChanged => {
-            refused.next("nothing was changed; type it again: it starts from what is in force now")
+            refused.next("nothing was changed; run the command again: it starts from the current state")
         }
         Code::NeedsApproval => refused.next(
-            "propose the policies: ledgerctl policy propose FILE…, and ledgerctl share … --propose; then apply the file for the robots",
+            "propose the policies: ledgerctl policy propose FILE…, and ledgerctl share … --propose; then apply the \
+             file for the robots",
         ),
         _ => refused,
     }
@@ -223,13 +224,13 @@ impl Difference {
 impl Facts for Difference {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.is_empty() {
-            return writeln!(out, "nothing to change: the network is as the file has it");
+            return writeln!(out, "nothing to change: the network matches the file");
         }
         for robot in &self.added {
             writeln!(out, "robot {} is new", printable(robot))?;
         }
         for robot in &self.removed {
-            writeln!(out, "robot {} is taken out of service", printable(robot))?;
+            writeln!(out, "robot {} is removed", printable(robot))?;
         }
         for RobotDifference { robot, changed } in &self.changed {
             writeln!(out, "robot {}:", printable(robot))?;
@@ -237,7 +238,7 @@ impl Facts for Difference {
         }
         match self.policies.as_deref() {
             None => {}
-            Some([]) => writeln!(out, "policies: none of your own, the built-in one decides")?,
+            Some([]) => writeln!(out, "policies: none of your own, the built-in policy decides")?,
             Some(ids) => writeln!(out, "policies: {}", printable(&ids.join(", ")))?,
         }
         ends(out, &self.ended, "ends")?;

@@ -29,17 +29,17 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// Get the right to use a service of a robot.
+/// Acquire the right to use a service of a robot.
 ///
-/// While the grant lasts, nobody else's messages get through on an exclusive service. It is a lease: each message and `renew`
-/// extend it, `release` ends it. Without them it ends after `--for`, or the lease of the service, which is 10 s unless its owner
-/// sets another one. The longest lease is 10 min, unless the owner sets another `lease-max`. With `--keep` the command renews the
-/// grant until Ctrl-C, which releases it.
+/// While the grant lasts, an exclusive service accepts messages from its holder only. The grant is a lease: each
+/// message and `renew` extend it, `release` ends it. Otherwise it expires after `--for`, or after the lease of the
+/// service, which is 10 s by default. The longest lease is 10 min unless the owner sets another `lease-max`. With
+/// `--keep`, the command renews the grant until Ctrl-C, which releases it.
 ///
-/// A stop of the robot ends its grants for good: acquire again once it is resumed.
+/// A stop of the robot ends its grants permanently: acquire again once it is resumed.
 ///
-/// A service with a line puts you there while others hold it: the command tells your place and ends with exit code 5. With
-/// `--wait` it goes on until the service is yours; Ctrl-C leaves the line.
+/// If a service has a queue and others hold it, you join the queue: the command prints your position and exits with 5.
+/// With `--wait`, it waits for the grant; Ctrl-C leaves the queue.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -51,51 +51,53 @@ Example:
 pub(crate) struct Acquire {
     #[command(flatten)]
     lease: Lease,
-    /// More services, with --all-or-none
+    /// Further services, with --all-or-none
     #[arg(value_name = "ROBOT[/TOPIC]", requires = "all_or_none")]
     others: Vec<String>,
-    /// Several services in one transaction: all of them, or none
+    /// Acquire several services in one transaction: all of them, or none
     #[arg(long, conflicts_with = "no_wait")]
     all_or_none: bool,
-    /// Renew the grant until Ctrl-C, which releases it; exit code 5 after a stop, 2 if it is lost, 4 if no node answers
+    /// Renew the grant until Ctrl-C, which releases it; exits with 5 after a stop, 2 if it is lost, 4 if no node
+    /// answers
     #[arg(long)]
     keep: bool,
-    /// Wait in line for the service at most this long, such as 5m
+    /// Wait in the queue for at most this long, such as 5m
     #[arg(long, value_name = "SPAN")]
     wait: Option<Milliseconds>,
-    /// Do not go in line: be refused while others hold the service
+    /// Do not join the queue: fail if others hold the service
     #[arg(long, conflicts_with = "wait")]
     no_wait: bool,
-    /// A lower priority than the one that you have
+    /// A lower priority than your own
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     priority: Option<i64>,
 }
 
-/// Take a service whatever its rule says, in an emergency: whoever holds it loses it.
+/// Take a service in an emergency, regardless of its rule: its holders lose it.
 ///
-/// For admins of the robot's owner, and those whom its policies permit `override`. The reason stays on the ledger.
+/// For admins of the robot's owner, and identities to which its policies permit `override`. The reason is recorded on
+/// the ledger.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl take Turtlebot4/cmd_vel --reason 'person in the cell'")]
 pub(crate) struct Take {
     #[command(flatten)]
     lease: Lease,
-    /// Why, for everybody to read
+    /// Reason; visible to all members
     #[arg(long, value_name = "TEXT")]
     reason: String,
 }
 
-/// Show who holds a service and who waits for it, the next one first.
+/// Show the holders of a service and its queue, in order.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl queue Turtlebot4/cmd_vel")]
 pub(crate) struct Queue {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
 }
 
-/// Extend a grant that you hold, from now on by its lease or by `--for`.
+/// Extend a grant that you hold: from now by its lease, or by `--for`.
 ///
-/// To extend it again and again: `ledgerctl acquire ROBOT/TOPIC --keep`.
+/// To extend it repeatedly: `ledgerctl acquire ROBOT/TOPIC --keep`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl renew Turtlebot4/cmd_vel --for 2m")]
 pub(crate) struct Renew {
@@ -103,27 +105,28 @@ pub(crate) struct Renew {
     lease: Lease,
 }
 
-/// Give a service back, or leave its line; an admin of the robot's owner takes it back from whoever holds it.
+/// Release a service, or leave its queue; an admin of the robot's owner can revoke the grants of others.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl release Turtlebot4/cmd_vel
   ledgerctl release Turtlebot4/cmd_vel --holder Org1/Salma")]
 pub(crate) struct Release {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
-    /// Take back this holder's grant only, or send it out of the line; for admins of the robot's owner
+    /// Revoke only the grant of this holder, or remove it from the queue; for admins of the robot's owner
     #[arg(long, value_name = "ORG/NAME")]
     holder: Option<String>,
 }
 
 #[derive(Debug, clap::Args)]
 struct Lease {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
-    /// How long without use, such as 30s, 500ms or 2m; otherwise what the service says. At most its lease-max
+    /// Lease: how long the grant lasts without use, such as 30s, 500ms or 2m; by default that of the service, at most
+    /// its lease-max
     #[arg(long = "for", value_name = "SPAN")]
     span: Option<Milliseconds>,
 }
@@ -161,9 +164,9 @@ impl Facts for Granted {
         let what = match (self.renewed, is_alone) {
             _ if self.passed_on => format!("is now held by {holder}"),
             (true, _) => "renewed".to_owned(),
-            (false, Some(true)) => "is yours alone".to_owned(),
-            (false, Some(false)) => "is yours, with everybody else who may".to_owned(),
-            (false, None) => format!("is yours in mode {mode}"),
+            (false, Some(true)) => "is acquired (exclusive)".to_owned(),
+            (false, Some(false)) => "is acquired (shared)".to_owned(),
+            (false, None) => format!("is acquired in mode {mode}"),
         };
         writeln!(out, "{service} {what}")?;
         let mut table = crate::output::Table::pairs();
@@ -175,7 +178,7 @@ impl Facts for Granted {
             table.pair("lease", format!("{lease} after each message or renewal, at most {longest}"));
         }
         if !givers.is_empty() {
-            table.pair("by way of", givers.join(", then "));
+            table.pair("passed on by", givers.join(", then "));
         }
         if !limits.is_none() {
             table.pair("limits", limits_text(limits));
@@ -187,10 +190,10 @@ impl Facts for Granted {
         match self.lease_ms_max {
             Some(longest) if longest > *lease_ms => writeln!(
                 out,
-                "to hold it for longer: ledgerctl renew {service} --for {}, or ledgerctl acquire {service} --keep",
+                "to hold it longer: ledgerctl renew {service} --for {}, or ledgerctl acquire {service} --keep",
                 Milliseconds(longest)
             ),
-            Some(_) => writeln!(out, "to hold it for longer: ledgerctl acquire {service} --keep"),
+            Some(_) => writeln!(out, "to hold it longer: ledgerctl acquire {service} --keep"),
             None => Ok(()),
         }
     }
@@ -263,7 +266,7 @@ impl Acquire {
             args.extend(span.map(|span| Bytes::from(span.0.to_string())));
         }
         let done = session.call(ABAC, "acquire", args).await.map_err(|refused| ACQUIRE.told(refused))?;
-        let acquired = answer::parse(&done.response, "a grant or a place in line")?;
+        let acquired = answer::parse(&done.response, "a grant or a position in the queue")?;
         match acquired {
             Acquired::Pending { pending } if wait.is_none() => confirm::asked(pending, &done, output),
             Acquired::Queued { queued } if wait.is_none() => line::joined(queued, &done, output),
@@ -285,7 +288,7 @@ impl Acquire {
 pub(crate) async fn acquire(session: &Session, service: String, output: &Output) -> Result<Grant, Failure> {
     let done = session.call(ABAC, "acquire", vec![Bytes::from(service)]).await;
     let done = done.map_err(|refused| ACQUIRE.told(refused))?;
-    let acquired = answer::parse(&done.response, "a grant or a place in line")?;
+    let acquired = answer::parse(&done.response, "a grant or a position in the queue")?;
     Ok(granted(session, &done, acquired, output).await?.grant)
 }
 
@@ -328,7 +331,7 @@ impl Queue {
         let session = Session::open(global).await?;
         let response = session.ask(ABAC, "line", vec![Bytes::from(self.service)]).await;
         let response = response.map_err(|refused| line::WORDS.told(refused))?;
-        output.show(&line::Line(answer::parse(&response, "a line")?, session.client.now()))
+        output.show(&line::Line(answer::parse(&response, "a queue")?, session.client.now()))
     }
 }
 
@@ -345,7 +348,7 @@ struct Ended {
 impl Facts for Ended {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.released.is_empty() {
-            writeln!(out, "no grant ended; if you were in line, you have left it")?;
+            writeln!(out, "no grant ended; if you were in the queue, you left it")?;
         }
         for Released { service, holder, epoch, .. } in &self.released {
             writeln!(out, "{service} is released; {holder} held it with epoch {epoch}")?;
@@ -405,7 +408,7 @@ mod tests {
     #[test]
     fn a_grant_says_whose_which_epoch_and_how_long() {
         let shown = text(&granted(false, Mode::EXCLUSIVE));
-        for part in ["Turtlebot4/cmd_vel is yours alone", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
+        for part in ["Turtlebot4/cmd_vel is acquired (exclusive)", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
             assert!(shown.contains(part), "{part:?} in {shown}");
         }
         for part in
@@ -418,9 +421,9 @@ mod tests {
             "it is renewed already"
         );
         assert!(text(&granted(true, Mode::EXCLUSIVE)).contains("renewed"));
-        assert!(text(&granted(false, Mode::OPEN)).contains("everybody else who may"));
+        assert!(text(&granted(false, Mode::OPEN)).contains("is acquired (shared)"));
         let newer = text(&granted(false, Mode::LIMITED));
-        assert!(newer.contains("Turtlebot4/cmd_vel is yours in mode limited"), "{newer}");
+        assert!(newer.contains("Turtlebot4/cmd_vel is acquired in mode limited"), "{newer}");
     }
 
     #[test]

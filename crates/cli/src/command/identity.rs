@@ -22,7 +22,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// Register identities of your organisation, revoke them, renew your own.
+/// Register and revoke identities of your organisation, and renew your own.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Identity {
     Register(register::Register),
@@ -36,7 +36,7 @@ pub(crate) enum Identity {
     Crl(crl::Crl),
 }
 
-/// Show one identity with its certificates; for admins.
+/// Show an identity with its certificates; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl identity show Salma")]
 pub(crate) struct Show {
@@ -44,9 +44,9 @@ pub(crate) struct Show {
     name: String,
 }
 
-/// Cancel a registration: the one-time secret of a name that has not enrolled is void. For admins.
+/// Cancel a registration: the one-time secret of a name that has not enrolled becomes invalid. For admins.
 ///
-/// It also forgets a revoked name that has never signed anything, so that the name can be registered again.
+/// It also removes a revoked name that has never signed anything, so that the name can be registered again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl identity cancel Salma")]
 pub(crate) struct Cancel {
@@ -139,9 +139,9 @@ impl Person {
             (false, Some(newest)) if newest.revoked => "revoked",
             (false, Some(_)) => "expired",
             (false, None) if self.secret_expires.is_some() => "",
-            (false, None) => "never enrolled, secret void",
+            (false, None) => "never enrolled, secret invalid",
         };
-        let pending = self.secret_expires.map(|end| format!("may enrol until {}", time::moment(end)));
+        let pending = self.secret_expires.map(|end| format!("can enrol until {}", time::moment(end)));
         [Some(state.to_owned()).filter(|state| !state.is_empty()), pending]
             .into_iter()
             .flatten()
@@ -161,7 +161,7 @@ impl Facts for Person {
         table.pair("registered by", &self.registered_by);
         table.pair(
             "secret",
-            self.secret_at.as_ref().map_or_else(String::new, |at| format!("made at {at}, good there only")),
+            self.secret_at.as_ref().map_or_else(String::new, |at| format!("created at {at}, valid only there")),
         );
         table.write(out, 0)?;
         if self.certificates.is_empty() {
@@ -219,12 +219,12 @@ mod tests {
             person.state()
         };
         let (good, revoked, expired) = (certificate(false, 20), certificate(true, 20), certificate(false, 9));
-        assert_eq!(state(Some(15), &[]), format!("may enrol until {}", time::moment(15)));
-        assert_eq!(state(None, &[]), "never enrolled, secret void");
+        assert_eq!(state(Some(15), &[]), format!("can enrol until {}", time::moment(15)));
+        assert_eq!(state(None, &[]), "never enrolled, secret invalid");
         assert_eq!(state(None, std::slice::from_ref(&good)), "enrolled");
         assert_eq!(state(None, &[revoked.clone(), good.clone()]), "enrolled");
         assert_eq!(state(None, &[revoked]), "revoked");
         assert_eq!(state(None, std::slice::from_ref(&expired)), "expired");
-        assert!(state(Some(15), &[expired]).starts_with("expired, may enrol until"));
+        assert!(state(Some(15), &[expired]).starts_with("expired, can enrol until"));
     }
 }

@@ -13,7 +13,7 @@ pub(crate) use tx::Tx;
 use crate::failure::Failure;
 use crate::output::Output;
 
-/// Handle the files of a node's ledger.
+/// Archive the files of a node's ledger.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Ledger {
     Archive(Archive),

@@ -19,11 +19,11 @@ use std::time::Duration;
 /// How long the declaration may take to be executed.
 const TTL: Duration = Duration::from_secs(30);
 
-/// Show who holds a robot, and whether it is stopped, without trusting the node that answers.
+/// Show the holders and the stop of a robot, verified without trust in the node that answers.
 ///
-/// The answer is executed as a transaction. It is shown only if enough voters have signed it: a majority of two organisations at
-/// least, and more where certificates are strict. The command follows from the genesis which nodes vote; the context pins the
-/// genesis by its hash. `strict` says from which block on this way was strict.
+/// The query is executed as a transaction. Its result is shown only if enough voters have signed it: a majority from at
+/// least two organisations, and more if certificates are strict. The command derives the voters from the genesis, which
+/// the context pins by its hash. `strict` shows from which block certificates have been strict.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  ledgerctl light Turtlebot4\n  ledgerctl light Turtlebot4 --checkpoint fleet.checkpoint"
@@ -31,7 +31,7 @@ const TTL: Duration = Duration::from_secs(30);
 pub(crate) struct Light {
     /// The robot
     robot: String,
-    /// Begin at this checkpoint if the file exists, and keep there what was proved; else begin at the genesis
+    /// Start at this checkpoint if the file exists, and update it with what was proved; otherwise start at the genesis
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 }
@@ -91,9 +91,9 @@ impl Light {
 impl Shown {
     fn new(certified: &Certified, began_at: u64, now: u64) -> Result<Self, Rejection> {
         let declared: Declaration = serde_json::from_slice(&certified.response).map_err(|error| {
-            Rejection::new(Code::Malformed, "the declaration of the robot cannot be read")
+            Rejection::new(Code::Malformed, "the answer about the robot cannot be read")
                 .found(error.to_string())
-                .wanted("the JSON that this version knows")
+                .wanted("JSON that this version understands")
                 .next("install the release of ledgerctl that the nodes run")
         })?;
         let Checkpoint { governance, proof } = &certified.checkpoint;
@@ -138,8 +138,7 @@ impl Facts for Shown {
         for Service { service, mode, epoch, grants } in &self.services {
             let held = grants.iter().map(|grant| format!("{} until {}", grant.holder, time::moment(grant.expires)));
             let held: Vec<_> = held.collect();
-            let held =
-                if held.is_empty() { "held by nobody".to_owned() } else { format!("held by {}", held.join(", ")) };
+            let held = if held.is_empty() { "no holder".to_owned() } else { format!("held by {}", held.join(", ")) };
             table.pair(service, format!("{mode}, epoch {epoch}, {held}"));
         }
         table.pair("certified", format!("block {}, {}", self.height, time::relative(self.time, self.now)));
@@ -148,7 +147,7 @@ impl Facts for Shown {
             format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters),
         );
         table.pair("strict", strictness(self.strict_since, self.began_at));
-        table.pair("followed from", format!("{} of network {}", beginning(self.began_at), self.network));
+        table.pair("verified from", format!("{} of network {}", beginning(self.began_at), self.network));
         table.write(out, 0)
     }
 }

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(hide = true, after_help = "Example:\n  ledgerctl man man1")]
 pub(crate) struct Man {
-    /// The directory, which exists
+    /// An existing directory
     directory: PathBuf,
 }
 

@@ -52,10 +52,10 @@ pub(crate) fn payloads<'b>(
         return Ok(payloads);
     }
     let MessageEvent { epoch, first_seq, count } = told;
-    Err(Rejection::new(Code::Malformed, "the node says something else of a message than its sender has signed")
+    Err(Rejection::new(Code::Malformed, "the node's description of a message differs from what its sender signed")
         .found(format!("signed for {} with epoch {}, sequence {}, {} messages", text(0), text(1), text(2), signed.3))
         .wanted(format!("{service} with epoch {epoch}, sequence {first_seq}, {count} messages, of network {network}"))
-        .next("ask another node, and look into the logs of this one"))
+        .next("query another node, and check the log of this one"))
 }
 
 #[cfg(test)]

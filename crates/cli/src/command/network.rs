@@ -22,7 +22,7 @@ use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// See and change who belongs to the network and who orders.
+/// Show and change the members of the network and its voters.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Network {
     Status(status::Status),
@@ -87,6 +87,6 @@ async fn ask<T: DeserializeOwned>(
 /// One argument in JSON.
 fn json(value: &impl Serialize) -> Result<Vec<Bytes>, Rejection> {
     let text = serde_json::to_vec(value)
-        .map_err(|error| Rejection::new(Code::Internal, "an argument cannot be written").found(error.to_string()))?;
+        .map_err(|error| Rejection::new(Code::Internal, "an argument cannot be encoded").found(error.to_string()))?;
     Ok(vec![text.into()])
 }

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
-use crate::words::Words;
+use crate::words::{Words, shell_word};
 use ::bytes::Bytes;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyChange, PolicyEntry};
@@ -27,7 +27,7 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// See and change the policies of robots' owners.
+/// Show and change the policies of the owners of robots.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Policy {
     List(List),
@@ -48,21 +48,21 @@ pub(crate) enum Policy {
     Approvals(propose::Approvals),
 }
 
-/// List the policies of every organisation, and the built-in one.
+/// List the policies of every organisation, and the built-in policy.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy list")]
 pub(crate) struct List {}
 
-/// Show one policy.
+/// Show a policy.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl policy show night
   ledgerctl policy show Org2/night --version 3")]
 pub(crate) struct Show {
-    /// Name of the policy within your organisation, ORG/NAME, or `default` for the built-in one
+    /// Name of the policy within your organisation, ORG/NAME, or `default` for the built-in policy
     id: String,
-    /// As it was in an earlier set (see `ledgerctl policy history`)
+    /// From an earlier set (see `ledgerctl policy history`)
     #[arg(long, value_name = "NUMBER")]
     version: Option<u64>,
 }
@@ -84,10 +84,10 @@ fn text(policy: &str) -> Result<Bytes, Rejection> {
         return Ok(Bytes::from(policy.to_owned()));
     }
     if Path::new(policy).is_file() {
-        return Err(Rejection::new(Code::BadArgument, "the policy is no text of Cedar")
+        return Err(Rejection::new(Code::BadArgument, "the policy is not Cedar text")
             .found(format!("{policy}, the name of a file"))
             .wanted("a text such as permit(principal, action, resource);")
-            .next(format!("ledgerctl policy put ID @{policy}")));
+            .next(format!("ledgerctl policy put ID {}", shell_word(&format!("@{policy}")))));
     }
     bytes::argument(policy)
 }
@@ -160,7 +160,8 @@ struct Policies(Vec<PolicyEntry>);
 impl Facts for Policies {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         for PolicyEntry { organisation, id, text } in &self.0 {
-            let owner = if organisation.is_empty() { "built in, where an organisation has none" } else { organisation };
+            let owner =
+                if organisation.is_empty() { "built in, for organisations without policies" } else { organisation };
             writeln!(out, "// {id} ({owner})\n{}\n", printable_lines(text.trim()))?;
         }
         Ok(())
@@ -176,12 +177,16 @@ impl Facts for Changed {
         let set = if *version == 0 { String::new() } else { format!(", version {version} of its policies") };
         match (change.as_str(), id.as_str()) {
             ("put", id) => writeln!(out, "policy {id} of {organisation} is in force{set}")?,
-            ("unchanged", _) => writeln!(out, "nothing to change: version {version} of {organisation} is this set")?,
+            ("unchanged", _) => writeln!(
+                out,
+                "nothing to change: version {version} of {organisation} is this set \
+                                               already"
+            )?,
             (done, "") => writeln!(out, "the policies of {organisation} are {done}{set}")?,
             (done, id) => writeln!(out, "policy {id} of {organisation} is {done}{set}")?,
         }
         if *default_in_force {
-            writeln!(out, "  {organisation} has no policy of its own now: the built-in one decides")?;
+            writeln!(out, "{organisation} has no policy of its own any more: the built-in policy decides")?;
         }
         for grant in ended {
             writeln!(out, "  ended the grant of {} by {} (epoch {})", grant.service, grant.holder, grant.epoch)?;

@@ -18,11 +18,11 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Write a file that proves who signed a transaction and what became of it, or check one without a network.
+/// Write evidence of who signed a transaction and its verdict to a file, or verify such a file offline.
 ///
-/// The file holds the signed transaction, its way to the root of its block, headers, and a certificate that a majority of the voters
-/// has signed. The way from the genesis, or from a checkpoint, to these voters is in it, too. Its reader needs the genesis, and believes no node.
-/// Place and verdict are proved for as long as blocks are kept.
+/// The file contains the signed transaction, its path to the root of its block, headers, and a quorum certificate. It
+/// also contains the chain of voter changes from the genesis, or from a checkpoint. The reader needs the genesis and
+/// trusts no node. Position and verdict can be proved as long as blocks are stored.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -32,16 +32,16 @@ pub(crate) struct Prove {
     /// Id of the transaction, 64 hexadecimal digits
     #[arg(value_name = "TX", required_unless_present = "check", conflicts_with = "check")]
     id: Option<String>,
-    /// Write the file here; by default the first 16 digits of the id and `.evidence`
+    /// Write to this file; by default the first 16 digits of the id and `.evidence`
     #[arg(long, value_name = "FILE", conflicts_with = "check")]
     file: Option<PathBuf>,
-    /// Check this file; needs no context and no network
+    /// Verify this file; needs no context and no network
     #[arg(long, value_name = "FILE", requires = "genesis")]
     check: Option<PathBuf>,
-    /// The genesis of the network: read to check, else written
+    /// Genesis of the network: read for verification, otherwise written
     #[arg(long, value_name = "GENESIS")]
     genesis: Option<PathBuf>,
-    /// Begin at this checkpoint instead of the genesis, as after a recovery by force; to check, the same one is needed
+    /// Start at this checkpoint instead of the genesis, as after a forced recovery; verification needs the same one
     #[arg(long, value_name = "CHECKPOINT")]
     checkpoint: Option<PathBuf>,
 }
@@ -66,9 +66,10 @@ impl Prove {
         let known = self.known(&session.context().network)?;
         let proving = session.client.evidence(id, known.as_ref()).await;
         let (genesis, evidence, proved) = proving.map_err(|refused| match (refused.code, &self.checkpoint) {
-            (Code::Untrusted, None) => {
-                refused.next("ask another node; after a recovery by force, begin at a checkpoint: --checkpoint FILE (docs/operations.md)")
-            }
+            (Code::Untrusted, None) => refused.next(
+                "query another node; after a forced recovery, start at a checkpoint: --checkpoint FILE \
+                              (docs/operations.md)",
+            ),
             _ => refused,
         })?;
         let name = || PathBuf::from(format!("{}.evidence", text.get(..16).unwrap_or(&text)));
@@ -159,7 +160,7 @@ impl Facts for Shown {
         table.pair("certified", format!("block {}, {}", self.certified_height, time::rfc3339(self.certified_time)));
         table.pair("certified by", nodes);
         table.pair("strict", strictness(self.strict_since, self.began_at));
-        table.pair("followed from", beginning(self.began_at));
+        table.pair("verified from", beginning(self.began_at));
         table.write(out, 0)
     }
 }

@@ -15,11 +15,12 @@ use std::io::{self, Write};
 /// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[("SERVICE", "the service")], help: "ledgerctl readers" };
 
-/// See who reads a confidential service, enter as a reader, or leave.
+/// Show the readers of a confidential service, register as a reader, or leave.
 ///
-/// Messages of a service with confidential=true are encrypted for its readers. A reader enters with a key that is made on this
-/// machine, beside the certificate. `echo`, `record` and bridges enter by themselves. Policies decide who may; admins, nodes
-/// and robots of the owner always may. A reader whom policies permit no more stays in the list, and gets no key.
+/// Messages of a service with confidential=true are encrypted for its readers. A reader registers with a key that is
+/// generated on this machine, next to the certificate. `echo`, `record` and bridges register automatically. Policies
+/// decide who may read; admins, nodes and robots of the owner always may. A reader that policies no longer permit stays
+/// on the list, but gets no new keys.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -27,16 +28,16 @@ Example:
   ledgerctl readers Turtlebot4/camera --enter
   ledgerctl readers Turtlebot4/camera --remove Org1/Salma")]
 pub(crate) struct Readers {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
-    /// Enter as a reader
+    /// Register as a reader
     #[arg(long, conflicts_with_all = ["leave", "remove"])]
     enter: bool,
     /// Stop being a reader
     #[arg(long, conflicts_with = "remove")]
     leave: bool,
-    /// Take this reader out; for admins of the owner
+    /// Remove this reader; for admins of the owner
     #[arg(long, value_name = "ORG/NAME")]
     remove: Option<String>,
 }

@@ -47,17 +47,18 @@ const EVENTS: [&str; 11] = [
     "stopped",
 ];
 
-/// Record the messages of services into an MCAP file, as `ros2 bag play` and Foxglove read it.
+/// Record the messages of services in an MCAP file, which `ros2 bag play` and Foxglove can read.
 ///
-/// Without --since it records what comes from now on, until Ctrl-C. With --since it records what the node has and
-/// ends; with --follow as well it goes on with what comes. The file has one channel for each service, and beside them
-/// /ledger/records (who sent each message, under which epoch, in which block) and /ledger/events (grants, their ends, stops).
-/// Log time is block time. The sender's signature of each message is checked. Messages of confidential services are opened, and
-/// stand in the file as they were before they were encrypted; those that are for others are counted and left out.
+/// Without --since, it records from now on, until Ctrl-C. With --since, it records the stored messages and ends; with
+/// --follow as well, it continues with new ones. The file has one channel per service, and also /ledger/records
+/// (sender, epoch and block of each message) and /ledger/events (grants, their ends, stops). Log time is block time.
+/// The sender's signature of each message is verified. Messages of confidential services are recorded decrypted; those
+/// for other readers are counted and omitted.
 ///
-/// -o FILE.mcap names the file; with -o json it is --to FILE.mcap.
+/// -o FILE.mcap names the file; with -o json, use --to FILE.mcap.
 ///
-/// A MOMENT is a span ago (10m), a time of today (14:30), a time (2027-05-01T14:30:00+02:00), or the height of a block.
+/// A MOMENT is a span before now (10m), a time of today (14:30), a time (2027-05-01T14:30:00+02:00), or the height of a
+/// block.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -66,25 +67,25 @@ Example:
   ledgerctl record Turtlebot4 --since 14:30 --until 14:45:30 -o run.mcap --force
   ledgerctl record Arm/grip --since 0 --follow --msg arm_msgs/msg/Grip=Grip.msg -o grip.mcap")]
 pub(crate) struct Record {
-    /// Services; a robot alone stands for all its services
+    /// Services; a robot alone means all its services
     #[arg(value_name = "ROBOT[/TOPIC]", required = true)]
     services: Vec<String>,
-    /// Begin with the first block at or after this moment; 0 for the first block that the node has
+    /// Start with the first block at or after this moment; 0 for the first stored block
     #[arg(long, value_name = "MOMENT")]
     since: Option<Moment>,
-    /// End with the last block before or at this moment
+    /// End with the last block at or before this moment
     #[arg(long, value_name = "MOMENT")]
     until: Option<Moment>,
-    /// Go on with what comes, until Ctrl-C or --until
+    /// Continue with new messages, until Ctrl-C or --until
     #[arg(long)]
     follow: bool,
     /// The file; -o FILE.mcap is the same
     #[arg(long, value_name = "FILE.mcap")]
     to: Option<PathBuf>,
-    /// Replace the file if there is one
+    /// Replace an existing file
     #[arg(long)]
     force: bool,
-    /// Name the channels as the robots name their topics, /cmd_vel instead of /Turtlebot4/cmd_vel
+    /// Name the channels like the topics of the robots, /cmd_vel instead of /Turtlebot4/cmd_vel
     #[arg(long)]
     plain_topics: bool,
     #[command(flatten)]

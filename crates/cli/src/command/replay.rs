@@ -31,12 +31,12 @@ const SUBSCRIBERS_WITHIN: Duration = Duration::from_secs(3);
 /// For so long subscribers may take to acknowledge the last messages.
 const ACKNOWLEDGED_WITHIN: Duration = Duration::from_secs(2);
 
-/// Publish the messages of a recording in a ROS domain, with the pauses that they had.
+/// Publish the messages of a recording in a ROS domain, at their original intervals.
 ///
-/// These messages do not pass the ledger: no grant is asked for, and whatever subscribes to the topic obeys them. So the
-/// domain has to be named, and the command ends where a bridge has one of the topics. Bridges of the recorded network
-/// never take replayed messages in. Only processes of this machine hear it, unless ROS_AUTOMATIC_DISCOVERY_RANGE or
-/// ROS_STATIC_PEERS say otherwise.
+/// These messages do not pass the ledger: no grant is needed, and every subscriber of the topic acts on them. So the
+/// domain must be named, and the command ends if a bridge uses one of the topics. Bridges of the recorded network never
+/// forward replayed messages. Only processes of this machine receive them, unless ROS_AUTOMATIC_DISCOVERY_RANGE or
+/// ROS_STATIC_PEERS extend the range.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -48,7 +48,7 @@ pub(crate) struct Replay {
     /// The ROS domain to publish in
     #[arg(long, value_name = "N", value_parser = domain::parse)]
     domain: u16,
-    /// So many times as fast
+    /// Speed factor
     #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = rate)]
     rate: f64,
     /// Publish a topic under another name; may be given several times
@@ -89,7 +89,7 @@ impl Replay {
     async fn play(&self, cast: &mut Cast, output: &Output, replayed: &mut Replayed) -> Result<(), Rejection> {
         sleep(NEIGHBOURS_WITHIN).await;
         if timeout(SUBSCRIBERS_WITHIN, cast.heard()).await.is_err() {
-            output.note(&format!("nobody subscribes to {}", cast.unheard().join(", ")));
+            output.note(&format!("no subscribers on {}", cast.unheard().join(", ")));
         }
         let mut reading = Reading::open(&self.file)?;
         let of = cast.recorded();

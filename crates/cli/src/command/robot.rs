@@ -1,6 +1,7 @@
 //! `robot add|set|list|show|remove`: what organisations registered.
 
 pub(in crate::command) mod change;
+mod show;
 
 use crate::answer;
 use crate::argument::capability::{self, Capability};
@@ -14,16 +15,14 @@ use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::SECRET_LIFE;
-use ledger_api::json;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{Direction, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
 use ledger_identity::Role;
 use serde::Serialize;
-use serde_json::value::RawValue;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// Register robots and see them.
+/// Register and show robots.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Robot {
     Add(Add),
@@ -35,9 +34,9 @@ pub(crate) enum Robot {
 
 /// Register a robot of your organisation; for admins.
 ///
-/// A name that is registered already is refused: `robot set` changes settings of that robot, `--replace` all of it.
+/// A name that is registered already is rejected: `robot set` changes settings of that robot, `--replace` all of it.
 ///
-/// Without --trust only attributes of your own organisation count. To let others use the robot: `ledgerctl share`.
+/// Without --trust, only attributes of your own organisation count. To let others use the robot: `ledgerctl share`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -65,26 +64,29 @@ pub(crate) struct Add {
         help = "TOPIC=TYPE[,KEY=VALUE]…, such as mode=limited,publishers=2; the keys are those of `robot set`"
     )]
     services: Vec<ServiceSpec>,
-    /// An organisation whose attributes count; without, your own alone, and with --replace those that counted before
+    /// An organisation whose attributes count; by default only your own, with --replace those that counted before
     #[arg(long = "trust", value_name = "ORG")]
     trusted: Vec<String>,
-    /// A fact for policies: kind=crane is a text, payload_kg=20 a number, zones=a,b a set; give it once for each
+    /// An attribute for policies: kind=crane is a text, payload_kg=20 a number, zones=a,b a set; may be given several
+    /// times
     #[arg(long = "attribute", value_name = "NAME=VALUE")]
     attributes: Vec<Capability>,
-    /// Put this description in the place of the robot's present one; grants that it does not allow end
+    /// Replace the existing description of the robot; grants that the new one does not permit end
     #[arg(long)]
     replace: bool,
-    /// Register the robot's identity, too, and print the line with which the robot's machine enrols
+    /// Also register the robot's identity, and print the command with which the robot's machine enrols
     #[arg(long)]
     enrol: bool,
 }
 
-/// List the robots and who operates them.
+/// List the robots with their holders.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl robot list")]
 pub(crate) struct List {}
 
-/// Show one robot as the asset on the ledger, in JSON.
+/// Show one robot with its services, their settings and their holders.
+///
+/// With `-o json` it is the asset on the ledger. Its field `owner`, as in the paper, is the holder; `organisation` is the owner.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl robot show Turtlebot4")]
 pub(crate) struct Show {
@@ -92,7 +94,7 @@ pub(crate) struct Show {
     name: String,
 }
 
-/// Take a robot out of service; ends every grant of it. For admins of its owner.
+/// Remove a robot; its grants end. For admins of its owner.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl robot remove Husky")]
 pub(crate) struct Remove {
@@ -131,7 +133,7 @@ impl Robot {
             Self::Show(show) => {
                 let response = session.ask(ABAC, "robot", vec![Bytes::from(show.name)]).await;
                 let response = response.map_err(|refused| WORDS.told(refused))?;
-                output.show(&Asset(answer::parse(&response, "a robot")?))
+                output.show(&show::Asset::new(answer::parse(&response, "a robot")?, time::now()))
             }
             Self::Remove(remove) => {
                 let name = remove.name;
@@ -147,10 +149,10 @@ impl Robot {
 async fn identity_of(session: &Session, name: String) -> Result<Invitation, Rejection> {
     let made = Invitation::make(session, name.clone(), (Role::Robot, false), BTreeMap::new(), SECRET_LIFE).await;
     made.map_err(|mut refused| {
-        refused.message = format!("the robot is registered, its identity is not: {}", refused.message);
+        refused.message = format!("the robot is registered, but its identity is not: {}", refused.message);
         match refused.code {
             Code::AlreadyRegistered if refused.found.starts_with("role robot") => {
-                refused.next(format!("give it a new secret: ledgerctl identity register {name} --reissue"))
+                refused.next(format!("create a new secret for it: ledgerctl identity register {name} --reissue"))
             }
             Code::AlreadyRegistered => refused,
             _ => refused.next(format!("try again: ledgerctl identity register {name} --role robot")),
@@ -201,6 +203,9 @@ impl Facts for Robots {
     }
 
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.0.is_empty() {
+            return writeln!(out, "no robot is registered");
+        }
         let mut table =
             Table::new(["SERVICE", "TYPE", "RULE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES", "WAITING"]);
         for robot in &self.0 {
@@ -248,16 +253,6 @@ fn holders(robot: &RobotAsset, service: &ServiceState) -> String {
     }
 }
 
-/// A robot exactly as the ledger holds it, whatever fields later versions add.
-#[derive(Serialize)]
-struct Asset(Box<RawValue>);
-
-impl Facts for Asset {
-    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{}", json::pretty(self.0.get()).unwrap_or_default())
-    }
-}
-
 #[derive(Serialize)]
 struct Removed {
     robot: String,
@@ -279,7 +274,7 @@ impl Facts for Removed {
 mod tests {
     use super::*;
 
-    const ASSET: &str = r#"{"Name":"Turtlebot4","SubTopic":"/cmd_vel","PubTopic":"","owner":"Org1/Salma",
+    pub(super) const ASSET: &str = r#"{"Name":"Turtlebot4","SubTopic":"/cmd_vel","PubTopic":"","owner":"Org1/Salma",
         "UnderOp":true,"organisation":"Org2","attribute_required":"Turtlebot4=true","trusted":["Org1","Org2"],
         "services":[{"service":"Turtlebot4/cmd_vel","robot":"Turtlebot4","organisation":"Org2","topic":"/cmd_vel",
         "type":"geometry_msgs/msg/Twist","mode":"exclusive","direction":"command","max_age_ms":1000,"lease_ms":10000,
@@ -336,13 +331,5 @@ Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  
         assert!(text(&robots).contains("  limited  "), "{}", text(&robots));
         let json = serde_json::to_string(&robots).unwrap();
         assert!(json.contains(r#""mode":"limited""#) && json.contains(r#""capabilities":{"places":"2"}"#), "{json}");
-    }
-
-    #[test]
-    fn one_robot_is_json_with_the_fields_of_the_paper_first() {
-        let shown = text(&Asset(serde_json::from_str(ASSET).unwrap()));
-        let wanted = "{\n  \"Name\": \"Turtlebot4\",\n  \"SubTopic\": \"/cmd_vel\",\n  \"PubTopic\": \"\",\n  \
-                      \"owner\": \"Org1/Salma\",\n  \"UnderOp\": true,\n";
-        assert!(shown.starts_with(wanted), "{shown}");
     }
 }

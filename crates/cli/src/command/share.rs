@@ -21,15 +21,15 @@ use serde::Serialize;
 use std::io::{self, Write};
 use terms::Terms;
 
-/// Let an organisation or a person use a robot of yours; for admins of its owner.
+/// Permit an organisation or an identity to use a robot of yours; for admins of its owner.
 ///
-/// It writes one policy, shows it in words and in Cedar, and who can do what afterwards that could not before. Then it asks. A share
-/// gives acquire, publish and subscribe on command services, and subscribe on feeds: never override, confirm, stop or resume. It
-/// changes no other policy; the built-in one stays in force. A share with the same robot or service, receiver and attribute takes
-/// the place of the earlier one.
+/// Creates one policy. It shows the policy in words and in Cedar, and the permissions that it adds, and asks for
+/// confirmation. A share permits acquire, publish and subscribe on command services, and subscribe on feeds: never
+/// override, confirm, stop or resume. Other policies stay unchanged; the built-in policy stays in force. A share with
+/// the same robot or service, receiver and attribute replaces the earlier one.
 ///
-/// An organisation that is named needs no trust. With --attr the robot must trust it, so that the attributes of its people count:
-/// `ledgerctl robot set ROBOT trust=ORG,ORG`.
+/// A named organisation does not have to be trusted. With --attr, the robot must trust it, so that the attributes of
+/// its members count: `ledgerctl robot set ROBOT trust=ORG,ORG`.
 #[derive(Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(after_help = "\
@@ -45,21 +45,21 @@ pub(crate) struct Share {
     terms: Option<Terms>,
     #[command(flatten)]
     how: ChangeMode,
-    /// A name that the network does not know today, and that is no slip: Org1/Farhad
+    /// Accept this name, although the network does not know it yet: Org1/Farhad
     #[arg(long, value_name = "NAME")]
     expect: Vec<String>,
 }
 
-/// How a change of shares is made.
+/// How shares are changed.
 #[derive(Debug, clap::Args)]
 struct ChangeMode {
-    /// Do not ask
+    /// Do not ask for confirmation
     #[arg(long)]
     yes: bool,
-    /// Only show what would change
+    /// Only show the changes
     #[arg(long, conflicts_with_all = ["yes", "propose"])]
     dry_run: bool,
-    /// Propose the set of policies with the change, where others must agree (see `ledgerctl policy approvals`)
+    /// Propose the policy set with this change, if it needs approvals (see `ledgerctl policy approvals`)
     #[arg(long)]
     propose: bool,
 }
@@ -112,19 +112,19 @@ fn check_text(terms: &ShareTerms, preview: &SharePreview) -> Result<(), Rejectio
     if preview.text == wanted && in_set.is_some_and(|policy| policy.text == wanted) {
         return Ok(());
     }
-    Err(Rejection::new(Code::Untrusted, "the node has composed another policy than these terms have")
+    Err(Rejection::new(Code::Untrusted, "the node composed a policy that differs from these terms")
         .found(preview.text.clone())
         .wanted(wanted)
-        .next("share it through another node of your organisation"))
+        .next("create the share through another node of your organisation"))
 }
 
 /// Rejects names that are unknown today and not expected.
 fn check_names(unknown: &[UnknownName], expected: &[String]) -> Result<(), Rejection> {
     let Some(name) = unknown.iter().find(|name| !expected.contains(&name.name)) else { return Ok(()) };
-    Err(Rejection::new(Code::PolicyInvalid, "the share names what the network does not know today")
+    Err(Rejection::new(Code::PolicyInvalid, "the share names something that the network does not have")
         .found(shown(name))
-        .wanted("a member of the network, or a person who is enrolled")
-        .next(format!("correct it, or if it comes later: --expect '{}'", name.name)))
+        .wanted("a member of the network, or an enrolled identity")
+        .next(format!("correct it, or if it will exist later: --expect '{}'", name.name)))
 }
 
 async fn finish(
@@ -143,8 +143,11 @@ async fn finish(
     if !shared.trusted && is_new {
         let robot = shared.terms.robot().to_owned();
         let message =
-            format!("{robot} does not trust {}: attributes of its people count nowhere", shared.terms.organisation());
-        let next = format!("this share needs no attribute; to trust them: ledgerctl robot set {robot} trust=ORG,ORG");
+            format!("{robot} does not trust {}: attributes of its members have no effect", shared.terms.organisation());
+        let next = format!(
+            "this share needs no attribute; to trust the organisation: ledgerctl robot set {robot} \
+                            trust=ORG,ORG"
+        );
         warn(format, &message, &next);
     }
     if how.dry_run || !is_new {
@@ -186,7 +189,7 @@ impl ShareDifference {
 impl Facts for ShareDifference {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if !self.is_new() {
-            return writeln!(out, "nothing to change: it is shared so already, as {}", printable(&self.id));
+            return writeln!(out, "nothing to change: it is shared already, as {}", printable(&self.id));
         }
         writeln!(out, "{}:", printable(&self.id))?;
         for policy in &self.meaning {
@@ -196,7 +199,7 @@ impl Facts for ShareDifference {
             writeln!(out, "    {line}")?;
         }
         if !self.replaces.is_empty() {
-            writeln!(out, "it takes the place of the share {}", printable(&self.replaces))?;
+            writeln!(out, "it replaces the share {}", printable(&self.replaces))?;
         }
         if self.keeps_built_in {
             writeln!(out, "the built-in policy stays in force, as the policy default")?;

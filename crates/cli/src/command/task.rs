@@ -12,7 +12,7 @@ use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Committed;
 
-/// Have a robot traverse points; tasks for one robot wait in line and run one after the other.
+/// Let a robot traverse points; the tasks of a robot are queued and run one after the other.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Task {
     Submit(submit::Submit),
@@ -23,7 +23,7 @@ pub(crate) enum Task {
     Fail(Fail),
 }
 
-/// List the tasks of all robots, the oldest first: those that have not ended, and the newest of those that have.
+/// List the tasks of all robots, oldest first: the open ones, and the newest of those that have ended.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl task list")]
 pub(crate) struct List {}
@@ -36,7 +36,7 @@ pub(crate) struct Show {
     which: Which,
 }
 
-/// End a task that you have submitted; admins of the robot's owner end anybody's.
+/// End a task that you submitted; admins of the robot's owner can end any task.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl task cancel 7")]
 pub(crate) struct Cancel {
@@ -44,7 +44,7 @@ pub(crate) struct Cancel {
     which: Which,
 }
 
-/// Report that a running task has reached a point; the last one ends it. For its submitter and for the robot.
+/// Report that a running task has reached a point; the last point ends the task. For its submitter and for the robot.
 ///
 /// Each report renews the lease of the grant that serves the task.
 #[derive(Debug, clap::Args)]
@@ -52,24 +52,24 @@ pub(crate) struct Cancel {
 pub(crate) struct Progress {
     #[command(flatten)]
     which: Which,
-    /// The last point that was reached; the first one is 1
+    /// The point that was reached; the first one is 1
     point: u64,
 }
 
-/// Report that a running task cannot go on, which ends it. For its submitter and for the robot.
+/// Report that a running task has failed, which ends it. For its submitter and for the robot.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl task fail 7 --reason 'the door is locked'")]
 pub(crate) struct Fail {
     #[command(flatten)]
     which: Which,
-    /// Why, for everybody to read
+    /// Reason; visible to all members
     #[arg(long, value_name = "TEXT")]
     reason: String,
 }
 
 #[derive(Debug, clap::Args)]
 struct Which {
-    /// Number of the task; `task list` tells it
+    /// Number of the task; see `task list`
     id: u64,
 }
 

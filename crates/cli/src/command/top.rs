@@ -29,11 +29,11 @@ const AGAIN_AFTER: Duration = Duration::from_secs(5);
 /// How often the node says that it is alive while there are no messages, in milliseconds.
 const HEARTBEAT_MS: u32 = 1_000;
 
-/// Show robots, holders, rates, latencies and nodes on the whole screen, as they are now.
+/// Show robots, holders, rates, latencies and nodes on the whole screen, continuously.
 ///
-/// Rates and latencies are those of the services that you may subscribe to, over the last ten seconds. A latency is the time from the
-/// signature of a message to its arrival here. The arrow keys choose a service. `s` stops its robot at once. `u` resumes it once you
-/// have typed a reason and Enter. `r` releases your grant of it, and `q` ends.
+/// Rates and latencies are those of the services that you may subscribe to, over the last ten seconds. A latency is the
+/// time from the signature of a message to its arrival here. The arrow keys select a service. `s` stops its robot at
+/// once. `u` resumes it, after a reason and Enter. `r` releases your grant of it, and `q` quits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl top")]
 pub(crate) struct Top {}
@@ -94,7 +94,7 @@ async fn after(typed: &Typed, session: &Session, view: &mut View) -> Next {
     if let Some(mut question) = view.question.take() {
         match question.typed(typed.bytes()) {
             Progress::Open => view.question = Some(question),
-            Progress::Cancelled => "nothing is resumed".clone_into(&mut view.told),
+            Progress::Cancelled => "not resumed".clone_into(&mut view.told),
             Progress::Answered => {
                 let (robot, reason) = question.answer();
                 let done = emergency::resume(session, robot.clone(), Some(reason), |_| ()).await;
@@ -133,7 +133,7 @@ async fn look(session: &Session) -> Result<(Vec<RobotAsset>, Overview), Rejectio
 
 /// Does something about what is chosen, and tells how that went.
 async fn act(session: &Session, function: &str, about: Option<String>) -> String {
-    let Some(about) = about else { return "nothing is chosen".to_owned() };
+    let Some(about) = about else { return "no service is selected".to_owned() };
     let done = session.call(ABAC, function, vec![Bytes::from(about.clone())]).await;
     outcome(function, &about, done)
 }

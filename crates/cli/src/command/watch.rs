@@ -5,9 +5,11 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::Output;
 
-/// Print what changes from now on, a line each, until Ctrl-C: grants and their ends, refusals, stops, policies, people, nodes.
+/// Print changes as they happen, one line each, until Ctrl-C: grants and their ends, rejections, stops, policies,
+/// identities, nodes.
 ///
-/// The lines are rows of `ledgerctl audit`, which shows the past as well. Commands have no lines: `ledgerctl echo` prints them.
+/// The lines are rows of `ledgerctl audit`, which also shows the past. Commands are not included: `ledgerctl echo`
+/// prints them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:

@@ -12,9 +12,9 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// Show the identity of the context in use: organisation, name, role, attributes, validity.
+/// Show the identity of the selected context: organisation, name, role, attributes, validity.
 ///
-/// Read from the certificate on this machine. If a node answers, what the ledger thinks of it is added.
+/// Read from the certificate on this machine. If a node answers, it also shows whether the ledger accepts the identity.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl whoami\n  ledgerctl whoami --context Salma -o json")]
 pub(crate) struct Whoami {}
@@ -88,7 +88,7 @@ impl Facts for Who {
         table.pair("context", &self.context);
         let online = match &self.online {
             Online::Accepted => "accepted by the ledger".to_owned(),
-            Online::Refused { code, message } => format!("refused: {message} [{code}]"),
+            Online::Refused { code, message } => format!("rejected: {message} [{code}]"),
             Online::Unreachable { code, message } => format!("unknown: {message} [{code}]"),
         };
         table.pair("online", online);

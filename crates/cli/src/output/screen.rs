@@ -3,7 +3,9 @@
 use rustix::termios::tcgetwinsize;
 
 /// No column is made narrower.
-const COLUMN_MIN: usize = 8;
+pub(super) const COLUMN_MIN: usize = 8;
+/// Spaces between two columns.
+pub(super) const GAP: usize = 2;
 /// Signs behind which a cell is broken before it is broken anywhere else.
 const BREAKS: [char; 4] = [' ', ',', '/', ';'];
 
@@ -19,10 +21,14 @@ pub(super) fn fitted(widths: Vec<usize>, least: &[usize], room: usize) -> Vec<us
     narrowed(narrowed(widths, least, room), &vec![COLUMN_MIN; least.len()], room)
 }
 
+/// The width of a line with columns of these widths.
+pub(super) fn whole(widths: &[usize]) -> usize {
+    widths.iter().map(|width| width + GAP).sum::<usize>().saturating_sub(GAP)
+}
+
 fn narrowed(mut widths: Vec<usize>, least: &[usize], room: usize) -> Vec<usize> {
     loop {
-        let whole: usize = widths.iter().map(|width| width + 2).sum();
-        let excess = whole.saturating_sub(2).saturating_sub(room);
+        let excess = whole(&widths).saturating_sub(room);
         let wide = widths.iter_mut().zip(least).filter(|(width, least)| **width > **least).map(|(width, _)| width);
         let Some(widest) = wide.max().filter(|_| excess > 0) else { return widths };
         *widest -= 1;

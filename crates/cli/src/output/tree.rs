@@ -130,6 +130,22 @@ impl Tree {
         }
     }
 
+    /// For people, on one line: `robot=Rover, since=2026-11-29 14:43:11 +00:00`, with times in local time.
+    pub(super) fn to_brief(&self) -> String {
+        match self {
+            Self::Leaf(text) => serde_json::from_str::<String>(text).unwrap_or_else(|_| text.clone()),
+            Self::List(values) => format!("[{}]", values.iter().map(Self::to_brief).collect::<Vec<_>>().join(", ")),
+            Self::Object(fields) => {
+                let shown = |(name, value): &(String, Self)| match (moment(name, value), value) {
+                    (Some(moment), _) => format!("{name}={moment}"),
+                    (None, Self::Object(_)) => format!("{name}={{{}}}", value.to_brief()),
+                    (None, _) => format!("{name}={}", value.to_brief()),
+                };
+                fields.iter().map(shown).collect::<Vec<_>>().join(", ")
+            }
+        }
+    }
+
     /// As JSON on one line.
     pub(super) fn to_json(&self) -> String {
         let mut out = String::new();
@@ -171,6 +187,13 @@ fn utc(name: &str, value: &Tree) -> Option<String> {
         Ok(micros) if micros > 0 => serde_json::Value::from(time::rfc3339(micros)).to_string(),
         _ => "null".to_owned(),
     })
+}
+
+/// The time of a field in local time, if it is one and is set.
+fn moment(name: &str, value: &Tree) -> Option<String> {
+    let Tree::Leaf(text) = value else { return None };
+    let micros = text.parse::<u64>().ok().filter(|micros| *micros >= NO_COUNT)?;
+    TIMES.contains(&name).then(|| time::moment(micros))
 }
 
 /// The fields of an object in their order.
@@ -241,6 +264,15 @@ mod tests {
     fn json_that_is_nested_without_end_stays_on_one_line_and_costs_no_stack() {
         let deep = format!("{}\n1{}", "[".repeat(200_000), "]".repeat(200_000));
         assert_eq!(told(&deep), deep.replace('\n', ""));
+    }
+
+    #[test]
+    fn people_read_names_and_values_and_no_numbers_of_microseconds() {
+        let brief = |json: &str| Tree::read(json).unwrap().to_brief();
+        assert_eq!(brief(r#"{"robot":"Rover","count":3,"of":{"a":[1,"b"]}}"#), "robot=Rover, count=3, of={a=[1, b]}");
+        let since = brief(r#"{"since":1700000000000001,"until":0}"#);
+        assert!(since.starts_with("since=2023-11-1") && since.ends_with(", until=0"), "{since}");
+        assert_eq!(brief("\"text\""), "text");
     }
 
     #[test]

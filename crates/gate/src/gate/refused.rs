@@ -110,37 +110,40 @@ impl Refused {
     /// The rule in words, for people.
     pub const fn meaning(self) -> &'static str {
         match self {
-            Self::Malformed => "the bytes are no call of set",
+            Self::Malformed => "the bytes are not a call of set",
             Self::WrongNetwork => "it was signed for another network",
-            Self::WrongCall => "it is a call of something else",
+            Self::WrongCall => "it calls another function",
             Self::TooLarge => "it is larger than sample_bytes_max of this route",
-            Self::BadPayload => "it is no CDR of ROS 2, or not of the service's type",
-            Self::NoKey => "it is not for this reader: its content key is for others, or has not come yet",
+            Self::BadPayload => "it is not CDR of ROS 2, or not of the service's type",
+            Self::NoKey => "it is not for this reader: its content key is for others, or was not received yet",
             Self::Unreadable => "it is not encrypted for this place, as messages of a confidential service are",
             Self::BadSpeed => "it asks for a speed that is not a finite number, or above 10000 where no maximum is set",
-            Self::UnknownCreator => "the certificate of its creator is not known",
-            Self::Untrusted => "the certificate of its creator is of no organisation of this network, or not valid now",
+            Self::UnknownCreator => "the certificate of its creator is unknown",
+            Self::Untrusted => {
+                "the certificate of its creator belongs to no organisation of this network, or is not \
+                                valid now"
+            }
             Self::Revoked => "the certificate of its creator was revoked",
             Self::BadSignature => "its signature is not its creator's",
             Self::NotOwner => "only the owner of the robot publishes on a feed",
             Self::StaleEpoch => "it belongs to a grant that has ended",
-            Self::UnknownEpoch => "it belongs to a grant of which the voters know nothing",
+            Self::UnknownEpoch => "it belongs to a grant that the voters do not have",
             Self::NotHolder => "its creator does not hold the service",
-            Self::StaleSequence => "a later message of its creator has passed",
+            Self::StaleSequence => "a later message of its creator was delivered",
             Self::TooFast => "it is one more than max_rate of its creator's grant allows",
             Self::TooOld => {
-                "it is older than the service, its grant or max_age_ms allows; if that goes on, compare the clocks"
+                "it is older than the service, its grant or max_age_ms permits; if that persists, compare the clocks"
             }
-            Self::Expired => "its signer's own limit of time has passed",
+            Self::Expired => "the time limit of its signer has passed",
             Self::UnknownBlock => {
-                "it names a block that this node does not have: the signer's node or this one shows another chain"
+                "it names a block that this node does not have: the signer's node or this one has another chain"
             }
             Self::FromFuture => "its time is ahead of this machine's clock; compare the clocks",
             Self::BeforeStop => "it is from before the last stop",
             Self::TooManyPublishers => "more publishers than the gate can tell apart",
-            Self::Stopped => "the robot is stopped until somebody resumes it",
-            Self::NoService => "the service is not known now",
-            Self::Stale => "no majority of the voters says now who holds the robot",
+            Self::Stopped => "the robot is stopped until it is resumed",
+            Self::NoService => "the service is unknown",
+            Self::Stale => "no majority of the voters confirms who holds the robot",
         }
     }
 }

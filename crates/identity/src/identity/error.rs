@@ -32,7 +32,7 @@ pub enum IdentityError {
         max: usize,
     },
     /// No organisation of the network has the issuer as one of its authorities.
-    #[error("the certificate is not trusted: found issuer {issuer}, wanted an authority of {}", list(.wanted))]
+    #[error("the certificate is not trusted: found issuer {issuer}, wanted a CA of {}", list(.wanted))]
     Untrusted {
         /// The issuer's distinguished name.
         issuer: String,
@@ -41,8 +41,8 @@ pub enum IdentityError {
     },
     /// The issuer's name is an authority's, the signature is not: a forgery, or a CA that was made anew.
     #[error(
-        "the certificate of {subject} is not signed by the key it names: found issuer {issuer}, \
-         wanted a signature by the authority of {organisation} with this name"
+        "the certificate of {subject} is not signed by the key it names: found issuer {issuer}, wanted a signature by \
+         the CA of {organisation} with this name"
     )]
     BadSignature {
         /// The subject's distinguished name.
@@ -73,7 +73,7 @@ pub enum IdentityError {
         at: u64,
     },
     /// A certificate that should be an authority's is not one.
-    #[error("the certificate of {subject} is not an authority's: found {found}, wanted {wanted}")]
+    #[error("the certificate of {subject} is not that of a CA: found {found}, wanted {wanted}")]
     NotAnAuthority {
         /// The subject's distinguished name.
         subject: String,
@@ -83,13 +83,13 @@ pub enum IdentityError {
         wanted: &'static str,
     },
     /// An authority's certificate was presented as somebody's identity.
-    #[error("the certificate of {subject} is an authority's: found CA:TRUE, wanted the certificate of an identity")]
+    #[error("the certificate of {subject} is that of a CA: found CA:TRUE, wanted the certificate of an identity")]
     Authority {
         /// The subject's distinguished name.
         subject: String,
     },
     /// The certificate was issued for something else.
-    #[error("the certificate of {subject} was issued for another use: found {found}, wanted {wanted}")]
+    #[error("the certificate of {subject} was issued for another purpose: found {found}, wanted {wanted}")]
     WrongUsage {
         /// The subject's distinguished name.
         subject: String,
@@ -117,7 +117,7 @@ pub enum IdentityError {
         reason: &'static str,
     },
     /// Every signature holds, but a rule of the path does not.
-    #[error("the path of {subject} to {organisation} is refused: found {found}, wanted a path that RFC 5280 accepts")]
+    #[error("the path of {subject} to {organisation} is rejected: found {found}, wanted a path that RFC 5280 accepts")]
     BadPath {
         /// The subject's distinguished name.
         subject: String,
@@ -137,7 +137,7 @@ pub enum IdentityError {
         wanted: &'static str,
     },
     /// An authority that nobody could sign in by.
-    #[error("the authority {subject} cannot vouch for anybody here: found {found}, wanted {wanted}")]
+    #[error("the CA {subject} cannot be used here: found {found}, wanted {wanted}")]
     UnusableAuthority {
         /// The authority's distinguished name.
         subject: String,
@@ -148,7 +148,7 @@ pub enum IdentityError {
     },
     /// Two organisations claim the same authority, so it could not be told whose identities it issues.
     #[error(
-        "the authority {subject} is shared: found it in {first} and {second}, wanted each name and key in one organisation"
+        "the CA {subject} is shared: found it in {first} and {second}, wanted each name and key in one organisation"
     )]
     SharedAuthority {
         /// The authority's distinguished name.
@@ -168,23 +168,23 @@ impl IdentityError {
                 "have the certificate issued again by its organisation".into()
             }
             Self::Untrusted { .. } => {
-                "enrol at one of these organisations, or add the organisation's root to the network".into()
+                "enrol at one of these organisations, or add the organisation's root certificate to the network".into()
             }
             Self::BadSignature { organisation, .. } => {
-                format!("enrol again at {organisation}, whose authority may have been made anew")
+                format!("enrol again at {organisation}, whose CA may have been replaced")
             }
             // Nearly always one of the two clocks is wrong, and then a new certificate does not help.
             Self::NotYetValid { .. } => {
-                "compare the time that was found with a clock you trust, and set the clock that is wrong; otherwise wait".into()
+                "compare the time found with a trusted clock, and set the clock that is wrong; otherwise wait".into()
             }
             Self::Expired { .. } => {
-                "compare the time that was found with a clock you trust, and set the clock that is wrong; if it is right, have a \
+                "compare the time found with a trusted clock, and set the clock that is wrong; if it is right, have a \
                  new certificate issued"
                     .into()
             }
             Self::NotAnAuthority { .. } => "give the certificate of the CA itself, not one that it issued".into(),
-            Self::Authority { .. } => "use a certificate that the authority issued to an identity".into(),
-            Self::WrongUsage { .. } | Self::BadPath { .. } => "have a certificate issued for this use".into(),
+            Self::Authority { .. } => "use a certificate that the CA issued to an identity".into(),
+            Self::WrongUsage { .. } | Self::BadPath { .. } => "have a certificate issued for this purpose".into(),
             Self::UnsupportedKey { .. } => "enrol again with a key of kind ed25519 or p256".into(),
             Self::UnsupportedSignature { .. } => {
                 "have it signed again with one of these (OpenSSL: -sha256), by a key that fits".into()
@@ -192,7 +192,7 @@ impl IdentityError {
             Self::UnusableAuthority { .. } => {
                 "bring an authority that fits, such as an intermediate one with a key of P-256, or have this one issued again".into()
             }
-            Self::SharedAuthority { .. } => "let each organisation run its own CA with its own name and key".into(),
+            Self::SharedAuthority { .. } => "let each organisation operate its own CA with its own name and key".into(),
         }
     }
 

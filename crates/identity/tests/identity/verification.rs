@@ -29,7 +29,7 @@ fn a_certificate_of_an_unknown_authority_is_refused_with_both_names() {
     let refused = network.verify(&Ca::new("ca.org9").user("Eve"), NONE, NOW).unwrap_err();
     assert_eq!(
         refused.to_string(),
-        "the certificate is not trusted: found issuer \"CN=ca.org9\", wanted an authority of Org1 or Org2"
+        "the certificate is not trusted: found issuer \"CN=ca.org9\", wanted a CA of Org1 or Org2"
     );
     assert!(matches!(Msps::new().verify(&Ca::new("ca").user("Eve"), NONE, NOW), Err(IdentityError::Untrusted { .. })));
 }

@@ -120,20 +120,22 @@ impl Refusal {
         let id = self.transaction.as_ref().map(Transaction::id).unwrap_or(Hash::ZERO);
         Rejection::new(Code::Timeout, format!("the verdict on transaction {id} is not known yet"))
             .found(format!(
-                "this node would refuse it ({} {}), but may not be the first that it was given to",
+                "this node would reject it ({} {}), but may not be the first node that received it",
                 self.rejection.code, self.rejection.message
             ))
-            .wanted("first_attempt, if it was never given to any node before")
-            .next("submit the same transaction again: the answer is its one verdict, or that its time has passed")
+            .wanted("first_attempt, if no node has received it before")
+            .next("submit the same transaction again: the answer is its verdict, or that it has expired")
     }
 
     /// The answer where nobody can know whether the state is current.
     fn uncertain(&self, reason: &Rejection) -> Rejection {
-        let found =
-            format!("its state would refuse it ({} {}), and may be old", self.rejection.code, self.rejection.message);
+        let found = format!(
+            "this node would reject it ({} {}), but its state may be stale",
+            self.rejection.code, self.rejection.message
+        );
         Rejection::new(
             reason.code,
-            format!("this node cannot tell now whether the call is to be refused: {}", reason.message),
+            format!("this node cannot decide now whether to reject the call: {}", reason.message),
         )
         .found(if reason.found.is_empty() { found } else { format!("{found}; {}", reason.found) })
         .wanted(reason.wanted.clone())

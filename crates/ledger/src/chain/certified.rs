@@ -81,13 +81,16 @@ impl Ledger {
 pub(super) fn newest_roots(tip: u64, genesis: &BlockResult, results: &ResultStore) -> Result<Roots, Rejection> {
     for height in (1..=tip).rev() {
         let stored = results.get(height)?.ok_or_else(|| {
-            Rejection::new(Code::Corrupt, "a result is missing that the next certified block builds on")
+            Rejection::new(Code::Corrupt, "a result needed for the next certificate is missing")
                 .found(format!("none of block {height}"))
-                .next("delete the directories state/ and results/; the node makes both again from the blocks")
+                .next(
+                    "delete the directories state/ and results/ while the node is stopped; both are rebuilt from \
+                       the blocks",
+                )
         })?;
         if let Some(roots) = stored.roots() {
             return Ok(roots);
         }
     }
-    genesis.roots().ok_or_else(|| Rejection::new(Code::Internal, "the genesis has no roots"))
+    genesis.roots().ok_or_else(|| Rejection::new(Code::Internal, "the genesis has no root certificates"))
 }

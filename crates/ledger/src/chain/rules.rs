@@ -48,17 +48,17 @@ impl Ledger {
 
     fn unknown(&self, Activation { number, height }: Activation) -> Rejection {
         let message =
-            format!("this release of ledgerd does not speak rules {number}, by which block {height} is executed");
+            format!("this release of ledgerd does not support rules {number}, with which block {height} is executed");
         let nodes = msp::nodes(&*self.state).unwrap_or_default();
         let speaks =
             |node: &NodeRecord| Some((node.speaks.clone().filter(|it| it.newest >= number)?, node.full_name()));
         let release = nodes.iter().find_map(speaks).map_or_else(
-            || "a release of ledgerd that speaks them".to_owned(),
+            || "a release of ledgerd that supports them".to_owned(),
             |(speaks, node)| format!("ledgerd {}, which {node} runs, or a later release", speaks.release),
         );
         Rejection::new(Code::UnknownRules, message)
             .found(format!("rules {number} from block {height} on"))
             .wanted(self.registry.newest().and_older())
-            .next(format!("install {release}, and start the node again with its data as it is"))
+            .next(format!("install {release}, and start the node again; its data stay as they are"))
     }
 }

@@ -81,7 +81,9 @@ impl Ledger {
             // What is not kept any more is older than the longest period.
             Ok(None) => true,
             Err(fault) => {
-                tracing::error!(height = tip.height, code = fault.code.name(), reason = %fault, "no snapshot is made: cannot compute whether one is due");
+                tracing::error!(height = tip.height, code = fault.code.name(), reason = %fault, "no snapshot: cannot \
+                                                                                                 determine whether \
+                                                                                                 one is due");
                 false
             }
         }

@@ -155,12 +155,13 @@ pub(crate) fn quorum_of<'a>(chaincode: &'a dyn Chaincode, function: &str) -> Res
     }
     let function: String = function.chars().take(128).collect();
     let names: Vec<_> = table.iter().map(|(name, _)| *name).collect();
-    let wanted = if names.is_empty() { "another chaincode: this one has none".to_owned() } else { names.join(", ") };
-    let message = format!("{} {function:?} is no function that needs approval", chaincode.name());
+    let wanted =
+        if names.is_empty() { "another chaincode: this one has no such function".to_owned() } else { names.join(", ") };
+    let message = format!("{} {function:?} is not a function that needs approval", chaincode.name());
     Err(Rejection::new(Code::BadArgument, message)
         .found(function)
         .wanted(format!("a function that needs approval: {wanted}"))
-        .next("ledgerctl network quorums lists them; call any other directly: ledgerctl invoke"))
+        .next("ledgerctl network quorums lists them; call others directly: ledgerctl invoke"))
 }
 
 /// Refuses an ordinary call of a function that needs approval. The chaincode `msp` keeps the proposals: an ordinary call of
@@ -171,9 +172,9 @@ pub(super) fn check_ordinary(chaincode: &dyn Chaincode, function: &str) -> Resul
     if name == MSP || table.iter().all(|(needs, _)| *needs != function) {
         return Ok(());
     }
-    Err(Rejection::new(Code::NeedsApproval, format!("{name} {function} is not called directly: it needs approval"))
-        .found("a call that nobody else has agreed to")
-        .wanted("a proposal, executed once its quorum agrees")
+    Err(Rejection::new(Code::NeedsApproval, format!("{name} {function} cannot be called directly: it needs approval"))
+        .found("a call without further approvals")
+        .wanted("a proposal, executed when its quorum is reached")
         .next(format!("ledgerctl network propose {name} {function} ARG..., as an admin")))
 }
 

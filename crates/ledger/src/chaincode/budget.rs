@@ -228,10 +228,10 @@ impl Meter {
         let Budgets { call: of_call, block: of_block } = &self.budgets;
         if let Some((kind, used, most)) = call.beyond(of_call) {
             let reading = kind == "bytes of the answer";
-            return Err(Rejection::new(Code::OverBudget, "the call uses more than a call may")
+            return Err(Rejection::new(Code::OverBudget, "the call exceeds the budget of a call")
                 .found(format!("{used} {kind}"))
                 .wanted(format!("at most {most}"))
-                .next(if reading { "ask for less at once: in pages" } else { "do it in several calls" }));
+                .next(if reading { "request less at once: in pages" } else { "split it into several calls" }));
         }
         let mut block = self.block.borrow_mut();
         let used = match block.get_mut(payer) {
@@ -241,13 +241,10 @@ impl Meter {
         used.add(more);
         if let Some((kind, used, most)) = used.beyond(of_block) {
             let whose = if more.steps > 0 { "the policies" } else { "the calls" };
-            return Err(Rejection::new(
-                Code::OverBudget,
-                format!("{whose} of {payer} use more than they may of a block"),
-            )
-            .found(format!("{used} {kind}"))
-            .wanted(format!("at most {most} of one organisation in a block"))
-            .next("send the call again in a new transaction: the next block has a budget of its own"));
+            return Err(Rejection::new(Code::OverBudget, format!("{whose} of {payer} exceed the budget of a block"))
+                .found(format!("{used} {kind}"))
+                .wanted(format!("at most {most} per organisation and block"))
+                .next("send the call again in a new transaction: each block has a new budget"));
         }
         Ok(())
     }

@@ -56,10 +56,10 @@ impl Environment<'_> {
             return Ok(());
         }
         let name = callee.name();
-        Err(Rejection::new(Code::QueryOnly, format!("{name} {function} only reads: it is no transaction"))
+        Err(Rejection::new(Code::QueryOnly, format!("{name} {function} is read-only: it cannot be a transaction"))
             .found("a transaction")
             .wanted("a query")
-            .next(format!("ask it as a query: ledgerctl query {name} {function}")))
+            .next(format!("call it as a query: ledgerctl query {name} {function}")))
     }
 
     /// Refuses a call that went on although its budget was used up, and a query that has changed something although its
@@ -71,10 +71,10 @@ impl Environment<'_> {
         if !asked || used.writes + used.event_bytes == 0 {
             return Ok(());
         }
-        Err(Rejection::new(Code::Internal, format!("{} {function} is said to only read", callee.name()))
+        Err(Rejection::new(Code::Internal, format!("{} {function} is declared as read-only", callee.name()))
             .found(format!("{} writes and {} bytes of events", used.writes, used.event_bytes))
-            .wanted("nothing that it changes")
-            .next("report it: this is a fault of the chaincode"))
+            .wanted("no changes")
+            .next("report it: this is a bug of the chaincode"))
     }
 
     /// A code that speaks of a node, such as [`Code::Overloaded`], tells clients to try again: no verdict on a call.
@@ -193,7 +193,7 @@ impl<'a> Context<'a> {
     pub fn submitter(&self) -> Result<&'a Identity, Rejection> {
         self.environment
             .submitter
-            .ok_or_else(|| Rejection::new(Code::CertificateRequired, "this call needs a signer, but it is not signed"))
+            .ok_or_else(|| Rejection::new(Code::CertificateRequired, "this call needs a signer, but is not signed"))
     }
 
     /// The approvals of this call, if it was proposed and its quorum agreed (see
@@ -323,7 +323,7 @@ impl<'a> Context<'a> {
         if self.depth + 1 < CALL_DEPTH_MAX {
             return Ok(self.depth + 1);
         }
-        Err(Rejection::new(Code::LimitExceeded, "chaincodes call each other too deeply")
+        Err(Rejection::new(Code::LimitExceeded, "chaincode calls are nested too deeply")
             .found(format!("depth {}", self.depth + 1))
             .wanted(format!("at most {}", CALL_DEPTH_MAX - 1)))
     }
@@ -409,10 +409,10 @@ pub(super) fn run(
     }))
     .unwrap_or_else(|panic| {
         Err(match panic.is::<Stopped>() {
-            true => Rejection::new(Code::OverBudget, "the call uses more than it may"),
+            true => Rejection::new(Code::OverBudget, "the call exceeds its budget"),
             false => Rejection::new(
                 Code::ChaincodePanic,
-                format!("chaincode {chaincode:?} panicked; nothing it wrote was kept"),
+                format!("chaincode {chaincode:?} panicked; its writes were discarded"),
             ),
         })
     });

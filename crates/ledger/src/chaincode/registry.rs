@@ -52,7 +52,7 @@ impl Registry {
             || name.len() > 64
             || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
         {
-            return Err(Rejection::new(Code::BadName, "chaincode cannot be installed")
+            return Err(Rejection::new(Code::BadName, "the chaincode cannot be installed")
                 .found(format!("name {name:?}"))
                 .wanted("1 to 64 lower-case letters, digits and \"-\""));
         }

@@ -75,7 +75,7 @@ impl Evidence {
         if known.is_some() && first.height <= founded.height() {
             return Err(Rejection::new(Code::Untrusted, "the transaction is older than the checkpoint")
                 .found(format!("block {}", first.height))
-                .wanted(format!("a block after {}, where the checkpoint was made", founded.height()))
+                .wanted(format!("a block after {}, the block of the checkpoint", founded.height()))
                 .next("use an older checkpoint, or none"));
         }
         let changes = self.changes(&founded, &certified)?;
@@ -106,7 +106,7 @@ impl Evidence {
         if all.chain() == certified.chain() {
             return Ok(changes);
         }
-        Err(Rejection::new(Code::Untrusted, "changes of the network were made up, or stand in another order")
+        Err(Rejection::new(Code::Untrusted, "changes of the network were forged or reordered")
             .found(format!("governing chain {}", all.chain()))
             .wanted(format!("the certified one, {}", certified.chain())))
     }
@@ -163,7 +163,7 @@ impl Link {
     fn transaction(&self, network: &Hash, before: &Governance) -> Result<(Transaction, Identity), Rejection> {
         let header = self.headers.first().ok_or_else(no_header)?;
         if !self.path.leads(leaf(&self.transaction), header.root) {
-            return Err(Rejection::new(Code::Untrusted, "the transaction is not one of the block")
+            return Err(Rejection::new(Code::Untrusted, "the transaction is not part of the block")
                 .found("a path that leads to another root")
                 .wanted(format!("root {}", header.root)));
         }
@@ -179,7 +179,7 @@ impl Link {
         if before.is_revoked(&signer) {
             return Err(Rejection::new(
                 Code::Revoked,
-                "the transaction was signed with a certificate that had been revoked",
+                "the transaction was signed with a certificate that was revoked before",
             )
             .found(signer.id())
             .wanted(format!("a certificate that was not revoked before block {}", header.height)));
@@ -234,10 +234,10 @@ fn beginning(genesis: &[u8], known: Option<&Governance>) -> Result<Governance, R
     if known.network() == network {
         return Ok(known.clone());
     }
-    Err(Rejection::new(Code::WrongNetwork, "the checkpoint is of another network")
+    Err(Rejection::new(Code::WrongNetwork, "the checkpoint belongs to another network")
         .found(known.network().to_string())
         .wanted(format!("{network}, the network of the genesis"))
-        .next("take a checkpoint of this network"))
+        .next("use a checkpoint of this network"))
 }
 
 fn no_header() -> Rejection {

@@ -65,9 +65,9 @@ fn check_lists(ctx: &Context<'_>, add: &AddOrganisation) -> Result<(), Rejection
 fn execute(ctx: &mut Context<'_>, add: &AddOrganisation, by: &str) -> Result<Bytes, Rejection> {
     check_name(&add.name)?;
     if add.lists.len() > LISTS_MAX {
-        return Err(Rejection::new(Code::BadArgument, "too many revocation lists come along")
+        return Err(Rejection::new(Code::BadArgument, "too many revocation lists")
             .found(add.lists.len().to_string())
-            .wanted(format!("at most {LISTS_MAX}: the newest of each authority")));
+            .wanted(format!("at most {LISTS_MAX}: the newest of each CA")));
     }
     if organisations::find(ctx, &add.name)?.is_none() {
         check_look(ctx, &add.name)?;

@@ -33,7 +33,9 @@ pub(super) fn check_address(address: &str) -> Result<(), Rejection> {
     };
     let Some((host, _)) = host.filter(|_| usable) else { return refused("is not usable") };
     match literal(host) {
-        Some(ip) => never_dialled(ip).map_or(Ok(()), |kind| refused(&format!("is {kind}, which no node dials"))),
+        Some(ip) => {
+            never_dialled(ip).map_or(Ok(()), |kind| refused(&format!("is {kind}, to which nodes do not connect")))
+        }
         None if is_name(host) => Ok(()),
         None => refused("has no usable host"),
     }

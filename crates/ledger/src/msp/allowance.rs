@@ -43,7 +43,7 @@ pub(super) fn allow(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
         ctx.emit("nodes_allowed", &allow.organisation, event.clone());
         return Ok(event);
     }
-    let caller = admin(ctx, "decide how many nodes an organisation has")?;
+    let caller = admin(ctx, "set the number of nodes of an organisation")?;
     check(ctx, &allow)?;
     json(&decide(ctx, caller, own_call(ALLOW_NODES, &allow)?)?)
 }
@@ -55,9 +55,9 @@ pub(super) fn forget(ctx: &mut Context<'_>, organisation: &str) {
 
 fn check(ctx: &Context<'_>, AllowNodes { organisation, nodes }: &AllowNodes) -> Result<(), Rejection> {
     if *nodes > NODES_MAX {
-        return Err(Rejection::new(Code::BadArgument, "no organisation can have so many nodes")
+        return Err(Rejection::new(Code::BadArgument, "the number of nodes is too large")
             .found(nodes.to_string())
-            .wanted(format!("at most {NODES_MAX}, which is the most that a network has")));
+            .wanted(format!("at most {NODES_MAX}, the limit of a network")));
     }
     if organisations::find(ctx, organisation)?.is_some() {
         return Ok(());

@@ -92,15 +92,15 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
 pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"height\": NUMBER, \"hash\": HASH, \"digest\": HASH, \"content\": HASH if a snapshot was made}";
     let attest: Attest = object("attest", argument, wanted)?;
-    let caller = node(ctx, "attest what the network computed")?;
+    let caller = node(ctx, "sign the state of the network")?;
     let Some(record) = nodes::present(ctx, &caller.organisation, &caller.name)? else {
-        return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed"));
+        return Err(Rejection::new(Code::NotAMember, format!("{} is not a node of this network", caller.id()))
+            .wanted("a node that is a member"));
     };
     // Before ordering, this is the committed height, which may be attested; in the block, it is the block itself,
     // whose hash nobody could know when they signed.
     if attest.height > ctx.height() {
-        return Err(Rejection::new(Code::BadArgument, "only an executed block can be attested")
+        return Err(Rejection::new(Code::BadArgument, "only executed blocks can be signed")
             .found(format!("height {}", attest.height))
             .wanted(format!("at most {}", ctx.height())));
     }
@@ -111,7 +111,7 @@ pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     // A snapshot takes a while to make: by then the node may have attested greater heights.
     let floor = if attest.content.is_some() { snapshot_height } else { latest_height };
     if attest.height < floor {
-        return Err(Rejection::new(Code::BadArgument, "the node has attested a greater height before")
+        return Err(Rejection::new(Code::BadArgument, "the node has already signed a greater height")
             .found(format!("height {}", attest.height))
             .wanted(format!("at least {floor}")));
     }

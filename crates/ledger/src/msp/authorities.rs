@@ -45,7 +45,7 @@ struct Update {
 pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"roots\": [...], \"intermediates\": [...]}, certificates in DER and hexadecimal";
     let update: Update = object("update_organisation", argument, wanted)?;
-    let caller = admin(ctx, "change the authorities of its organisation")?;
+    let caller = admin(ctx, "change the CAs of its organisation")?;
     let ders = |list: &[String]| {
         list.iter().map(|text| hex::decode(text).map(Bytes::from)).collect::<Result<Vec<_>, _>>().map_err(|error| {
             Rejection::new(Code::BadArgument, "a certificate is not usable").found(error.to_string()).wanted(wanted)
@@ -60,8 +60,8 @@ pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
         units: before.as_ref().and_then(|known| known.units.clone()),
     };
     if organisation.roots.is_empty() {
-        return Err(Rejection::new(Code::LastOne, format!("{} would have no root", organisation.name))
-            .wanted("at least one root; add the new one before the old one goes"));
+        return Err(Rejection::new(Code::LastOne, format!("{} would have no root certificate", organisation.name))
+            .wanted("at least one root certificate; add the new one before removing the old one"));
     }
     let msps = trusted_with(ctx, &organisation)?;
     let before = before.map(|before| before.msp()).transpose()?;
@@ -79,7 +79,7 @@ fn check_not_locked_out(ctx: &Context<'_>, caller: &Identity, msps: &Msps) -> Re
         Ok(_) => Ok(()),
         Err(error) => Err(Rejection::new(Code::LastOne, format!("{} would lock itself out", caller.id()))
             .found(error.to_string())
-            .wanted("authorities that still vouch for the certificate in use")
-            .next("enrol at the new authority first, then remove the old one with the new certificate")),
+            .wanted("CAs that still cover the certificate in use")
+            .next("enrol at the new CA first, then remove the old one with the new certificate")),
     }
 }

@@ -14,7 +14,7 @@ pub(super) fn submitter<'a>(ctx: &Context<'a>) -> Result<&'a Identity, Rejection
     if ctx.get(organisation_key(&caller.organisation).as_bytes()).is_some() {
         return Ok(caller);
     }
-    Err(Rejection::new(Code::Untrusted, format!("{} is of no organisation of this network", caller.id()))
+    Err(Rejection::new(Code::Untrusted, format!("{} belongs to no organisation of this network", caller.id()))
         .found(format!("{}, which was removed", caller.organisation)))
 }
 
@@ -37,7 +37,7 @@ pub(super) fn node<'a>(ctx: &Context<'a>, what: &str) -> Result<&'a Identity, Re
     }
     Err(Rejection::new(Code::WrongRole, format!("{} may not {what}", caller.id()))
         .found(format!("role {}", caller.role))
-        .wanted("role node: nodes do this for themselves"))
+        .wanted("role node: nodes call this automatically"))
 }
 
 /// An argument that is a JSON object.

@@ -124,13 +124,13 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
 /// `carry_ca {organisation, proof, identities?, copied_by?}`: a node of the network, for itself.
 pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let carry: CarryCa = object("carry_ca", argument, "{\"organisation\", \"proof\", \"identities\"}")?;
-    let caller = node(ctx, "carry a CA")?;
+    let caller = node(ctx, "hold a CA key")?;
     if nodes::present(ctx, &caller.organisation, &caller.name)?.is_none() {
-        return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed"));
+        return Err(Rejection::new(Code::NotAMember, format!("{} is not a node of this network", caller.id()))
+            .wanted("a node that is a member"));
     }
     if carry.identities.len() > ADOPTED_MAX {
-        return Err(Rejection::new(Code::TooLarge, "too many names come at once")
+        return Err(Rejection::new(Code::TooLarge, "too many names in one call")
             .found(carry.identities.len().to_string())
             .wanted(format!("at most {ADOPTED_MAX}")));
     }
@@ -138,7 +138,7 @@ pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
     let key = carrier_key(&carry.organisation, &caller.organisation, &caller.name);
     if ctx.get(key.as_bytes()).is_none() {
         if all(ctx)?.len() >= CARRIERS_MAX {
-            return Err(Rejection::new(Code::LimitExceeded, "too many nodes carry CAs")
+            return Err(Rejection::new(Code::LimitExceeded, "too many nodes hold CA keys")
                 .wanted(format!("at most {CARRIERS_MAX}")));
         }
         let record = CarrierRecord {
@@ -163,7 +163,7 @@ pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Re
 /// An admin takes a copy of the key from this node.
 fn note_copy(ctx: &mut Context<'_>, key: &str, by: String) -> Result<(), Rejection> {
     if by.len() > COPIED_BY_BYTES_MAX {
-        return Err(Rejection::new(Code::TooLarge, "the name of who takes a copy is too long")
+        return Err(Rejection::new(Code::TooLarge, "the name of the backup's owner is too long")
             .found(format!("{} bytes", by.len()))
             .wanted(format!("at most {COPIED_BY_BYTES_MAX}")));
     }
@@ -191,9 +191,9 @@ fn check_proof(ctx: &Context<'_>, carry: &CarryCa, caller: &Identity) -> Result<
     if organisation.roots.iter().chain(&organisation.intermediates).any(signed_by) {
         return Ok(());
     }
-    Err(Rejection::new(Code::BadSignature, format!("{} has not shown that it carries the CA", caller.id()))
-        .found(format!("a signature by no key of {}", carry.organisation))
-        .wanted(format!("a signature by the key of the CA of {}", carry.organisation)))
+    Err(Rejection::new(Code::BadSignature, format!("{} has not proved that it holds the CA key", caller.id()))
+        .found(format!("a signature with another key than that of {}", carry.organisation))
+        .wanted(format!("a signature with the CA key of {}", carry.organisation)))
 }
 
 /// `uncarry_ca {organisation, node?}`: a node for itself, or an admin of the organisation for a node that has lost it.
@@ -203,18 +203,18 @@ pub(super) fn uncarry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, 
     let caller = super::caller::submitter(ctx)?;
     let meant = meant.unwrap_or_else(|| caller.id());
     let itself = caller.role == Role::Node && caller.id() == meant;
-    if !itself && admin(ctx, "say that a node carries the CA no more")?.organisation != organisation {
+    if !itself && admin(ctx, "record that a node no longer holds the CA key")?.organisation != organisation {
         return Err(Rejection::new(
             Code::NotAdmin,
-            format!("{} may not decide who carries the CA of {organisation}", caller.id()),
+            format!("{} may not decide which nodes hold the CA key of {organisation}", caller.id()),
         )
         .found(format!("role {} of {}", caller.role, caller.organisation))
         .wanted(format!("an admin of {organisation}, or the node itself")));
     }
     let Some(record) = all(ctx)?.into_iter().find(|r| r.organisation == organisation && r.full_name() == meant) else {
         let names = names(&all(ctx)?, &organisation);
-        return Err(Rejection::new(Code::NotFound, format!("{meant} does not carry the CA of {organisation}"))
-            .wanted(if names.is_empty() { "nobody does".to_owned() } else { format!("one of {names}") }));
+        return Err(Rejection::new(Code::NotFound, format!("{meant} does not hold the CA key of {organisation}"))
+            .wanted(if names.is_empty() { "no node does".to_owned() } else { format!("one of {names}") }));
     };
     drop_record(ctx, &record)?;
     Ok(Bytes::new())

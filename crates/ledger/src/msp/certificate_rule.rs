@@ -47,7 +47,7 @@ pub(super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Reje
     if ctx.approved_by().is_some() {
         return change(ctx, set);
     }
-    let caller = admin(ctx, "change how many signatures make a certificate")?;
+    let caller = admin(ctx, "change the certificate rule")?;
     check(ctx, &set)?;
     json(&decide(ctx, caller, own_call(SET_CERTIFICATE_RULE, &set)?)?)
 }
@@ -74,7 +74,7 @@ fn change(ctx: &mut Context<'_>, set: SetCertificateRule) -> Result<Bytes, Rejec
 
 fn check(ctx: &Context<'_>, set: &SetCertificateRule) -> Result<(), Rejection> {
     let bad = |found: String, wanted: &str| {
-        Err(Rejection::new(Code::BadArgument, "these organisations cannot be under one hand")
+        Err(Rejection::new(Code::BadArgument, "these organisations cannot be counted as one")
             .found(found)
             .wanted(wanted))
     };
@@ -91,12 +91,12 @@ fn check(ctx: &Context<'_>, set: &SetCertificateRule) -> Result<(), Rejection> {
         if hand.len() < 2 {
             return bad(
                 format!("{hand:?}"),
-                "two organisations at least in each set; each other one has a hand of its own",
+                "at least two organisations in each set; all others are counted separately",
             );
         }
         for name in hand {
             if !taken.insert(name) {
-                return bad(format!("{name} twice"), "each organisation in one set at most");
+                return bad(format!("{name} twice"), "each organisation in at most one set");
             }
             if organisations::find(ctx, name)?.is_none() {
                 return Err(organisations::unknown(ctx, name));

@@ -16,6 +16,7 @@ use crate::chaincode::Context;
 use crate::network::{FoundingOrganisation, hex_list};
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::key::{PublicKey, SigningKey};
 use ledger_identity::{NAME_BYTES_MAX, check_readable, looks};
@@ -137,7 +138,7 @@ fn execute(ctx: &mut Context<'_>, invite: InviteOrganisation, by: &str) -> Resul
     }
     let standing: Vec<Invitation> = store::list(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)?;
     if standing.len() >= INVITATIONS_MAX && standing.iter().all(|other| other.name != name) {
-        return Err(Rejection::new(Code::LimitExceeded, "too many invitations stand")
+        return Err(Rejection::new(Code::LimitExceeded, "there are too many open invitations")
             .found(standing.len().to_string())
             .wanted(format!("at most {INVITATIONS_MAX}")));
     }
@@ -164,8 +165,8 @@ pub(super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     let standing: Option<Invitation> = if name.len() <= NAME_BYTES_MAX { store::read(ctx, &key)? } else { None };
     let Some(invitation) = standing else {
         let name: String = name.chars().take(NAME_BYTES_MAX).collect();
-        return Err(Rejection::new(Code::NotFound, format!("no invitation of {name:?} stands"))
-            .wanted("an invitation that was approved and not answered yet")
+        return Err(Rejection::new(Code::NotFound, format!("there is no invitation of {name:?}"))
+            .wanted("an invitation that was approved and not used yet")
             .next("ledgerctl network invite --list; open proposals: ledgerctl network proposals"));
     };
     if !invitation.by.is_empty() && invitation.by != caller.organisation {
@@ -194,7 +195,7 @@ pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(
 pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"name\", \"roots\", \"intermediates\", \"node_name\", \"address\", \"signature\"}";
     let join: JoinOrganisation = object("join_organisation", argument, wanted)?;
-    node(ctx, "carry the request of an organisation")?;
+    node(ctx, "forward the request of an organisation to join")?;
     let name = &join.organisation.name;
     // An answer that was lost is asked for again.
     if organisations::find(ctx, name)?.is_some_and(|known| known == join.organisation) {
@@ -202,9 +203,9 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
     }
     let key = invitation_key(name);
     let invitation: Option<Invitation> = if name.len() <= NAME_BYTES_MAX { store::read(ctx, &key)? } else { None };
-    let Some(invitation) = invitation else { return Err(not_invited(name, "no invitation that was approved")) };
+    let Some(invitation) = invitation else { return Err(not_invited(name, "no approved invitation")) };
     if invitation.expires < ctx.block_time() {
-        return Err(not_invited(name, "an invitation that has expired"));
+        return Err(not_invited(name, "an expired invitation"));
     }
     let signature = hex::decode(&join.signature).unwrap_or_default();
     PublicKey::from_ed25519(invitation.key.0)
@@ -229,8 +230,8 @@ fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
     organisations::check_room(ctx)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(INVITATION_LIFE_MAX) {
-        return Err(Rejection::new(Code::BadArgument, "the invitation ends at an impossible time")
-            .found(format!("{expires} µs, block time {now} µs"))
+        return Err(Rejection::new(Code::BadArgument, "the expiry of the invitation is out of range")
+            .found(format!("{}, block time {}", rfc3339(expires), rfc3339(now)))
             .wanted("a time in the next 30 days"));
     }
     Ok(())
@@ -246,7 +247,7 @@ pub(super) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection>
     };
     Err(Rejection::new(Code::AlreadyExists, format!("{name:?} looks like an organisation of the network"))
         .found(format!("{:?}", known.name))
-        .wanted("a name that people can tell from the others (UTS 39)")
+        .wanted("a name that is visibly different from the others (UTS 39)")
         .next("choose another name"))
 }
 
@@ -255,5 +256,8 @@ fn not_invited(name: &str, found: &str) -> Rejection {
     Rejection::new(Code::NotInvited, format!("organisation {name:?} may not join"))
         .found(found.to_owned())
         .wanted("a request signed with the key of an invitation that more than half of the organisations approved")
-        .next(format!("ledgerctl network proposals shows who must approve; ledgerctl network invite --organisation {name} invites again"))
+        .next(format!(
+            "ledgerctl network proposals shows the missing approvals; ledgerctl network invite \
+                       --organisation {name} invites again"
+        ))
 }

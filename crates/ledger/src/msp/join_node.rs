@@ -32,7 +32,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
     let join: JoinNode = object("join_node", argument, "{\"address\": \"HOST:PORT\"}")?;
     let caller = node(ctx, "join as a node")?;
     if let Some(name) = join.name.filter(|name| *name != caller.name) {
-        return Err(Rejection::new(Code::BadArgument, "a node joins under the name in its certificate")
+        return Err(Rejection::new(Code::BadArgument, "a node must join under the name in its certificate")
             .found(format!("{:?}", name.chars().take(80).collect::<String>()))
             .wanted(format!("{:?}", caller.name)));
     }
@@ -42,9 +42,9 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
     let own = |node: &&NodeRecord| node.organisation == caller.organisation && node.name == caller.name;
     let before = live().find(own);
     if let Some(other) = live().find(|node| node.address == join.address && !own(node)) {
-        return Err(Rejection::new(Code::AlreadyExists, format!("address {} is taken", join.address))
+        return Err(Rejection::new(Code::AlreadyExists, format!("the address {} is in use", join.address))
             .found(format!("node {} ({})", other.id, other.full_name()))
-            .wanted("an address under which the others reach this node and no other")
+            .wanted("an address that leads to this node only")
             .next("give this node another address or port"));
     }
     match before {
@@ -85,10 +85,10 @@ fn check_room<'a>(
     }
     for (found, max, whose) in [(nodes, NODES_MAX, "the network"), (own, allowed, caller.organisation.as_str())] {
         if found >= max {
-            return Err(Rejection::new(Code::LimitExceeded, format!("{whose} has no room for another node"))
+            return Err(Rejection::new(Code::LimitExceeded, format!("{whose} has reached its limit of nodes"))
                 .found(format!("{found} nodes"))
                 .wanted(format!("at most {max}"))
-                .next("ledgerctl network remove NODE; organisations allow more with msp allow_nodes"));
+                .next("ledgerctl network remove NODE; organisations raise the limit with msp allow_nodes"));
         }
     }
     Ok(())

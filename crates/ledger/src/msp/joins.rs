@@ -32,9 +32,9 @@ pub(super) fn count(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rej
     let Joins { since, count } = before.unwrap_or(Joins { since: now, count: 0 });
     if count >= JOINS_MAX {
         let left = (since.saturating_add(JOINS_TIME) - now).div_ceil(60 * 1_000_000);
-        return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has brought in many nodes lately"))
+        return Err(Rejection::new(Code::LimitExceeded, format!("too many nodes of {organisation} joined recently"))
             .found(format!("{count} new nodes within the hour"))
-            .wanted(format!("at most {JOINS_MAX} new nodes of one organisation in an hour"))
+            .wanted(format!("at most {JOINS_MAX} new nodes per organisation and hour"))
             .next(format!("try again in {left} min")));
     }
     store::write(ctx, &key, &Joins { since, count: count + 1 })

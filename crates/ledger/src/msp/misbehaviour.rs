@@ -21,7 +21,7 @@ pub(super) fn check(
     proof: &str,
 ) -> Result<(), Rejection> {
     let wanted = |what: &str, found: String| {
-        Rejection::new(Code::BadArgument, "the proof of a lie does not justify this").found(found).wanted(what)
+        Rejection::new(Code::BadArgument, "the proof of a lie does not justify this change").found(found).wanted(what)
     };
     if role == NodeRole::Voter {
         return Err(wanted("a proposal that ends the vote of the node", format!("role {role}")));

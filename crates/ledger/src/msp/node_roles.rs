@@ -21,7 +21,7 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     let set: SetNodeRole = object("set_node_role", argument, wanted)?;
     let alone = match ctx.approved_by() {
         Some(_) => None,
-        None => Some(admin(ctx, "decide what nodes shall be")?),
+        None => Some(admin(ctx, "change the roles of nodes")?),
     };
     let nodes = all(ctx)?;
     let node = match (&set.id, &set.organisation, &set.name) {
@@ -75,7 +75,7 @@ pub(super) fn remove_all_of(ctx: &mut Context<'_>, organisation: &str) -> Result
     let nodes = all(ctx)?;
     let (voters, _) = desired(nodes.iter().filter(|node| node.organisation != organisation));
     if voters.is_empty() {
-        return Err(Rejection::new(Code::LastOne, format!("{organisation} runs the last voters"))
+        return Err(Rejection::new(Code::LastOne, format!("{organisation} has the last voters"))
             .wanted("a voter of another organisation")
             .next("ledgerctl network promote NODE"));
     }
@@ -103,7 +103,7 @@ pub(super) fn change_role(
 fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
     if node.role == NodeRole::Removed && role != NodeRole::Removed {
         return Err(Rejection::new(Code::NotAMember, format!("node {} ({}) was removed", node.id, node.full_name()))
-            .wanted("a node of the network; numbers are never used again"));
+            .wanted("a node of the network; ids are never reused"));
     }
     if role == NodeRole::Voter {
         rules::check_voter(ctx, node)?;
@@ -114,7 +114,7 @@ fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role
             Code::LastOne,
             format!("node {} ({}) is the last voter", node.id, node.full_name()),
         )
-        .wanted("another voter, which goes on ordering")
+        .wanted("another voter")
         .next("ledgerctl network promote NODE"));
     }
     Ok(())

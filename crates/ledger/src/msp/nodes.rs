@@ -178,7 +178,7 @@ pub(super) fn certificate_rule(ctx: &Context<'_>) -> Result<CertificateRule, Rej
 /// The members in fact.
 pub(super) fn members(ctx: &Context<'_>) -> Result<Membership, Rejection> {
     let key = MEMBERS_KEY.get(NAME.len() + 1..).unwrap_or_default();
-    let record = ctx.get(key).ok_or_else(|| Rejection::new(Code::Corrupt, "the ledger holds no members"))?;
+    let record = ctx.get(key).ok_or_else(|| Rejection::new(Code::Corrupt, "the ledger contains no members"))?;
     store::parse(key, &record)
 }
 

@@ -97,7 +97,7 @@ pub(super) fn check_room(ctx: &Context<'_>) -> Result<(), Rejection> {
     if found < ORGANISATIONS_MAX {
         return Ok(());
     }
-    Err(Rejection::new(Code::LimitExceeded, "the network has no room for another organisation")
+    Err(Rejection::new(Code::LimitExceeded, "the network has reached its limit of organisations")
         .found(format!("{found} organisations"))
         .wanted(format!("at most {ORGANISATIONS_MAX}")))
 }
@@ -109,19 +109,19 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
     if find(ctx, name)?.is_some() {
         return Err(Rejection::new(
             Code::AlreadyExists,
-            format!("the network has another organisation {name} already"),
+            format!("the network already has another organisation {name}"),
         )
-        .next("ask for an invitation under another name"));
+        .next("join under another name"));
     }
     check_room(ctx)?;
     let former: Option<FoundingOrganisation> = store::read(ctx, &former_key(name))?;
     if let Some(former) = &former
         && !organisation.roots.iter().any(|root| former.roots.contains(root))
     {
-        return Err(Rejection::new(Code::AlreadyExists, format!("{name} is the name of a former organisation"))
-            .found("none of the roots that it had")
-            .wanted("one of its roots: robots and policies on the ledger still name it")
-            .next("ask for an invitation under another name"));
+        return Err(Rejection::new(Code::AlreadyExists, format!("{name} was the name of a former organisation"))
+            .found("none of its root certificates")
+            .wanted("one of its root certificates: robots and policies on the ledger still name it")
+            .next("join under another name"));
     }
     trusted_with(ctx, organisation)?;
     organisation.msp()?.check_entry(None, ctx.block_time())?;

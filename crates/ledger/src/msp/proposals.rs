@@ -198,10 +198,10 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, call: Call) -> Re
     let own = known.iter().filter(|proposal| proposal.organisation == caller.organisation).count();
     for (found, max) in [(known.len(), PROPOSALS_MAX), (own, PROPOSALS_PER_ORGANISATION_MAX)] {
         if found >= max {
-            return Err(Rejection::new(Code::LimitExceeded, "too many proposals wait for approval")
+            return Err(Rejection::new(Code::LimitExceeded, "too many open proposals")
                 .found(format!("{found} proposals"))
-                .wanted(format!("at most {PROPOSALS_MAX}, and {PROPOSALS_PER_ORGANISATION_MAX} of one organisation"))
-                .next("ledgerctl network withdraw ID"));
+                .wanted(format!("at most {PROPOSALS_MAX}, and {PROPOSALS_PER_ORGANISATION_MAX} per organisation"))
+                .next("withdraw one: ledgerctl network withdraw ID"));
         }
     }
     let number = store::next_number(ctx, NEXT_PROPOSAL)?;
@@ -224,7 +224,7 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, call: Call) -> Re
 
 /// `approve ID`
 pub(super) fn approve(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejection> {
-    let caller = admin(ctx, "approve for its organisation")?;
+    let caller = admin(ctx, "approve on behalf of its organisation")?;
     let proposal = find(standing(ctx)?, "approve", id)?;
     json(&add_approval(ctx, caller, proposal)?)
 }
@@ -232,7 +232,7 @@ pub(super) fn approve(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Reject
 /// `withdraw ID`: the proposer's organisation takes the proposal back, another one its approval, whoever of its admins
 /// gave it.
 pub(super) fn withdraw(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejection> {
-    let caller = admin(ctx, "withdraw for its organisation")?;
+    let caller = admin(ctx, "withdraw on behalf of its organisation")?;
     let mut proposal = find(known(ctx)?, "withdraw", id)?;
     if caller.organisation == proposal.organisation {
         ctx.delete(proposal_key(&proposal.id).as_bytes());
@@ -242,7 +242,7 @@ pub(super) fn withdraw(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejec
     } else {
         return Err(Rejection::new(Code::NotFound, format!("{} has not approved this", caller.organisation))
             .found(format!("approved by {}", joined(&proposal.approvals)))
-            .wanted("a proposal or an approval of one's own"));
+            .wanted("its own proposal or approval"));
     }
     ctx.emit("withdrawn", &proposal.id.to_string(), json(&proposal)?);
     json(&proposal)
@@ -306,7 +306,7 @@ fn agree(caller: &Identity, proposal: &mut Proposal) -> Result<bool, Rejection> 
     if own >= ADMINS_PER_ORGANISATION_MAX {
         return Err(Rejection::new(
             Code::LimitExceeded,
-            "so many admins of one organisation approve a proposal already",
+            "enough admins of one organisation have approved this proposal",
         )
         .found(format!("{own} of {}", caller.organisation))
         .wanted(format!("at most {ADMINS_PER_ORGANISATION_MAX}")));
@@ -387,11 +387,10 @@ fn find(proposals: Vec<Proposal>, function: &str, id: &Bytes) -> Result<Proposal
     let mut found = proposals.into_iter().filter(|proposal| proposal.id.to_string().starts_with(&id));
     match (found.next(), found.next()) {
         (Some(proposal), None) => Ok(proposal),
-        (Some(_), Some(_)) => Err(bad(function, "ID", "more digits: several proposals begin so").found(id)),
-        _ => Err(Rejection::new(Code::NotFound, "no such proposal stands")
-            .found(id)
-            .wanted(wanted)
-            .next("ledgerctl network proposals; it may have been executed, withdrawn, or have failed or expired")),
+        (Some(_), Some(_)) => Err(bad(function, "ID", "more digits: several proposals start with these").found(id)),
+        _ => Err(Rejection::new(Code::NotFound, "there is no such proposal").found(id).wanted(wanted).next(
+            "ledgerctl network proposals; it may have been executed or withdrawn, or may have failed or expired",
+        )),
     }
 }
 

@@ -179,7 +179,7 @@ pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) {
 
 /// The refusal of what would be beyond a quota. `kind` is the field of [`Quotas`]; `free` says what makes room.
 pub fn quota_reached(organisation: &str, kind: &str, quota: u64, free: &str) -> Rejection {
-    Rejection::new(Code::QuotaReached, format!("{organisation} has as many {kind} as its quota allows"))
+    Rejection::new(Code::QuotaReached, format!("{organisation} has reached its quota of {kind}"))
         .found(format!("{quota} {kind}"))
         .wanted(format!("at most {quota}: the quota of {kind} of {organisation}"))
         .next(format!("{free}; or propose a larger quota: ledgerctl network propose msp set_quota '{{\"organisation\":\"{organisation}\",\"{kind}\":NUMBER}}'"))

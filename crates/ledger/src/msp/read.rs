@@ -113,7 +113,7 @@ pub fn admins_until(state: &dyn StateRead, organisation: &str, now: u64) -> Resu
 /// As [`nodes`].
 pub fn members(state: &dyn StateRead) -> Result<Membership, Rejection> {
     let record =
-        state.get(MEMBERS_KEY)?.ok_or_else(|| Rejection::new(Code::Corrupt, "the world state holds no members"))?;
+        state.get(MEMBERS_KEY)?.ok_or_else(|| Rejection::new(Code::Corrupt, "the world state contains no members"))?;
     parse(MEMBERS_KEY, &record)
 }
 
@@ -169,8 +169,7 @@ pub fn changes(state: &dyn StateRead, after: u64, most: usize) -> Result<Vec<Cha
     let logged = state.range(CHANGE_KEYS, Some(&change_key(after)), most)?;
     let read = |(key, value): &(Bytes, Bytes)| {
         let height = key.strip_prefix(CHANGE_KEYS).and_then(|height| std::str::from_utf8(height).ok()?.parse().ok());
-        let height =
-            height.ok_or_else(|| Rejection::new(Code::Corrupt, "a key of the log of changes names no height"))?;
+        let height = height.ok_or_else(|| Rejection::new(Code::Corrupt, "a key of the change log has no height"))?;
         Change::from_bytes(height, value)
     };
     logged.iter().map(read).collect()

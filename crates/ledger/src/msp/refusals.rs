@@ -81,25 +81,28 @@ impl Refused {
 /// `tell_refusals {refusals}`
 pub(super) fn tell(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     if argument.len() > REFUSALS_BYTES_MAX {
-        return Err(Rejection::new(Code::TooLarge, "too much is told of refusals at once")
+        return Err(Rejection::new(Code::TooLarge, "the rejection report is too large")
             .found(format!("{} bytes", argument.len()))
             .wanted(format!("at most {REFUSALS_BYTES_MAX} bytes")));
     }
     let told: TellRefusals = object("tell_refusals", argument, "{\"refusals\": [{\"code\", \"count\", …}, …]}")?;
-    let caller = node(ctx, "tell what it refused")?;
+    let caller = node(ctx, "report its rejections")?;
     if nodes::present(ctx, &caller.organisation, &caller.name)?.is_none() {
-        return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed"));
+        return Err(Rejection::new(Code::NotAMember, format!("{} is not a node of this network", caller.id()))
+            .wanted("a node that is a member"));
     }
     check(&told)?;
     let key = store::told_key(&caller.organisation, &caller.name);
     let last: Option<u64> = store::read(ctx, &key)?;
     let since = last.map(|last| ctx.block_time().saturating_sub(last));
     if let Some(since) = since.filter(|since| *since < REFUSALS_PAUSE) {
-        return Err(Rejection::new(Code::LimitExceeded, format!("{} has told its refusals just now", caller.id()))
-            .found(format!("{} ms ago", since / 1000))
-            .wanted("at most once in a second")
-            .next("tell all of them together in a second"));
+        return Err(Rejection::new(
+            Code::LimitExceeded,
+            format!("{} reported its rejections a moment ago", caller.id()),
+        )
+        .found(format!("{} ms ago", since / 1000))
+        .wanted("at most one report per second")
+        .next("combine the rejections of a second in one report"));
     }
     store::write(ctx, &key, &ctx.block_time())?;
     ctx.emit("refused", "", argument.clone());
@@ -109,12 +112,12 @@ pub(super) fn tell(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
 fn check(told: &TellRefusals) -> Result<(), Rejection> {
     let lines = told.refusals.len();
     if lines == 0 || lines > REFUSALS_MAX {
-        return Err(Rejection::new(Code::BadArgument, "a node tells of some refusals, not of none or of too many")
+        return Err(Rejection::new(Code::BadArgument, "the number of lines in the rejection report is out of range")
             .found(format!("{lines} lines"))
             .wanted(format!("1 to {REFUSALS_MAX}")));
     }
     if let Some(line) = told.refusals.iter().position(|refused| !refused.is_sound()) {
-        return Err(Rejection::new(Code::BadArgument, "a line about refusals is not usable")
+        return Err(Rejection::new(Code::BadArgument, "a line of the rejection report is not usable")
             .found(format!("line {}", line + 1))
             .wanted(format!(
                 "a count above 0, a first time not after the last, texts of {REFUSED_TEXT_MAX} bytes without control characters"
@@ -147,7 +150,7 @@ pub(super) fn may_read(ctx: &Context<'_>) -> Result<(), Rejection> {
     let reader = ctx.submitter()?;
     match reader.role {
         ledger_identity::Role::Admin | ledger_identity::Role::Node => Ok(()),
-        role => Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", reader.id()))
+        role => Err(Rejection::new(Code::NotAdmin, format!("{} may not read the rejections of others", reader.id()))
             .found(format!("role {role}"))
             .wanted(format!("an admin of {}", reader.organisation))),
     }

@@ -45,8 +45,9 @@ fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection>
 fn check_removable(ctx: &Context<'_>, name: &str) -> Result<FoundingOrganisation, Rejection> {
     let organisation = find(ctx, name)?.ok_or_else(|| unknown(ctx, name))?;
     if names(ctx)?.len() == 1 {
-        return Err(Rejection::new(Code::LastOne, format!("{name} is the last organisation"))
-            .wanted("another organisation, which goes on"));
+        return Err(
+            Rejection::new(Code::LastOne, format!("{name} is the last organisation")).wanted("another organisation")
+        );
     }
     Ok(organisation)
 }

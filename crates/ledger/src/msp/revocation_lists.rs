@@ -140,7 +140,7 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
 /// `set_stale_lists {stale}`: an admin decides for their own organisation.
 pub(super) fn set_stale(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let set: SetStale = object("set_stale_lists", argument, "{\"stale\": \"warn\" or \"refuse\"}")?;
-    let caller = admin(ctx, "decide what follows a revocation list that has ended")?;
+    let caller = admin(ctx, "set the consequence of an expired revocation list")?;
     store::write(ctx, &stale_key(&caller.organisation), &set.stale)?;
     let event = json(&set)?;
     ctx.emit("stale_lists_set", &caller.organisation, event.clone());
@@ -297,7 +297,7 @@ fn forget_intermediates(
 
 /// The refusal of a list that cannot be read or that nobody of the organisation has signed.
 fn unusable(error: ledger_identity::IdentityError) -> Rejection {
-    Rejection::from(error).prefix("the revocation list is refused: ").next(
-        "fetch the list again from the CA of your organisation; ledgerctl network organisations shows its authorities",
-    )
+    Rejection::from(error)
+        .prefix("the revocation list is rejected: ")
+        .next("fetch the list again from the CA of your organisation; ledgerctl network organisations shows its CAs")
 }

@@ -87,10 +87,10 @@ pub(super) fn revoke_certificate(
     if revoked.issuer == caller.issuer && revoked.serial == caller.serial {
         return Err(Rejection::new(
             Code::LastOne,
-            format!("{} may not revoke the certificate that it signs with", caller.id()),
+            format!("{} may not revoke the certificate with which it signs", caller.id()),
         )
-        .wanted(format!("another admin of {organisation}, so that one is left"))
-        .next("register another admin, who revokes this one: ledgerctl identity register NAME --role admin"));
+        .wanted(format!("another admin of {organisation}, so that at least one remains"))
+        .next("register another admin, who can revoke this one: ledgerctl identity register NAME --role admin"));
     }
     let by = caller.id();
     let record = put_revocation(ctx, &revoked, &Ground { organisation, by: &by, reason })?.unwrap_or_default();
@@ -149,7 +149,7 @@ fn issued_by(ctx: &Context<'_>, issuer: &Hash) -> Result<String, Rejection> {
         }
     }
     let names: Vec<_> = organisations.into_iter().map(|organisation| organisation.name).collect();
-    Err(Rejection::new(Code::NotFound, "no organisation has an authority of this name")
+    Err(Rejection::new(Code::NotFound, "no organisation has a CA with this name")
         .found(format!("issuer {issuer}"))
-        .wanted(format!("SHA-256 of the distinguished name of an authority of {}", names.join(" or "))))
+        .wanted(format!("SHA-256 of the distinguished name of a CA of {}", names.join(" or "))))
 }

@@ -67,15 +67,15 @@ pub(super) fn show(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
 /// `speak {newest, release}`: a node says what it speaks.
 pub(super) fn speak(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let speaks: Speaks = object("speak", argument, "{\"newest\": NUMBER, \"release\": \"VERSION\"}")?;
-    let caller = node(ctx, "say which rules it speaks")?;
+    let caller = node(ctx, "register the rules that it supports")?;
     let plain = |c: u8| c.is_ascii_alphanumeric() || b".-+".contains(&c);
     if !(1..=RELEASE_BYTES_MAX).contains(&speaks.release.len()) || !speaks.release.bytes().all(plain) {
         let wanted = format!("1 to {RELEASE_BYTES_MAX} letters, digits, \".\", \"-\" and \"+\"");
         return Err(bad("speak", "release", &wanted));
     }
     let Some(record) = nodes::present(ctx, &caller.organisation, &caller.name)? else {
-        return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
-            .wanted("a node that has joined and was not removed"));
+        return Err(Rejection::new(Code::NotAMember, format!("{} is not a node of this network", caller.id()))
+            .wanted("a node that is a member"));
     };
     let record = NodeRecord { speaks: Some(speaks), ..record };
     nodes::write(ctx, &record)?;
@@ -114,7 +114,8 @@ pub(super) fn check_voter(ctx: &Context<'_>, node: &NodeRecord) -> Result<(), Re
     if newest(node, ctx.rules().number()) >= number {
         return Ok(());
     }
-    let message = format!("{} does not speak rules {number}, which hold from block {height} on", node.full_name());
+    let message =
+        format!("{} does not support rules {number}, which are in force from block {height}", node.full_name());
     Err(Rejection::new(Code::RulesNotSpoken, message)
         .found(format!("rules {} at most", newest(node, ctx.rules().number())))
         .wanted(format!("rules {number}")))
@@ -126,11 +127,11 @@ fn check(ctx: &Context<'_>, number: u32) -> Result<(), Rejection> {
     if number <= active {
         return Err(Rejection::new(Code::BadArgument, format!("rules {number} cannot be activated"))
             .found(format!("rules {active} in force"))
-            .wanted("newer ones: rules are never taken back"));
+            .wanted("newer rules: rules are never reverted"));
     }
     if let Some(Activation { number, height }) = pending(ctx)? {
-        return Err(Rejection::new(Code::AlreadyExists, "rules are to be activated already")
-            .found(format!("rules {number} from block {height} on"))
+        return Err(Rejection::new(Code::AlreadyExists, "an activation of rules is pending")
+            .found(format!("rules {number} from block {height}"))
             .wanted("one activation at a time")
             .next("wait for that block: ledgerctl network rules"));
     }
@@ -144,9 +145,9 @@ fn check(ctx: &Context<'_>, number: u32) -> Result<(), Rejection> {
     if silent.is_empty() {
         return Ok(());
     }
-    Err(Rejection::new(Code::RulesNotSpoken, format!("not every voter speaks rules {number}"))
+    Err(Rejection::new(Code::RulesNotSpoken, format!("not every voter supports rules {number}"))
         .found(silent.join(", "))
-        .wanted(format!("rules {number}, spoken by every voter")))
+        .wanted(format!("rules {number}, supported by every voter")))
 }
 
 /// The activation that is decided and not in force yet. A query asks with the rules of the next block.

@@ -39,7 +39,7 @@ fn check(ctx: &Context<'_>, set: &SetQuorum) -> Result<(), Rejection> {
     if (set.chaincode.as_str(), set.function.as_str()) == (NAME, SET_QUORUM) {
         return Err(Rejection::new(Code::BadArgument, "set_quorum has no quorum of its own")
             .found("set_quorum for set_quorum")
-            .wanted("another function: changing its quorum needs the quorum that it has")
+            .wanted("another function: a change of its quorum needs its current quorum")
             .next("ledgerctl network quorums"));
     }
     let Some(Quorum::Admins { of: Some(organisation), .. }) = &set.quorum else { return Ok(()) };

@@ -219,7 +219,7 @@ pub(super) fn full(key: &[u8]) -> Bytes {
 pub(super) fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
     serde_json::to_vec(value)
         .map(Bytes::from)
-        .map_err(|error| Rejection::new(Code::Internal, format!("an answer cannot be written: {error}")))
+        .map_err(|error| Rejection::new(Code::Internal, format!("an answer cannot be encoded: {error}")))
 }
 
 /// Reads the JSON of a value that this chaincode wrote.
@@ -227,7 +227,7 @@ pub(super) fn parse<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, 
     serde_json::from_slice(value).map_err(|error| {
         let key = String::from_utf8_lossy(key).into_owned();
         Rejection::new(Code::Corrupt, format!("value of key {key:?} of chaincode msp cannot be read: {error}"))
-            .next("delete the state directory; the node rebuilds it from the blocks")
+            .next("delete the directory state/ while the node is stopped; it is rebuilt from the blocks")
     })
 }
 

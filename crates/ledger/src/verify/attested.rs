@@ -79,7 +79,7 @@ impl Attested {
         let ours = |event: &&Event| event.chaincode == msp::NAME && event.name == "attested";
         for event in outcome.events.iter().map(|emitted| &emitted.event).filter(ours) {
             let said: Attestation = serde_json::from_slice(&event.payload).map_err(|error| {
-                Rejection::new(Code::Internal, format!("the attestation of {} cannot be read: {error}", event.subject))
+                Rejection::new(Code::Internal, format!("the signed state of {} cannot be read: {error}", event.subject))
             })?;
             self.attestation(event.subject.clone(), &said.attest)?;
         }
@@ -92,7 +92,7 @@ impl Attested {
             && begun == *height
         {
             if content != wanted {
-                let what = format!("{node} attested another snapshot at height {height} than the blocks begin from");
+                let what = format!("{node} signed another snapshot at height {height} than the one before the blocks");
                 return Err(Rejection::new(Code::ChainInvalid, what)
                     .found(format!("content {wanted}"))
                     .wanted(format!("content {content}")));
@@ -135,10 +135,10 @@ impl Height {
         }
         let names: Vec<&str> = self.dissenting.iter().map(String::as_str).collect();
         let what =
-            format!("block {height}: {} attested another block or state than these blocks give", names.join(", "));
+            format!("block {height}: {} signed another block or state than these blocks result in", names.join(", "));
         Err(Rejection::new(Code::ChainInvalid, what)
             .found(format!("block hash {}, state digest {}; {agreeing} nodes agree", self.hash, self.digest))
-            .wanted("the state that most members attested at this height or a later one")
+            .wanted("the state that most members signed at this height or a later one")
             .next("compare with the directory of one of these nodes"))
     }
 }

@@ -44,9 +44,13 @@ impl Beginning {
             let snapshot = find_snapshot(&directory.join(SNAPSHOTS_DIRECTORY), base)?;
             let (_, network) = Genesis::from_bytes(genesis)?;
             if snapshot.manifest().network != network {
-                return Err(Rejection::new(Code::WrongNetwork, "the snapshot is of another network than the genesis")
-                    .found(snapshot.manifest().network.to_string())
-                    .wanted(network.to_string()));
+                return Err(Rejection::new(
+                    Code::WrongNetwork,
+                    "the snapshot and the genesis belong to different \
+                                                               networks",
+                )
+                .found(snapshot.manifest().network.to_string())
+                .wanted(network.to_string()));
             }
             snapshot.fill(&store, &results)?;
             begun = Some((snapshot.manifest().height, snapshot.content()));
@@ -61,13 +65,13 @@ impl Beginning {
 fn find_snapshot(directory: &Path, base: Base) -> Result<Snapshot, Rejection> {
     match oldest_snapshot(directory, base.index + 1)? {
         Some(height) => Snapshot::open(&directory.join(snapshot_name(height))),
-        None => Err(Rejection::new(Code::BadFile, format!("the blocks begin at {}", base.index + 1))
+        None => Err(Rejection::new(Code::BadFile, format!("the blocks start at {}", base.index + 1))
             .found("no snapshot before it")
             .wanted(format!(
                 "blocks from 1 on, or a snapshot of height {} or above in {}",
                 base.index,
                 directory.display()
             ))
-            .next("verify an archive of this node, which has the older blocks")),
+            .next("verify an archive of this node, which contains the older blocks")),
     }
 }

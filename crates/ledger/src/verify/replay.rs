@@ -66,7 +66,7 @@ impl Verification {
             signed: None,
             report,
         };
-        verification.compare_tip("the state that was begun from")?;
+        verification.compare_tip("the initial state")?;
         Ok(verification)
     }
 
@@ -84,7 +84,7 @@ impl Verification {
     pub(super) fn entry(&mut self, entry: Entry, place: &str) -> Result<(), Rejection> {
         let reached = self.ledger.tip().height;
         if entry.index <= reached && reached > self.begun.height {
-            return Err(wrong(place, format!("block {} is written again after it was committed", entry.index)));
+            return Err(wrong(place, format!("block {} was written again after its commit", entry.index)));
         }
         self.pending.retain(|(pending, _)| pending.index < entry.index);
         if entry.index <= reached {
@@ -101,7 +101,7 @@ impl Verification {
         if height == 0 || entry.index < height || entry.term == term || superseded {
             return Ok(());
         }
-        Err(wrong(place, format!("block {height} is not the one that the snapshot holds"))
+        Err(wrong(place, format!("block {height} differs from the snapshot"))
             .found(format!("term {}", entry.term))
             .wanted(format!("term {term}")))
     }
@@ -150,9 +150,7 @@ impl Verification {
         };
         match difference {
             None => Ok(()),
-            Some(what) => {
-                Err(wrong(place, format!("block {height} does not give the result that the node kept: {what}")))
-            }
+            Some(what) => Err(wrong(place, format!("block {height} does not result in the stored result: {what}"))),
         }
     }
 
@@ -162,9 +160,15 @@ impl Verification {
         let Some(signed) = self.signed.take_if(|signed| signed.height == height) else { return Ok(()) };
         let results = outcome.certifiable.map(|roots| roots.results);
         if (signed.block, Some(signed.results)) != (outcome.hash, results) {
-            return Err(wrong(place, format!("block {height} is not what voters have signed, by the checkpoint"))
-                .found(format!("block {}, results root {}", outcome.hash, results.unwrap_or(Hash::ZERO)))
-                .wanted(format!("block {}, results root {}", signed.block, signed.results)));
+            return Err(wrong(
+                place,
+                format!(
+                    "block {height} differs from the block that voters signed, according to \
+                                             the checkpoint"
+                ),
+            )
+            .found(format!("block {}, results root {}", outcome.hash, results.unwrap_or(Hash::ZERO)))
+            .wanted(format!("block {}, results root {}", signed.block, signed.results)));
         }
         self.report.against = Some(height);
         Ok(())
@@ -183,7 +187,7 @@ impl Verification {
             return Ok(());
         }
         let Tip { height, hash, digest, .. } = computed;
-        Err(wrong(place, format!("the savepoint at height {height} does not fit the blocks"))
+        Err(wrong(place, format!("the savepoint at height {height} does not match the blocks"))
             .found(format!("block hash {}, state digest {}", kept.hash, kept.digest))
             .wanted(format!("block hash {hash}, state digest {digest}")))
     }
@@ -195,7 +199,7 @@ impl Verification {
         let tip = self.ledger.tip();
         if tip.height < executed {
             let place = self.torn.map(|torn| format!("{torn}, and ")).unwrap_or_default();
-            let what = format!("{place}the world state has executed blocks that are not there");
+            let what = format!("{place}the world state includes blocks that are missing");
             return Err(Rejection::new(Code::ChainInvalid, what)
                 .found(format!("blocks up to height {}", tip.height))
                 .wanted(format!("blocks up to height {executed}")));
@@ -204,14 +208,17 @@ impl Verification {
             return Err(Rejection::new(Code::Corrupt, format!("{RESULTS_DIRECTORY}/ is damaged: results are missing"))
                 .found(format!("results up to height {}", results.next() - 1))
                 .wanted(format!("results up to height {executed}"))
-                .next("delete the directories state/ and results/; the node makes both again from the blocks"));
+                .next(
+                    "delete the directories state/ and results/ while the node is stopped; both are rebuilt from \
+                       the blocks",
+                ));
         }
         if let Some(signed) = &self.signed {
-            let what = "the blocks do not hold the one that voters have signed, by the checkpoint".to_owned();
+            let what = "the blocks do not include the one that voters signed, according to the checkpoint".to_owned();
             return Err(Rejection::new(Code::ChainInvalid, what)
                 .found(format!("blocks {} to {}", self.report.first_height, tip.height))
                 .wanted(format!("block {}", signed.height))
-                .next("take a checkpoint of a block between these, or a newer copy of the directory"));
+                .next("use a checkpoint of a block between these, or a newer copy of the directory"));
         }
         self.attested.finish()?;
         self.report.uncommitted = self.pending.len() as u64;
@@ -231,7 +238,7 @@ fn check_signed(computed: &BlockResult, height: u64, place: &str) -> Result<(), 
     let forged = |code| matches!(code, Code::BadSignature | Code::Malformed);
     match computed.results.iter().position(|result| forged(result.code())) {
         None => Ok(()),
-        Some(index) => Err(wrong(place, format!("nobody has signed transaction {index} of block {height} as it is"))),
+        Some(index) => Err(wrong(place, format!("transaction {index} of block {height} has no valid signature"))),
     }
 }
 

@@ -220,7 +220,7 @@ fn a_certificate_counts_only_from_a_node_that_has_shown_the_cas_key_and_as_it_is
     register(&mut network, 1, "Salma", "").unwrap();
     let salma = member(&network, "Salma");
     let ground = value!({ "secret": secret() });
-    assert_eq!(code(&record_by(&mut network, 2, &salma, &ground)), Code::NotAdmin, "a node that does not carry it");
+    assert_eq!(code(&record_by(&mut network, 2, &salma, &ground)), Code::NotAdmin, "a node that does not hold it");
     let admin = value!({ "organisation": "Org1", "certificate": hex::encode(&salma.certificate), "ground": ground });
     assert_eq!(code(&network.admin(1, "record_certificate", &[&admin.to_string()])), Code::WrongRole);
     // Another CA, another role, a name that is not registered, another secret.

@@ -103,7 +103,7 @@ impl Engine {
         let signed = match known.map_or_else(|| self.mandates.ballots().sign_complaint(grievance), Ok) {
             Ok(signed) => signed,
             Err(reason) => {
-                return tracing::warn!(code = reason.code.name(), %reason, "a complaint is not signed");
+                return tracing::warn!(code = reason.code.name(), %reason, "cannot sign a complaint");
             }
         };
         tracing::warn!(
@@ -134,7 +134,7 @@ impl Engine {
         let grievance = Grievance { term: *term, leader: *leader, voter: from };
         let checked = self.hear_proof(from).and_then(|()| {
             self.mandates.ballots().check_complaint(grievance, signed, self.now).map_err(|reason| {
-                tracing::warn!(from, code = reason.code.name(), %reason, "a complaint does not count");
+                tracing::warn!(from, code = reason.code.name(), %reason, "complaint rejected");
                 self.mandates.doubt(from, self.ticks);
                 "it complains without its signature"
             })

@@ -23,7 +23,7 @@ impl Engine {
             match self.mandates.ballots().sign_handover(Handover { term, leader: me, to }) {
                 Ok(signed) => message.transfer = signed,
                 Err(reason) => {
-                    tracing::warn!(code = reason.code.name(), %reason, to, "a transfer of leadership is not signed")
+                    tracing::warn!(code = reason.code.name(), %reason, to, "cannot sign a leadership transfer")
                 }
             }
         }
@@ -66,7 +66,7 @@ impl Engine {
         self.hear_proof(to)?;
         let handover = Handover { term: self.raw.raft.term, leader, to };
         self.mandates.ballots().check_handover(handover, &message.transfer, self.now).map_err(|reason| {
-            tracing::warn!(leader, to, code = reason.code.name(), %reason, "a transfer of leadership is not honoured");
+            tracing::warn!(leader, to, code = reason.code.name(), %reason, "leadership transfer rejected");
             self.mandates.doubt(to, self.ticks);
             "it hands over without its signature"
         })

@@ -129,7 +129,7 @@ impl Engine {
                     self.heads.signed.truncate(SIGNED_KEPT);
                 }
                 Err(reason) => {
-                    tracing::warn!(code = reason.code.name(), %reason, "a head is not signed, so followers do not take what it ends")
+                    tracing::warn!(code = reason.code.name(), %reason, "cannot sign a head; followers do not accept its entries")
                 }
             }
         }
@@ -192,7 +192,7 @@ impl Engine {
             Ok(()) => Ok(Checked { head, signature, vote }),
             Err(reason) => {
                 let LogHead { leader, term, height, .. } = head;
-                tracing::warn!(from, leader, term, height, code = reason.code.name(), %reason, "a head of a leader is not signed by it");
+                tracing::warn!(from, leader, term, height, code = reason.code.name(), %reason, "head not signed by the leader");
                 self.heads.doubted.begin(from, self.ticks);
                 Err("its head is not signed by the leader")
             }

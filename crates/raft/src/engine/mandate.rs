@@ -239,7 +239,7 @@ impl Mandates {
         match self.ballots.sign(Ballot { term: message.term, candidate, voter }) {
             Ok(signed) => message.vote = signed,
             Err(reason) => {
-                tracing::warn!(code = reason.code.name(), %reason, candidate, "a vote is not signed, so it does not count")
+                tracing::warn!(code = reason.code.name(), %reason, candidate, "vote not signed; ignoring it")
             }
         }
     }
@@ -297,7 +297,7 @@ impl Engine {
                 Ok(())
             }
             Err(reason) => {
-                tracing::warn!(voter, term, code = reason.code.name(), %reason, "a vote for this node does not count");
+                tracing::warn!(voter, term, code = reason.code.name(), %reason, "vote for this node rejected");
                 self.mandates.doubted.begin(voter, self.ticks);
                 Err("it votes for this node without its signature")
             }
@@ -327,7 +327,7 @@ impl Engine {
         let me = self.config.id;
         match self.mandates.ballots.sign(Ballot { term, candidate: me, voter: me }) {
             Ok(signed) => self.mandates.keep_vote(term, me, signed),
-            Err(reason) => tracing::warn!(code = reason.code.name(), %reason, "this node cannot sign its own vote"),
+            Err(reason) => tracing::warn!(code = reason.code.name(), %reason, "cannot sign the own vote"),
         }
     }
 
@@ -350,7 +350,7 @@ impl Engine {
         self.mandates.shown.begin(by, self.ticks);
         let voters = self.mandates.votes.keys().copied().collect();
         if !elect(&voters, &self.membership) {
-            tracing::info!(term, "the voters have changed since they elected this node: it stands for election again");
+            tracing::info!(term, "voters changed since the election of this node; starting another election");
             return self.lead_again_after(term);
         }
         // Its certificate may be a new one.
@@ -394,7 +394,7 @@ impl Engine {
                 self.heads.trust_again(leader);
             }
             Err(reason) => {
-                tracing::warn!(leader, code = reason.code.name(), %reason, "the certificate of the leader is not believed");
+                tracing::warn!(leader, code = reason.code.name(), %reason, "certificate of the leader rejected");
                 self.mandates.doubt(leader, self.ticks);
             }
         }
@@ -410,7 +410,11 @@ impl Engine {
             }
             let ballot = Ballot { term, candidate: leader, voter: vote.node };
             let checked = self.mandates.ballots.check(ballot, &vote.signed, self.now);
-            checked.inspect_err(|reason| tracing::debug!(leader, code = reason.code.name(), %reason, "a vote in a mandate does not count")).is_ok()
+            checked
+                .inspect_err(
+                    |reason| tracing::debug!(leader, code = reason.code.name(), %reason, "vote in a mandate rejected"),
+                )
+                .is_ok()
         };
         let enough = |voters: &BTreeSet<u64>| electorates.iter().any(|members| elect(voters, members));
         // Counting is cheap, so it comes first.

@@ -196,7 +196,7 @@ impl Engine {
                 );
             }
             Err(error) => {
-                tracing::error!(height = entry.index, %error, "change of members refused by the engine");
+                tracing::error!(height = entry.index, %error, "change of members rejected by the engine");
                 return;
             }
         }

@@ -179,7 +179,7 @@ impl Engine {
         stand.set_msg_type(MessageType::MsgTimeoutNow);
         (stand.from, stand.to, stand.term) = (self.config.id, self.config.id, term);
         if let Err(error) = self.raw.step(stand) {
-            tracing::debug!(%error, "cannot stand for election again");
+            tracing::debug!(%error, "cannot start an election again");
         }
     }
 

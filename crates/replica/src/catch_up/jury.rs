@@ -94,7 +94,7 @@ impl<P: Clone> Jury<P> {
             }
             Some(_) if !self.is_majority => Verdict::Refused { by: self.name().to_owned() },
             Some(_) => {
-                tracing::warn!(node = self.name(), "a voter has another block than the one that is fetched");
+                tracing::warn!(node = self.name(), "a voter has another block than the fetched one");
                 Verdict::Open
             }
             None => Verdict::Open,

@@ -148,7 +148,7 @@ impl Look {
         self.stage = match before {
             _ if self.silent == 0 => Stage::Closed,
             Stage::Asking if is_due && self.is_enough() => {
-                tracing::info!(silent = self.silent, "begins without the answer of silent nodes");
+                tracing::info!(silent = self.silent, "starting without the answer of unreachable nodes");
                 Stage::Open
             }
             _ if is_due => Stage::Closed,
@@ -177,9 +177,9 @@ impl Look {
         let shown = has.receipts.iter().take(RECEIPTS_MAX).find(|receipt| key.shows_loss(receipt, *term, *last));
         let proof = match shown {
             Some(Receipt { index, .. }) => {
-                Some((*index, format!("of which {} shows this node's own receipt", who.name)))
+                Some((*index, format!("according to {}, which shows this node's own receipt", who.name)))
             }
-            None => self.claimed(who, has.yours).map(|height| (height, "as most voters say".to_owned())),
+            None => self.claimed(who, has.yours).map(|height| (height, "according to most voters".to_owned())),
         };
         let Some((height, proof)) = proof else { return Ok(()) };
         Err(Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had before")
@@ -196,7 +196,7 @@ impl Look {
         }
         tracing::warn!(
             node = %who.name, height, last = *last,
-            "a node says that this voter had more blocks than it has, and shows no receipt"
+            "a node reports that this voter had more blocks than now, without showing a receipt"
         );
         if who.id != self.own.id && voters.contains_key(&who.id) {
             self.claims.insert(who.id, height);
@@ -314,7 +314,7 @@ mod tests {
         let mut three = look(1, 3, 9, 2);
         assert_eq!(claims(&mut three, 3, claim()), None, "one of three");
         assert_eq!(claims(&mut three, 3, claim()), None, "the same again");
-        assert!(claims(&mut three, 2, claim()).unwrap().wanted.contains("height 12, as most voters say"));
+        assert!(claims(&mut three, 2, claim()).unwrap().wanted.contains("height 12, according to most voters"));
         let mut seven = look(2, 7, 9, 6);
         let one_organisation = [1, 3, 5, 7].map(|id| claims(&mut seven, id, claim()));
         assert_eq!(one_organisation, [const { None }; 4], "Org1 alone");

@@ -122,5 +122,5 @@ pub fn is_known(ledger: &Ledger, me: u64) -> Result<bool, Rejection> {
     }
     Err(Rejection::new(Code::NotAMember, "this node was removed from the network")
         .found(format!("node {me}, removed, by the block of height {} or before", ledger.tip().height))
-        .next(format!("to bring it in again as a new node: {REJOIN}")))
+        .next(format!("to bring it back as a new node: {REJOIN}")))
 }

@@ -117,9 +117,9 @@ impl Open {
         organisation: impl Fn(&Transaction) -> String,
     ) -> Result<(), Rejection> {
         let corrupt = || {
-            Rejection::new(Code::Corrupt, "the kept stops cannot be read")
-                .wanted("a file that this version has written")
-                .next("delete the file, and repeat the stops")
+            Rejection::new(Code::Corrupt, "the stored stops cannot be read")
+                .wanted("a file that this version wrote")
+                .next("repeat the stops that are still needed, then delete the file")
         };
         let mut rest = bytes.strip_prefix(DOMAIN).ok_or_else(corrupt)?;
         while let Some((length, after)) = rest.split_first_chunk::<4>() {

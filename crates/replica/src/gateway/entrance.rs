@@ -55,7 +55,7 @@ impl Entrance<'_> {
         let Call { encoded, min_height, first_attempt } = call;
         let turned = |refusal: Box<Refusal>| Turned { reason: answer_to(&refusal, first_attempt), refusal };
         if encoded.len() as u64 > self.payload_bytes_max {
-            let rejection = Rejection::new(Code::TooLarge, "transaction is larger than this node accepts")
+            let rejection = Rejection::new(Code::TooLarge, "the transaction exceeds the limit of this node")
                 .found(format!("{} bytes", encoded.len()))
                 .wanted(format!("at most {} bytes (limits.payload_bytes_max)", self.payload_bytes_max))
                 .next("send less at once, or raise the limit in the node's configuration");

@@ -130,8 +130,8 @@ impl<C> Line<C> {
 /// Why data is not looked at that has waited so long, where so much waits of which the oldest has waited so long.
 pub(super) fn overloaded(newest: bool, waited: u64, (waiting, oldest): (usize, u64), wait_max: u64) -> Rejection {
     let message = match newest {
-        true => "more comes than this node can look at in time",
-        false => "more comes than this node can look at in time: a newer call about the same took this one's place",
+        true => "the node is overloaded",
+        false => "the node is overloaded: a newer call about the same subject replaced this one",
     };
     Rejection::new(Code::Overloaded, message)
         .found(format!(

@@ -224,8 +224,8 @@ impl Share {
         let within = own.transactions < left || active(Mutation::IgnoreTheShare);
         if !(within && self.places.take()) {
             return Err(self.overloaded().found(format!("{} without a verdict", own.transactions)).wanted(format!(
-                "at most {left}: its organisation, with {} in flight, may have as many as there are places free, {free} of {} \
-                 (limits.in_flight_max)",
+                "at most {left}: its organisation, with {} in flight, may have as many as there are free slots, \
+                 {free} of {} (limits.in_flight_max)",
                 all.transactions, self.places.max
             )));
         }

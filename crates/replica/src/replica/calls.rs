@@ -27,10 +27,10 @@ impl<W: Waiter> Replica<W> {
     /// Another node passes on a control call that the leader has not ordered. It goes to the leader from here as well.
     pub(super) fn passed_on(&mut self, now: Now, from: u64, call: UnansweredCall, out: &mut Vec<Effect>) {
         if !self.withheld.may_pass_on(from, now.elapsed) {
-            return out.push(Effect::Ignored { from, reason: "it passes on too many calls" });
+            return out.push(Effect::Ignored { from, reason: "it forwards too many calls" });
         }
         let Ok(transaction) = Transaction::decode(call.transaction) else {
-            return out.push(Effect::Ignored { from, reason: "it passes on a call that cannot be read" });
+            return out.push(Effect::Ignored { from, reason: "it forwards a call that cannot be read" });
         };
         let Some(kind) = kind(self.executor.ledger(), &transaction).filter(|_| self.is_admissible(now, &transaction))
         else {

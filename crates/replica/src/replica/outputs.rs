@@ -63,13 +63,15 @@ impl<W: Waiter> Replica<W> {
             Output::VotedTwice(found) => match self.proof(now, &found) {
                 Ok(proof) => out.push(Effect::Misbehaved(Box::new(Misbehaviour::DoubleVote(proof)))),
                 Err(reason) => {
-                    tracing::warn!(voter = found.voter, code = reason.code.name(), %reason, "two votes of one voter cannot be read")
+                    tracing::warn!(voter = found.voter, code = reason.code.name(), %reason, "cannot read two votes of \
+                                                                                             one voter")
                 }
             },
             Output::TwoHeads(found) => match self.proof_of_heads(now, &found) {
                 Ok(proof) => out.push(Effect::Misbehaved(Box::new(Misbehaviour::DoubleHead(proof)))),
                 Err(reason) => {
-                    tracing::warn!(leader = found.leader, code = reason.code.name(), %reason, "two heads of one leader cannot be read")
+                    tracing::warn!(leader = found.leader, code = reason.code.name(), %reason, "cannot read two heads \
+                                                                                               of one leader")
                 }
             },
             Output::Contradicted(found) => out.push(Effect::Contradicted(found)),
@@ -119,7 +121,8 @@ impl<W: Waiter> Replica<W> {
     /// There is no way to the leader now, so who waits for what was forwarded is told.
     pub(super) fn unsent(&mut self, to: u64, message: PeerMessage, out: &mut Vec<Effect>) {
         let PeerMessage::Forward(lost) = message else { return };
-        let reason = Rejection::new(Code::NoLeader, format!("node {to} leads, but there is no connection to it"));
+        let reason =
+            Rejection::new(Code::NoLeader, format!("node {to} is the leader, but there is no connection to it"));
         for transaction in lost.control.into_iter().chain(lost.data) {
             self.refuse(transaction, reason.clone(), out);
         }

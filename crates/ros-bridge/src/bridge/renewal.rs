@@ -15,7 +15,7 @@ const DAY: u64 = 24 * 3600 * 1_000_000;
 pub async fn keep_renewed(config: &Config, client: &Client) {
     loop {
         if let Err(reason) = look(config, client).await {
-            tracing::warn!(code = reason.code.name(), %reason, "the bridge's certificate cannot be renewed; trying again");
+            tracing::warn!(code = reason.code.name(), %reason, "cannot renew the certificate of the bridge; retrying");
         }
         wait_by_clock(|| client.now(), LOOK).await;
     }
@@ -44,7 +44,7 @@ async fn look(config: &Config, client: &Client) -> Result<(), Rejection> {
     let current = context.identity()?;
     if current.own().creator != client.creator() {
         client.renew(&current);
-        tracing::info!("the bridge uses its renewed certificate");
+        tracing::info!("using the renewed certificate");
     }
     Ok(())
 }

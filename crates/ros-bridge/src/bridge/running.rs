@@ -63,7 +63,7 @@ impl Bridge {
     /// untouched. Other settings count from the next start on; a warning says so if they differ.
     pub async fn reload(&mut self, config: Config) {
         if !config.is_same_beside_routes(&self.config) {
-            tracing::warn!("only routes change while the bridge runs: start it again to use the other settings");
+            tracing::warn!("only routes can be reloaded; restart the bridge to apply other settings");
         }
         if !config.discovers_as(&self.config) {
             if let Some(discovery) = self.discovery.take() {

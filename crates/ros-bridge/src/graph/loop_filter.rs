@@ -264,7 +264,7 @@ impl LoopFilter {
         let worth = self.log_limiter.lock().unwrap_or_else(PoisonError::into_inner).admit(kind, now);
         if let Some(not_logged) = worth {
             let service = &self.service;
-            tracing::warn!(service, reason, not_logged, "a sample that came from the ledger is not taken in again");
+            tracing::warn!(service, reason, not_logged, "sample from the ledger not published to it again");
         }
     }
 }

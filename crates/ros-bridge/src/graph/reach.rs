@@ -120,7 +120,7 @@ impl Reach {
         for host in &self.static_peers {
             match (host.as_str(), 0).to_socket_addrs() {
                 Ok(found) => addresses.extend(found.map(|address: SocketAddr| address.ip()).filter(IpAddr::is_ipv4)),
-                Err(error) => tracing::warn!(host, %error, "the static peer has no address: it is left out"),
+                Err(error) => tracing::warn!(host, %error, "static peer has no address; ignoring it"),
             }
         }
         addresses

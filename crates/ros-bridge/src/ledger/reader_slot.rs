@@ -78,7 +78,7 @@ async fn acquire(client: Client, services: Vec<String>) -> Option<Duration> {
         let done = client.invoke(ABAC, "acquire", vec![Bytes::from(readers(&service))]).await;
         let granted = done.ok().and_then(|done| serde_json::from_slice(&done.response).ok());
         let Some(Acquired::Granted(grant)) = granted else {
-            tracing::debug!(service, "no place of a subscriber is to be had now");
+            tracing::debug!(service, "no subscriber slot available");
             return None;
         };
         lease = Some(lease.map_or(grant.lease_ms, |lease| lease.min(grant.lease_ms)));

@@ -69,9 +69,9 @@ pub struct Latency {
     pub count: u64,
     /// Half are at most this.
     pub p50: u64,
-    /// 95 of 100 are at most this.
+    /// The 95th percentile.
     pub p95: u64,
-    /// 99 of 100 are at most this.
+    /// The 99th percentile.
     pub p99: u64,
     /// The largest.
     pub max: u64,

@@ -74,7 +74,7 @@ fn read(disk: &dyn Disk, segment: &ScannedSegment, known: u64) -> Result<Committ
     }
     let tail = scan.tail();
     if commit > tail.newest.index {
-        let what = format!("the log ends here with block {}, and block {commit} was committed", tail.newest.index);
+        let what = format!("the log ends here with block {}, although block {commit} was committed", tail.newest.index);
         return Err(StoreError::corrupt(&segment.name, tail.end, what, tail.newest.index + 1));
     }
     let Spot { end, previous, .. } = last;

@@ -55,7 +55,7 @@ pub(super) fn copy_segments(
         }
     }
     Err(Rejection::new(Code::BadFile, "the node drops blocks faster than they can be archived")
-        .next("archive to a faster disk, or let the node keep blocks for longer"))
+        .next("archive to a faster disk, or set a longer retention of the node"))
 }
 
 /// One pass over the segments; false if one was dropped meanwhile.
@@ -137,14 +137,14 @@ fn check_continues(
 ) -> Result<(), Rejection> {
     let newest = &held.segment;
     let refuse = |what: &str, found: String| {
-        Rejection::new(Code::BadFile, what).found(found).next("archive into a new directory; keep this one")
+        Rejection::new(Code::BadFile, what).found(found).next("archive to a new directory; keep this one")
     };
     let mut common = false;
     for segment in archived {
         let Some(same) = node.iter().find(|other| other.header.sequence == segment.header.sequence) else { continue };
         if same.header != segment.header {
             let found = format!("{} here, {} in the archive: different salts or indexes", same.name, segment.name);
-            return Err(refuse("the archive holds segments of another node", found));
+            return Err(refuse("the archive contains segments of another node", found));
         }
         common = true;
     }
@@ -158,10 +158,10 @@ fn check_continues(
     };
     if !sealed {
         let found = format!(
-            "an archive up to segment {}, and a node that begins with segment {}, block {}",
+            "an archive up to segment {}, and a node whose first segment is {}, block {}",
             newest.header.sequence, first.header.sequence, first.header.first_index
         );
-        return Err(refuse("blocks between the archive and what the node still has are gone", found));
+        return Err(refuse("blocks between the archive and the node's oldest block are missing", found));
     }
     Ok(())
 }

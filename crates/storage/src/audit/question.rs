@@ -79,8 +79,8 @@ impl Index {
         if ![0, PLACE_BYTES].contains(&question.after.len()) {
             return Err(Rejection::new(Code::BadArgument, "the place in the audit cannot be read")
                 .found(format!("{} bytes", question.after.len()))
-                .wanted(format!("{PLACE_BYTES} bytes, as `after` of the page before has them, or none"))
-                .next("begin without it"));
+                .wanted(format!("{PLACE_BYTES} bytes from `after` of the previous page, or none"))
+                .next("start without it"));
         }
         let prefix = question.keys();
         let begin = Place::at(question.since.saturating_sub(FOLDED_US)).max(Place::of_key(&question.after));

@@ -162,7 +162,7 @@ impl Row {
     pub(super) fn read(bytes: &[u8]) -> Result<Self, Rejection> {
         Self::decode(bytes).map_err(|error| {
             Rejection::new(Code::Corrupt, format!("a row of the audit cannot be read: {error}"))
-                .next("stop the node and delete its directory audit/; it makes it again from the blocks")
+                .next("stop the node and delete its directory audit/; it is rebuilt from the blocks")
         })
     }
 }

@@ -110,7 +110,7 @@ pub fn check_oldest(disk: &dyn Disk, scan: &Scan<'_>) -> Result<(), StoreError> 
         Some((_, sequence)) => format!("segments {} to {} are missing", noted.sequence, sequence.saturating_sub(1)),
         None => format!("segment {} and all after it are missing", noted.sequence),
     };
-    let what = format!("{what}: this node has not dropped them, somebody has deleted their files");
+    let what = format!("{what}: this node did not drop them, so their files were deleted");
     Err(StoreError::corrupt(FILE, 0, what, noted.first_index))
 }
 

@@ -138,7 +138,7 @@ impl Stretch {
                     let payload = window.get(at, header.length as usize).map_err(io)?;
                     match decode_record(&header, payload).map_err(corrupt)? {
                         Record::Entry(entry) if entry.index == index => reading.add(entry),
-                        _ => return Err(corrupt("another record is here than was written")),
+                        _ => return Err(corrupt("another record is stored here than was written")),
                     }
                 }
                 index += 1;

@@ -104,7 +104,7 @@ pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -
     let mut active = None;
     if let Some(newest) = scan.segments().last() {
         if index.last() < base.index {
-            let what = format!("the log was cut to begin at {}, but it ends before", report.first_index);
+            let what = format!("the log was cut at {}, but ends before", report.first_index);
             return Err(StoreError::corrupt(&newest.name, tail.end, what, index.last() + 1));
         }
         let file = disk.open(&newest.name).map_err(|error| StoreError::io("open", &newest.name, error))?;
@@ -146,7 +146,10 @@ impl Reading {
         let length = file.len().map_err(|error| StoreError::io("measure", name, error))?;
         let end = u64::from(next.header.durable_upto.offset);
         if length < end {
-            let what = format!("the file ends here, and a later segment proves that {end} bytes of it were durable");
+            let what = format!(
+                "the file ends here, although a later segment proves that {end} bytes of it were \
+                                durable"
+            );
             return Err(StoreError::corrupt(name, length, what, segment.header.first_index));
         }
         if let Some((first, term)) = contents.first() {
@@ -251,7 +254,7 @@ pub(super) fn check_entry(index: &LogIndex, at: u64, term: u64, committed: u64) 
         return Err(format!("entry {at} follows entry {}", index.last()));
     }
     if at <= committed {
-        return Err(format!("entry {at} would supersede what is committed, up to {committed}"));
+        return Err(format!("entry {at} would replace committed entries, up to {committed}"));
     }
     match index.term(at - 1) {
         Some(before) if before > term => Err(format!("entry {at} has term {term}, the one before has {before}")),
@@ -265,7 +268,7 @@ pub(super) fn check_hard_state(old: &HardState, new: &HardState, last: u64) -> R
         return Err(format!("hard state of term {} follows one of term {}", new.term, old.term));
     }
     if new.commit > last {
-        return Err(format!("the hard state calls {} committed, the log ends at {last}", new.commit));
+        return Err(format!("the hard state marks {} as committed, but the log ends at {last}", new.commit));
     }
     Ok(())
 }

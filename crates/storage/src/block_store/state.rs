@@ -94,7 +94,7 @@ impl State {
             return Err(format!("a vote for {} follows one for {vote} in term {term}", new.vote));
         }
         if new.commit < commit {
-            return Err(format!("the hard state calls {} committed, the one before {commit}", new.commit));
+            return Err(format!("the hard state marks {} as committed, the one before {commit}", new.commit));
         }
         Ok(())
     }

@@ -44,10 +44,13 @@ impl ResultStore {
     /// again then.
     pub fn align(&self, tip: &Tip) -> Result<(), Rejection> {
         let missing = |found: String| {
-            Rejection::new(Code::Corrupt, "the results of blocks do not reach as far as the world state")
+            Rejection::new(Code::Corrupt, "the results of blocks end before the world state")
                 .found(found)
                 .wanted(format!("results up to height {}", tip.height))
-                .next("delete the directories state/ and results/; the node makes both again from the blocks")
+                .next(
+                    "delete the directories state/ and results/ while the node is stopped; both are rebuilt from \
+                       the blocks",
+                )
         };
         self.cut(tip.height)?;
         if self.next() != tip.height + 1 {
@@ -60,10 +63,13 @@ impl ResultStore {
         if (last.hash(), last.digest()) == (tip.hash, tip.digest) {
             return Ok(());
         }
-        Err(Rejection::new(Code::Corrupt, "the results of blocks do not belong to the world state")
+        Err(Rejection::new(Code::Corrupt, "the results of blocks and the world state do not match")
             .found(format!("height {}, block hash {}, state digest {}", tip.height, last.hash(), last.digest()))
             .wanted(format!("block hash {}, state digest {}", tip.hash, tip.digest))
-            .next("delete the directories state/ and results/; the node makes both again from the blocks"))
+            .next(
+                "delete the directories state/ and results/ while the node is stopped; both are rebuilt from the \
+                   blocks",
+            ))
     }
 
     /// Drops the results above a height, and files that could not be read.

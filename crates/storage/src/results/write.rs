@@ -81,10 +81,10 @@ impl ResultStore {
         if in_files || !recent.pending.is_empty() {
             return Err(Rejection::new(
                 Code::Corrupt,
-                "there are results of blocks, and the world state after them is lost",
+                "there are results of blocks, but the world state after them is lost",
             )
             .found(format!("results up to height {}", recent.next.saturating_sub(1)))
-            .wanted("no results, as the world state begins with a snapshot"));
+            .wanted("no results, as the world state starts with a snapshot"));
         }
         recent.next = height;
         Ok(())
@@ -93,7 +93,7 @@ impl ResultStore {
     fn writing(&self) -> Result<MutexGuard<'_, Writing>, Rejection> {
         let writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         if writing.failed {
-            return Err(Rejection::new(Code::DiskFailed, "results cannot be written: a sync has failed before")
+            return Err(Rejection::new(Code::DiskFailed, "results cannot be written, because an earlier sync failed")
                 .next("restart the node: it executes the missing blocks again"));
         }
         Ok(writing)

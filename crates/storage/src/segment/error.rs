@@ -22,7 +22,10 @@ pub enum StoreError {
         source: Arc<io::Error>,
     },
     /// No space is left. Staged entries stay staged and nothing of them is on disk: make room and flush again.
-    #[error("the disk is full: cannot {operation} {file} ({wanted_bytes} bytes wanted); make room, then try again")]
+    #[error(
+        "the disk is full: cannot {operation} {file} ({wanted_bytes} bytes wanted); free disk space, then try \
+             again"
+    )]
     DiskFull {
         /// The failed operation.
         operation: &'static str,
@@ -32,7 +35,7 @@ pub enum StoreError {
         wanted_bytes: u64,
     },
     /// The disk does not hold what was written to it, and what is damaged had been durable.
-    #[error("{file} is damaged at byte {offset} (entry {index} or what follows it): {what}")]
+    #[error("{file} is damaged at byte {offset} (entry {index} or later): {what}")]
     Corrupt {
         /// Name of the file.
         file: String,
@@ -45,7 +48,7 @@ pub enum StoreError {
     },
     /// The directory belongs to another network.
     #[error(
-        "{file} belongs to network {}, wanted {}; point the node at its own directory",
+        "{file} belongs to network {}, wanted {}; use the node's own directory",
         hex::encode(found),
         hex::encode(wanted)
     )]
@@ -68,8 +71,8 @@ pub enum StoreError {
     /// The log cannot begin after this snapshot: it holds the block itself, or later ones that were promised. Nothing
     /// was changed.
     #[error(
-        "the log cannot begin after block {index} of term {term}: it goes from {first} to {last}, {committed} of it \
-         committed; drop what is older than the snapshot instead"
+        "the log cannot start after block {index} of term {term}: it contains {first} to {last}, {committed} of it \
+         committed; drop the blocks older than the snapshot instead"
     )]
     NotBehind {
         /// Height of the snapshot.
@@ -84,7 +87,7 @@ pub enum StoreError {
         committed: u64,
     },
     /// An entry is larger than a record may be. Nothing was staged.
-    #[error("entry {index} has {found_bytes} bytes of data, at most {max_bytes} fit; send less in one block")]
+    #[error("entry {index} has {found_bytes} bytes of data, the limit is {max_bytes}; send less in one block")]
     TooLarge {
         /// Index of the entry.
         index: u64,
@@ -94,7 +97,7 @@ pub enum StoreError {
         max_bytes: usize,
     },
     /// Too much waits for the disk. Nothing was staged.
-    #[error("{staged_bytes} bytes wait for the disk, at most {max_bytes} may; flush before appending more")]
+    #[error("{staged_bytes} bytes wait for the disk, the limit is {max_bytes}; flush before appending more")]
     StageFull {
         /// Bytes staged, with what was to be added.
         staged_bytes: usize,
@@ -102,7 +105,7 @@ pub enum StoreError {
         max_bytes: usize,
     },
     /// The orderer broke a rule of the log. This poisons the store.
-    #[error("{0}; this is a fault of the program: restart the node and report it")]
+    #[error("{0}; this is a bug: restart the node and report it")]
     Violation(String),
     /// An option makes no sense.
     #[error("{0}")]

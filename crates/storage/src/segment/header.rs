@@ -123,7 +123,7 @@ impl SegmentHeader {
         let stored = u32::from_le_bytes(*stored);
         let mut rest = body;
         if take::<8>(&mut rest) != Some(MAGIC) {
-            return Err((0, "the file does not start as a segment does".to_owned()));
+            return Err((0, "the file does not start like a segment".to_owned()));
         }
         let crc = crc32c::crc32c(body);
         if crc != stored {
@@ -144,7 +144,7 @@ impl SegmentHeader {
             previous_term: take(&mut rest).map(u64::from_le_bytes).ok_or_else(short)?,
         };
         if header.first_index == 0 {
-            return Err((48, "the first index is 0, which is the genesis and in no log".to_owned()));
+            return Err((48, "the first index is 0, which is the genesis and not in the log".to_owned()));
         }
         Ok((header, crc))
     }

@@ -71,7 +71,7 @@ impl RecordHeader {
     ///
     /// Cheap tests come first, as resynchronisation calls this for every byte.
     pub fn decode(bytes: &[u8], salt: u64, position: LogPosition) -> Result<Self, &'static str> {
-        const SHORT: &str = "the file ends inside of a record header";
+        const SHORT: &str = "the file ends inside a record header";
         let (bytes, _) = bytes.split_first_chunk::<RECORD_HEADER_BYTES>().ok_or(SHORT)?;
         let mut rest = bytes.as_slice();
         let crc = take(&mut rest).map(u32::from_le_bytes).ok_or(SHORT)?;
@@ -85,13 +85,13 @@ impl RecordHeader {
             kind: take::<1>(&mut rest).map(u8::from_le_bytes).ok_or(SHORT)?,
         };
         if !matches!(header.kind, TYPE_ENTRY | TYPE_HARD_STATE | TYPE_SEAL) {
-            return Err("no record type is known by this number");
+            return Err("unknown record type");
         }
         if header.record_bytes() > RECORD_BYTES_MAX {
-            return Err("the length is above the limit for records");
+            return Err("the length exceeds the limit for records");
         }
         if header.durable_upto > position {
-            return Err("the record calls itself durable before it was written");
+            return Err("the record is marked as durable before it was written");
         }
         if header_crc(covered, salt, position.offset) != crc {
             return Err("the CRC of the record header is wrong");
@@ -164,7 +164,7 @@ pub fn encode_record(
 pub fn decode_record(header: &RecordHeader, payload: &[u8]) -> Result<Record, &'static str> {
     const SHORT: &str = "the payload ends before its fields";
     if payload.len() != header.length as usize {
-        return Err("the file ends inside of a record");
+        return Err("the file ends inside a record");
     }
     if crc32c::crc32c(payload) != header.payload_crc && !active(Mutation::NoRecheckAfterRestart) {
         return Err("the CRC of the record's payload is wrong");
@@ -180,7 +180,7 @@ pub fn decode_record(header: &RecordHeader, payload: &[u8]) -> Result<Record, &'
     let index = take(&mut rest).map(u64::from_le_bytes).ok_or(SHORT)?;
     let term = take(&mut rest).map(u64::from_le_bytes).ok_or(SHORT)?;
     let [kind] = take::<1>(&mut rest).ok_or(SHORT)?;
-    let kind = EntryKind::from_code(kind).ok_or("no kind of entry is known by this number")?;
+    let kind = EntryKind::from_code(kind).ok_or("unknown kind of entry")?;
     Ok(Record::Entry(Entry { index, term, kind, data: Bytes::copy_from_slice(rest) }))
 }
 

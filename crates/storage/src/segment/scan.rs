@@ -110,7 +110,7 @@ pub fn scan<'a>(disk: &'a dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan<'
         }
         if let Some(after) = after.filter(|after| sequence.checked_add(1) != Some(after.header.sequence)) {
             let wanted = after.header.sequence.saturating_sub(1);
-            let what = format!("this is segment {sequence}, but segment {wanted} is missing or there twice");
+            let what = format!("this is segment {sequence}, but segment {wanted} is missing or duplicate");
             return Err(StoreError::corrupt(&name, 0, what, first_index));
         }
         let (header, crc) = read_header(disk, &name, first_index)?;
@@ -288,7 +288,7 @@ impl<'a> Scan<'a> {
                 Ok((header, record)) => {
                     let end = offset + header.record_bytes() as u64;
                     if successor.is_some_and(|successor| end > u64::from(successor)) {
-                        return Err(corrupt(offset, "the record goes beyond where this segment ended"));
+                        return Err(corrupt(offset, "the record extends beyond the end of this segment"));
                     }
                     self.offset = end;
                     self.previous = header.crc;
@@ -302,7 +302,7 @@ impl<'a> Scan<'a> {
                             self.contents.add(entry.index, entry.term, position.offset);
                         }
                         Record::Seal(seal) if self.sealed.as_ref().is_some_and(|wanted| wanted != seal) => {
-                            return Err(corrupt(offset, "the seal does not say what the segment before holds"));
+                            return Err(corrupt(offset, "the seal does not match the segment before"));
                         }
                         Record::Seal(_) | Record::HardState(_) => {}
                     }
@@ -339,7 +339,7 @@ impl<'a> Scan<'a> {
         }
         if segment.header.previous_term != self.last_term {
             let what = format!(
-                "the header says the entry before is of term {}, found {}",
+                "the header names term {} for the entry before, found {}",
                 segment.header.previous_term, self.last_term
             );
             return Err(StoreError::corrupt(&segment.name, 76, what, self.next_index));

@@ -110,9 +110,9 @@ impl Seal {
 
     /// Reads a payload; the error says what is wrong.
     pub(super) fn from_bytes(payload: &[u8]) -> Result<Self, &'static str> {
-        const LENGTH: &str = "the seal is not as long as it says";
+        const LENGTH: &str = "the length of the seal does not match";
         if payload.len() > SEAL_BYTES_MAX {
-            return Err("the seal is above the limit for seals");
+            return Err("the seal exceeds its limit");
         }
         let mut rest = payload;
         let segment_crc = take(&mut rest).map(u32::from_le_bytes).ok_or(LENGTH)?;

@@ -34,7 +34,7 @@ pub(super) fn build(
     }
     results.since(since, tip.height, |height, stored| {
         let result = complete(height, stored)?
-            .ok_or_else(|| Rejection::new(Code::Corrupt, format!("block {height}, of the last 120 s, is not there")))?;
+            .ok_or_else(|| Rejection::new(Code::Corrupt, format!("block {height}, of the last 120 s, is missing")))?;
         items::put_result(height, &result.determined().to_bytes(), &mut chunks.stream);
         chunks.cut()
     })?;
@@ -86,7 +86,7 @@ impl<'a> Chunks<'a> {
             self.chunk(&rest)?;
         }
         if self.chunks.is_empty() {
-            return Err(damaged(self.name, "there is nothing in the state"));
+            return Err(damaged(self.name, "the state is empty"));
         }
         let chunks = std::mem::take(&mut self.chunks);
         let manifest = Manifest { network, height: tip.height, tip: tip.clone(), chunks };

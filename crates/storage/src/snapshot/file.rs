@@ -75,7 +75,7 @@ impl Snapshot {
             }
         };
         if read(0, HEAD_BYTES as usize)? != head() {
-            return Err(wrong("it does not begin like a snapshot of this version"));
+            return Err(wrong("it does not start like a snapshot of this version"));
         }
         let end_at = length.checked_sub(END_BYTES as u64).ok_or_else(|| wrong("it is too short"))?;
         let end_bytes = read(end_at, END_BYTES)?;
@@ -87,7 +87,7 @@ impl Snapshot {
             return Err(wrong("its manifest is damaged"));
         }
         if manifest_at != Some(HEAD_BYTES + manifest.bytes()) {
-            return Err(wrong("it is longer or shorter than its manifest says"));
+            return Err(wrong("its length does not match its manifest"));
         }
         let content = manifest.content();
         Ok(Self { file, name: name.to_owned(), manifest, content })
@@ -114,7 +114,7 @@ impl Snapshot {
     /// [`Code::NotFound`] if there is none, [`Code::Corrupt`] if it is not what the manifest says.
     pub fn chunk(&self, number: usize) -> Result<Bytes, Rejection> {
         read_chunk(&*self.file, &self.name, &self.manifest, number)?
-            .ok_or_else(|| damaged(&self.name, &format!("chunk {number} is not what the manifest says")))
+            .ok_or_else(|| damaged(&self.name, &format!("chunk {number} does not match the manifest")))
     }
 }
 

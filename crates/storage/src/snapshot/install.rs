@@ -60,7 +60,7 @@ impl<'a> Installer<'a> {
         let wanted = self.manifest.chunks.get(self.have).copied();
         let fits = wanted.is_some_and(|chunk| bytes.len() == chunk.bytes as usize && Hash::of(&[bytes]) == chunk.hash);
         if !fits {
-            let what = format!("chunk {} of a snapshot is not what its manifest says", self.have);
+            let what = format!("chunk {} of a snapshot does not match its manifest", self.have);
             return Err(Rejection::new(Code::Malformed, what)
                 .found(format!("{} bytes with SHA-256 {}", bytes.len(), Hash::of(&[bytes])))
                 .wanted(wanted.map_or("no more chunks".into(), |chunk| {
@@ -93,7 +93,7 @@ impl<'a> Installer<'a> {
         written.map_err(|error| failed("write", &self.name, &error))?;
         let snapshot = Snapshot::read(Arc::clone(&self.file), &self.name)?;
         if snapshot.manifest() != &self.manifest {
-            return Err(damaged(&self.name, "it is not what was written"));
+            return Err(damaged(&self.name, "it differs from what was written"));
         }
         Ok(snapshot)
     }

@@ -115,7 +115,7 @@ impl<'a> Items<'a> {
     }
 
     fn need(&mut self, bytes: usize) -> Result<(), Rejection> {
-        if self.fill(bytes)? { Ok(()) } else { Err(self.wrong("it ends inside of an item")) }
+        if self.fill(bytes)? { Ok(()) } else { Err(self.wrong("it ends inside an item")) }
     }
 
     /// Reads on until so many bytes are there; false if they never will be.
@@ -132,8 +132,11 @@ impl<'a> Items<'a> {
 
     fn wrong(&self, what: &str) -> Rejection {
         let height = self.snapshot.manifest().height;
-        Rejection::new(Code::Corrupt, format!("the bytes of the snapshot of height {height} are no snapshot: {what}"))
-            .next("take another snapshot, from another node")
+        Rejection::new(
+            Code::Corrupt,
+            format!("the bytes of the snapshot of height {height} are not a snapshot: {what}"),
+        )
+        .next("use another snapshot, from another node")
     }
 }
 

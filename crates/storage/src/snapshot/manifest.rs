@@ -77,16 +77,16 @@ impl Manifest {
         }
         let malformed =
             |what: &str| Rejection::new(Code::Malformed, format!("the manifest of a snapshot cannot be read: {what}"));
-        let mut rest = bytes.strip_prefix(DOMAIN).ok_or_else(|| malformed("it does not begin like one"))?;
+        let mut rest = bytes.strip_prefix(DOMAIN).ok_or_else(|| malformed("it does not start like a manifest"))?;
         let mut fixed = || {
             let network = Hash(take(&mut rest)?);
             let [height, term, time] = [take(&mut rest)?, take(&mut rest)?, take(&mut rest)?].map(u64::from_be_bytes);
             let (hash, digest) = (Hash(take(&mut rest)?), Hash(take(&mut rest)?));
             Some((network, Tip { height, term, time, hash, digest }, u32::from_be_bytes(take(&mut rest)?)))
         };
-        let (network, tip, count) = fixed().ok_or_else(|| malformed("it is cut off"))?;
+        let (network, tip, count) = fixed().ok_or_else(|| malformed("it is truncated"))?;
         if rest.len() != count as usize * CHUNK_ITEM_BYTES {
-            return Err(malformed("its length does not fit its number of chunks"));
+            return Err(malformed("its length does not match its number of chunks"));
         }
         let mut chunks = Vec::with_capacity(count as usize);
         while let (Some(hash), Some(length)) = (take(&mut rest), take(&mut rest)) {

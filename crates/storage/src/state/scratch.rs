@@ -24,8 +24,10 @@ impl Scratch {
     pub(super) fn copy_of(directory: &Path) -> Result<Self, Rejection> {
         let place = Self(made().map_err(|error| failed("make directory", &std::env::temp_dir(), &error))?);
         copy(directory, &place.0).map_err(|error| {
-            failed("copy", directory, &error)
-                .next(format!("make room in {}, or name another directory in TMPDIR", std::env::temp_dir().display()))
+            failed("copy", directory, &error).next(format!(
+                "free disk space in {}, or name another directory in TMPDIR",
+                std::env::temp_dir().display()
+            ))
         })?;
         Ok(place)
     }
@@ -38,7 +40,7 @@ impl Scratch {
 impl Drop for Scratch {
     fn drop(&mut self) {
         if let Err(error) = fs::remove_dir_all(&self.0) {
-            tracing::warn!(directory = %self.0.display(), %error, "a copy cannot be removed");
+            tracing::warn!(directory = %self.0.display(), %error, "cannot remove a temporary copy");
         }
     }
 }

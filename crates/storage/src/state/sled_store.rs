@@ -59,7 +59,7 @@ impl SledStore {
     fn read<T>(&self, body: impl FnOnce(&sled::Db) -> Result<T, sled::Error>) -> Result<T, Rejection> {
         match &*self.tree.read().unwrap_or_else(PoisonError::into_inner) {
             Some(tree) => guard(|| body(tree)),
-            None => Err(Rejection::new(Code::DiskFailed, "the state store could not be opened again after a failure")),
+            None => Err(Rejection::new(Code::DiskFailed, "the state store could not be reopened after a failure")),
         }
     }
 
@@ -70,7 +70,7 @@ impl SledStore {
         match open(&self.directory) {
             Ok(tree) => *slot = Some(tree),
             Err(fault) => {
-                tracing::error!(code = fault.code.name(), reason = %fault, "the state store cannot be opened again")
+                tracing::error!(code = fault.code.name(), reason = %fault, "cannot reopen the state store")
             }
         }
     }
@@ -125,7 +125,7 @@ fn fault(error: &sled::Error) -> Rejection {
         _ => Code::Corrupt,
     };
     let text = match error {
-        sled::Error::Corruption { .. } => "it holds damaged data".to_owned(),
+        sled::Error::Corruption { .. } => "it contains damaged data".to_owned(),
         other => other.to_string(),
     };
     Rejection::new(code, format!("the store failed: {text}"))

@@ -371,7 +371,7 @@ fn a_deleted_oldest_segment_is_missed_at_the_next_start_and_dropped_ones_are_not
     std::fs::remove_file(path.join(&oldest)).unwrap();
     let Err(StoreError::Corrupt { index, what, .. }) = open().map(drop) else { panic!("{oldest} is not missed") };
     assert_eq!(index, first);
-    assert!(what.contains("missing") && what.contains("somebody has deleted"), "{what}");
+    assert!(what.contains("missing") && what.contains("their files were deleted"), "{what}");
     let again = open().map(drop).unwrap_err().to_string();
     assert!(again.contains("missing"), "it is refused again and again: {again}");
 }

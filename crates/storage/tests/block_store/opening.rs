@@ -112,7 +112,7 @@ fn a_seal_that_lies_with_good_checksums_is_not_followed_and_found_by_the_check()
     }
     disk.set_contents(&name, &bytes);
     let wrong = scan(&disk, None).unwrap().find_map(Result::err).unwrap();
-    assert!(wrong.to_string().contains("the seal does not say what"), "{wrong}");
+    assert!(wrong.to_string().contains("the seal does not match"), "{wrong}");
     // It contradicts the header beside it.
     let (store, _) = open_with(&disk, SEGMENT_BYTES).unwrap();
     assert_eq!(told(&store), before);

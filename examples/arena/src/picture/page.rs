@@ -95,10 +95,8 @@ fn numbers(figures: &Runs<Figures>) -> String {
         ("commands received a second", |run| format!("{:.1} Hz", run.commands.received_hz)),
         ("commands refused by the ledger", |run| run.refused().to_string()),
         ("changes of driver, as the robot felt it", |run| run.commands.changes_of_driver.to_string()),
-        ("command to robot, median / 99 of 100", |run| {
-            format!("{:.1} / {:.1} ms", run.latency_ms.p50, run.latency_ms.p99)
-        }),
-        ("pose to controller, median / 99 of 100", |run| {
+        ("command to robot, median / p99", |run| format!("{:.1} / {:.1} ms", run.latency_ms.p50, run.latency_ms.p99)),
+        ("pose to controller, median / p99", |run| {
             format!("{:.1} / {:.1} ms", run.feedback_ms.p50, run.feedback_ms.p99)
         }),
         ("emergency stop at the robot after", |run| {

@@ -43,7 +43,7 @@ pub(crate) fn draw<B: DrawingBackend>(area: &Area<B>, rates: &[Rate]) -> Result<
     let high = BLUE.mix(0.45).stroke_width(3);
     chart
         .draw_series(LineSeries::new(measured.iter().map(|rate| (rate.hz, rate.p99_ms)), high))?
-        .label("ledgerd, 99 of 100")
+        .label("ledgerd, p99")
         .legend(stroke(high));
     legend(&mut chart, SeriesLabelPosition::UpperRight)
 }

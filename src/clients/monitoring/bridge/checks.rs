@@ -8,7 +8,7 @@ use ros_bridge::{Level, Status};
 /// All parts, by what is seen of the bridge.
 pub(super) fn all(view: &BridgeView) -> Vec<Check> {
     match view {
-        BridgeView::Waits(None) => vec![Check::failed("graph", "the bridge has not begun yet".to_owned())],
+        BridgeView::Waits(None) => vec![Check::failed("graph", "the bridge has not started yet".to_owned())],
         BridgeView::Waits(Some(reason)) => waiting(reason),
         BridgeView::Runs(standing) => running(standing),
     }
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn a_bridge_that_waits_says_why_and_whether_the_ledger_answers() {
-        assert_eq!(told(&BridgeView::Waits(None)), "[-] graph failed: the bridge has not begun yet\n");
+        assert_eq!(told(&BridgeView::Waits(None)), "[-] graph failed: the bridge has not started yet\n");
         let silent = Rejection::new(Code::Unreachable, "no node answers").found("10.0.0.4:7450 refuses");
         let said = told(&BridgeView::Waits(Some(silent)));
         assert!(said.starts_with("[-] ledger failed: LGR-"), "{said}");

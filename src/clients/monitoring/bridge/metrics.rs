@@ -17,26 +17,24 @@ type Figure = (&'static str, &'static str, Of);
 
 const STATES: [Figure; 5] = [
     ("route_is_open", "1 while the route is open, 0 while it waits", |route| u64::from(route.is_open)),
-    ("matched", "Endpoints of other ROS 2 nodes that the route is connected with", |route| {
+    ("matched", "Endpoints of other ROS 2 nodes connected to the route", |route| {
         u64::try_from(route.summary.matched).unwrap_or(u64::MAX)
     }),
     ("needs_grant", "1 if publishing on the service needs a grant, 0 otherwise", |route| u64::from(route.needs_grant)),
-    (
-        "is_held",
-        "1 while somebody holds the service, on a route to the ledger the bridge itself; 0 otherwise",
-        |route| u64::from(route.is_held),
-    ),
-    ("beside", "Publishers of others on the topic to which the route delivers commands", |route| {
+    ("is_held", "1 while the service has a holder, on a route to the ledger the bridge itself; 0 otherwise", |route| {
+        u64::from(route.is_held)
+    }),
+    ("beside", "Publishers other than the bridge on the topic of a command route", |route| {
         u64::try_from(route.beside).unwrap_or(u64::MAX)
     }),
 ];
 
 const COUNTS: [Figure; 5] = [
-    ("received", "Samples taken in from the local graph", |route| route.summary.samples_in),
+    ("received", "Samples received from the local graph", |route| route.summary.samples_in),
     ("submitted", "Samples submitted to the ledger", |route| route.summary.submitted),
     ("committed", "Samples that the ledger executed", |route| route.summary.committed),
     ("delivered", "Samples published to the local graph", |route| route.summary.published),
-    ("clamped", "Samples that were slowed down to the limit of their creator's grant", |route| route.summary.clamped),
+    ("clamped", "Samples clamped to the limit of the grant of their creator", |route| route.summary.clamped),
 ];
 
 /// Registers the figures of a bridge.
@@ -63,7 +61,7 @@ fn about(standing: &BridgeStatus) -> Info<Labels> {
 
 fn running(registry: &mut Registry, standing: &BridgeStatus) {
     if let Some(silent) = standing.silent {
-        seconds(registry, "ledger_silence", "Time since the ledger gave a sign of life", silent.as_secs_f64());
+        seconds(registry, "ledger_silence", "Time since the last contact with the ledger", silent.as_secs_f64());
     }
 }
 
@@ -75,14 +73,15 @@ fn routes(registry: &mut Registry, routes: &[RouteView]) {
     for (name, help, of) in COUNTS {
         counts(registry, name, help, each(of));
     }
-    counts(registry, "dropped", "Samples that went no further, by reason", parts(routes, "reason", dropped));
-    let help = "Samples that were refused, by code";
+    counts(registry, "dropped", "Samples dropped, by reason", parts(routes, "reason", dropped));
+    let help = "Samples rejected, by code";
     counts(registry, "refused", help, parts(routes, "code", |summary| tally(&summary.refused)));
     let help = "Stop messages published, by reason";
     counts(registry, "stops", help, parts(routes, "reason", |summary| tally(&summary.stops)));
-    let help = "From a sample taken in to its verdict";
+    let help = "Time from a received sample to its verdict";
     spreads(registry, "commit", help, routes.iter().map(|route| (labels(&route.summary), route.commit.clone())));
-    let help = "From the signature of a message to its way to the local graph, by the clocks of both machines";
+    let help = "Time from the signature of a message to its delivery to the local graph, by the clocks of both \
+                machines";
     spreads(registry, "age", help, routes.iter().map(|route| (labels(&route.summary), route.age.clone())));
 }
 

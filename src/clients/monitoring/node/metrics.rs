@@ -25,14 +25,14 @@ pub(super) fn register(registry: &mut Registry, status: &StatusResponse, meters:
     calls(registry, status);
     machine(registry, status);
     attention(registry, status);
-    seconds_in_all(registry, "awake", "Time for which the node kept the processors awake", awake);
+    seconds_in_all(registry, "awake", "Time during which the node kept the processors awake", awake);
     let mut steps = |name: &str, help: &str, histogram: &Histogram| {
         registry.register_with_unit(name, help, Unit::Seconds, histogram.clone());
     };
     steps("gateway", "From a transaction's arrival at this node until it is handed to ordering", &meters.gateway);
     steps("commit", "From a transaction's arrival at this node to its verdict from a block", &meters.commit);
     steps("flush", "One flush of the log to the disk", &meters.flush);
-    steps("execute", "Executing blocks that came together", &meters.execute);
+    steps("execute", "Executing a group of blocks", &meters.execute);
 }
 
 fn about(registry: &mut Registry, status: &StatusResponse) {
@@ -49,15 +49,15 @@ fn about(registry: &mut Registry, status: &StatusResponse) {
 
 fn chain(registry: &mut Registry, status: &StatusResponse) {
     number(registry, "height", "Newest executed block", status.height);
-    number(registry, "committed_height", "Newest block that is known to be committed", status.committed);
+    number(registry, "committed_height", "Newest committed block", status.committed);
     number(registry, "certified_height", "Newest block with a certificate of the voters", status.certified);
-    number(registry, "first_height", "Oldest block that the node still has", status.first_height);
+    number(registry, "first_height", "Oldest stored block", status.first_height);
     number(registry, "snapshot_height", "Newest snapshot of the node", status.snapshot_height);
-    let help = "Block that the node fetches up to; 0 while it follows as usual";
+    let help = "Height up to which the node fetches blocks; 0 in normal operation";
     number(registry, "catching_up_to_height", help, status.catching_up_to);
     seconds(registry, "block_time", "Time of the newest block, since 1970", status.block_time as f64 / MICROS);
     seconds(registry, "clock", "The clock of the node's machine, since 1970", status.wall_clock as f64 / MICROS);
-    let help = "1 while this node and another one differ, 0 otherwise";
+    let help = "1 while the state of this node differs from that of another one, 0 otherwise";
     number(registry, "diverged", help, u64::from(!status.divergence.is_empty()));
     let help = "1 if a member has signed two different blocks of one height or two votes in one term, 0 otherwise";
     number(registry, "lies", help, u64::from(!status.lies.is_empty()));
@@ -66,40 +66,40 @@ fn chain(registry: &mut Registry, status: &StatusResponse) {
 }
 
 fn order(registry: &mut Registry, status: &StatusResponse) {
-    number(registry, "is_leader", "1 while this node leads, 0 otherwise", u64::from(status.role == "leader"));
-    number(registry, "has_leader", "1 while a leader is known, 0 otherwise", u64::from(status.leader_id != 0));
-    number(registry, "term", "Term of the ordering; it grows with every election", status.term);
-    let help = "Times that voters have deposed a leader by complaints, since the start of the node";
+    number(registry, "is_leader", "1 while this node is the leader, 0 otherwise", u64::from(status.role == "leader"));
+    number(registry, "has_leader", "1 while there is a leader, 0 otherwise", u64::from(status.leader_id != 0));
+    number(registry, "term", "Term of the ordering; increases with every election", status.term);
+    let help = "Leaders deposed by complaints of voters, since the start of the node";
     registry.register("depositions", help, ConstCounter::new(status.depositions));
-    number(registry, "voters", "Nodes that vote", u64::from(status.voters));
-    let help = "Nodes that vote and are connected to this one, itself counted";
+    number(registry, "voters", "Voters", u64::from(status.voters));
+    let help = "Connected voters, including this node";
     number(registry, "voters_connected", help, u64::from(status.voters_connected));
     let lag = Several::default();
     for peer in status.peers.iter().filter(|_| status.role == "leader") {
         let of = vec![("peer", format!("{}/{}", peer.organisation, peer.name))];
         lag.get_or_create(&of).set(status.last_index.saturating_sub(peer.matched) as f64);
     }
-    registry.register("peer_lag_blocks", "Blocks that a node has not acknowledged; told by the leader", lag);
+    registry.register("peer_lag_blocks", "Blocks that a node has not acknowledged; reported by the leader", lag);
 }
 
 fn calls(registry: &mut Registry, status: &StatusResponse) {
-    counted(registry, "executed", "Transactions that were executed, by the code of the verdict", &status.executed);
-    let help = "Transactions that this node refused before ordering, by code";
+    counted(registry, "executed", "Executed transactions, by code of the verdict", &status.executed);
+    let help = "Transactions rejected by this node before ordering, by code";
     counted(registry, "refused", help, &status.refused);
-    number(registry, "in_flight", "Transactions that have come and have no verdict yet", status.in_flight);
-    number(registry, "in_flight_limit", "Most of them", status.in_flight_max);
+    number(registry, "in_flight", "Transactions without a verdict yet", status.in_flight);
+    number(registry, "in_flight_limit", "Limit of in_flight", status.in_flight_max);
     let waiting = Several::default();
     for (lane, waits) in [("control", status.waiting_control), ("data", status.waiting_data)] {
         waiting.get_or_create(&vec![("lane", lane.to_owned())]).set(waits as f64);
     }
-    registry.register("waiting", "Transactions that wait at this node to be ordered", waiting);
+    registry.register("waiting", "Transactions at this node that wait to be ordered", waiting);
     number(registry, "subscribers", "Open subscriptions", status.subscribers);
 }
 
 fn machine(registry: &mut Registry, status: &StatusResponse) {
-    bytes(registry, "resident_memory", "Memory of the process", status.resident_bytes);
-    bytes(registry, "disk_free", "Free bytes of the disk of the data directory", status.disk_free_bytes);
-    bytes(registry, "disk_size", "All bytes of that disk", status.disk_total_bytes);
+    bytes(registry, "resident_memory", "Resident memory of the process", status.resident_bytes);
+    bytes(registry, "disk_free", "Free bytes on the disk of the data directory", status.disk_free_bytes);
+    bytes(registry, "disk_size", "Size of that disk in bytes", status.disk_total_bytes);
     let accepts = match status.disk_accepts.as_str() {
         "all" => 2,
         "ends" => 1,
@@ -112,7 +112,7 @@ fn machine(registry: &mut Registry, status: &StatusResponse) {
         let of = vec![("kind", certificate.kind.clone()), ("name", certificate.name.clone())];
         lives.get_or_create(&of).set(left);
     }
-    let help = "Time until a certificate ends, or until a revocation list is late; below 0 afterwards";
+    let help = "Time until a certificate expires, or until a revocation list is overdue; negative afterwards";
     registry.register_with_unit("certificate_remaining", help, Unit::Seconds, lives);
 }
 
@@ -123,7 +123,7 @@ fn attention(registry: &mut Registry, status: &StatusResponse) {
         of.map(|item| SEVERITIES.iter().position(|known| *known == item.severity).unwrap_or_default()).max()
     };
     let each = CHECKS.map(|check| (vec![("check", check.to_owned())], level(check).unwrap_or_default() as u64));
-    let help = "Worst finding of a check: 0 none, 1 a warning, 2 an error, 3 critical";
+    let help = "Worst finding of a check: 0 none, 1 warning, 2 error, 3 critical";
     numbers(registry, "attention", help, each.into_iter());
 }
 

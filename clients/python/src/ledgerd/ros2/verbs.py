@@ -28,7 +28,7 @@ class VerbExtension:
 
     def add_arguments(self, parser: ArgumentParser, cli_name: str) -> None:
         """Adds what every verb has: as whom it acts."""
-        parser.add_argument("--context", metavar="NAME", help="act as this context instead of the selected one")
+        parser.add_argument("--context", metavar="NAME", help="use this context instead of the selected one")
 
     def main(self, *, args: Namespace) -> int:
         """Connects, and does it. A refusal is told in the four lines of ledgerctl."""
@@ -52,20 +52,20 @@ class VerbExtension:
 
 
 class AcquireVerb(VerbExtension):
-    """Get the right to use a service of a robot."""
+    """Acquire the right to use a service of a robot."""
 
     def add_arguments(self, parser: ArgumentParser, cli_name: str) -> None:
         """Adds the service, and how long."""
         super().add_arguments(parser, cli_name)
         parser.add_argument("service", metavar="ROBOT[/TOPIC]")
-        parser.add_argument("--wait", metavar="SECONDS", type=float, default=0.0, help="wait so long while others hold it")
-        parser.add_argument("--lease", metavar="SECONDS", type=float, help="how long it lasts without use")
-        parser.add_argument("--hold", action="store_true", help="renew it until Ctrl-C, then give it back")
+        parser.add_argument("--wait", metavar="SECONDS", type=float, default=0.0, help="wait at most this long while others hold it")
+        parser.add_argument("--lease", metavar="SECONDS", type=float, help="lease: how long the grant lasts without use")
+        parser.add_argument("--hold", action="store_true", help="renew it until Ctrl-C, then release it")
 
     def run(self, client: ledgerd.Client, args: Namespace) -> Iterator[str]:
         """Acquires it; it ends with its lease unless it is held."""
         grant = client.acquire(args.service, wait=args.wait, lease=args.lease)
-        yield f"{grant.service} is yours: epoch {grant.epoch}, for {grant.lease:g} s without use"
+        yield f"{grant.service} is acquired: epoch {grant.epoch}, for {grant.lease:g} s without use"
         if not args.hold:
             return
         with grant:
@@ -80,25 +80,25 @@ class AcquireVerb(VerbExtension):
 
 
 class ReleaseVerb(VerbExtension):
-    """Give a service back, or leave its line."""
+    """Release a service, or leave its queue."""
 
     def add_arguments(self, parser: ArgumentParser, cli_name: str) -> None:
         """Adds the service, and whose grant it is."""
         super().add_arguments(parser, cli_name)
         parser.add_argument("service", metavar="ROBOT[/TOPIC]")
-        parser.add_argument("--holder", metavar="ORG/NAME", help="take it back from this holder; for admins of its owner")
+        parser.add_argument("--holder", metavar="ORG/NAME", help="revoke the grant of this holder; for admins of its owner")
 
     def run(self, client: ledgerd.Client, args: Namespace) -> Iterator[str]:
         """Releases it."""
         ended = client.release(args.service, args.holder)
         if not ended:
-            yield "no grant ended; if you were in line, you have left it"
+            yield "no grant ended; if you were in the queue, you left it"
         for one in ended:
             yield f"{one['service']} is released; {one['holder']} held it with epoch {one['epoch']}"
 
 
 class StatusVerb(VerbExtension):
-    """Show the node, the robots and who holds them."""
+    """Show the node, the robots and their holders."""
 
     def add_arguments(self, parser: ArgumentParser, cli_name: str) -> None:
         """Adds the robot, if only one is of interest."""
@@ -116,15 +116,15 @@ class StatusVerb(VerbExtension):
 
 
 class StopVerb(VerbExtension):
-    """Stop a robot: whoever commands it loses it, and nobody gets it until it is resumed."""
+    """Stop a robot: its grants end, and no new ones are given until it is resumed."""
 
     def add_arguments(self, parser: ArgumentParser, cli_name: str) -> None:
         """Adds which robot, and why."""
         super().add_arguments(parser, cli_name)
         which = parser.add_mutually_exclusive_group(required=True)
         which.add_argument("robot", metavar="ROBOT", nargs="?")
-        which.add_argument("--all", action="store_true", help="every robot for which you may do so")
-        parser.add_argument("--reason", metavar="TEXT", help="why, for everybody to read")
+        which.add_argument("--all", action="store_true", help="every robot for which you have this permission")
+        parser.add_argument("--reason", metavar="TEXT", help="reason; visible to all members")
 
     def run(self, client: ledgerd.Client, args: Namespace) -> Iterator[str]:
         """Stops it."""

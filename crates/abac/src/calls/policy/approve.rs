@@ -20,12 +20,9 @@ pub(crate) fn approve(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     let organisation = &own.principal.organisation;
     let theirs = proposed.approved.iter().filter(|other| other.principal.organisation == *organisation).count();
     if theirs >= ADMINS_PER_ORGANISATION_MAX {
-        return Err(Rejection::new(
-            Code::LimitExceeded,
-            format!("too many admins of {organisation} approve this already"),
-        )
-        .found(format!("{theirs} approvals"))
-        .wanted(format!("at most {ADMINS_PER_ORGANISATION_MAX} of each organisation")));
+        return Err(Rejection::new(Code::LimitExceeded, format!("enough admins of {organisation} have approved this"))
+            .found(format!("{theirs} approvals"))
+            .wanted(format!("at most {ADMINS_PER_ORGANISATION_MAX} per organisation")));
     }
     proposed.approved.push(own);
     let told = policy_proposals::keep(ctx, &proposed)?;

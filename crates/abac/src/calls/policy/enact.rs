@@ -39,12 +39,12 @@ pub(crate) fn enact(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
             policy_approvals::not_agreed(organisation, need).found(format!("approved by {}", approved_by.join(", ")))
         };
         if need.of == OF_NETWORK || !breaks {
-            return Err(refused().next(format!("the others agree with: ledgerctl policy approve {}", proposed.id)));
+            return Err(refused().next(format!("to approve: ledgerctl policy approve {}", proposed.id)));
         }
         if ctx.block_time() < told.break_glass_from {
             let hours = (told.break_glass_from - ctx.block_time()).div_ceil(3600 * 1_000_000);
             return Err(refused()
-                .next(format!("wait until others agree, or {hours} hours more: then it can be applied without them")));
+                .next(format!("wait for the approvals, or {hours} hours: then it can be applied without them")));
         }
         broken = true;
     }

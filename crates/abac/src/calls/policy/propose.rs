@@ -23,20 +23,20 @@ pub(crate) fn propose(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     let organisation = &caller.organisation;
     let draft = policy_sets::read(ctx, decider, organisation, args)?;
     if draft.is_in_force {
-        return Err(Rejection::new(Code::AlreadyExists, format!("this set of policies of {organisation} is in force"))
-            .found(format!("the policies and the rule of version {}", draft.base))
-            .wanted("a set that changes something"));
+        return Err(Rejection::new(
+            Code::AlreadyExists,
+            format!("this policy set of {organisation} is in force already"),
+        )
+        .found(format!("the policies and the rule of version {}", draft.base))
+        .wanted("a set with changes"));
     }
     reachable::check(ctx, decider, organisation, &draft.texts, draft.means_it)?;
     let own = proposed::all(ctx)?.into_iter().filter(|proposed| proposed.organisation == *organisation).count();
     if own >= PROPOSALS_MAX {
-        return Err(Rejection::new(
-            Code::LimitExceeded,
-            format!("{organisation} has proposed too many sets of policies"),
-        )
-        .found(format!("{own} proposals"))
-        .wanted(format!("at most {PROPOSALS_MAX}"))
-        .next("ledgerctl policy withdraw ID"));
+        return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has too many proposed policy sets"))
+            .found(format!("{own} proposals"))
+            .wanted(format!("at most {PROPOSALS_MAX}"))
+            .next("withdraw one: ledgerctl policy withdraw ID"));
     }
     let Draft { texts, message, restores, rule, means_it, base, .. } = draft;
     let hash = texts::hash(&texts);

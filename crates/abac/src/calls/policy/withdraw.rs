@@ -22,7 +22,7 @@ pub(crate) fn withdraw(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, R
     } else {
         return Err(Rejection::new(Code::NotFound, format!("{} has not approved this", caller.id()))
             .found(format!("a proposal of {}", proposed.organisation))
-            .wanted("a proposal of one's own organisation, or an approval of one's own"));
+            .wanted("a proposal of its own organisation, or its own approval"));
     };
     ctx.emit("policy_withdrawn", &proposed.organisation, told.clone());
     Ok(told)

@@ -19,7 +19,7 @@ pub(super) async fn height(up: &Uplink) -> Result<u64, Rejection> {
     match timeout(ACCEPT_MAX, up.gateway().status(v1::StatusRequest {})).await {
         Ok(Ok(status)) => Ok(status.into_inner().height),
         Ok(Err(refused)) => Err(up.connection.refusal(&refused)),
-        Err(_) => Err(crate::connect::unreachable(&up.connection.address, "no answer to the question for its status")),
+        Err(_) => Err(crate::connect::unreachable(&up.connection.address, "no answer to a status request")),
     }
 }
 

@@ -25,7 +25,7 @@ pub(super) struct Rows(pub(super) Vec<AuditFacts>);
 impl Facts for Rows {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(out, "nothing is known of it");
+            return writeln!(out, "no records match");
         }
         let mut table = Table::new(["TIME", "BLOCK", "WHO", "DECISION", "ABOUT", "TIMES", "POLICIES", "DETAIL"]);
         for row in &self.0 {
@@ -58,7 +58,7 @@ fn decided(row: &AuditFacts) -> String {
 fn words(row: &AuditFacts) -> String {
     let by = if row.by.is_empty() { String::new() } else { format!("by {}", row.by) };
     let epoch = if row.epoch == 0 { String::new() } else { format!("epoch {}", row.epoch) };
-    let told = if row.told_by.is_empty() { String::new() } else { format!("told by {}", row.told_by) };
+    let told = if row.told_by.is_empty() { String::new() } else { format!("reported by {}", row.told_by) };
     let parts = [by, epoch, row.detail.clone(), told];
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
 }
@@ -68,6 +68,13 @@ fn words(row: &AuditFacts) -> String {
 mod tests {
     use super::*;
     use ledger_api::v1::AuditRow;
+
+    #[test]
+    fn no_rows_are_said_to_be_none() {
+        let mut out = Vec::new();
+        Rows(Vec::new()).text(&mut out).unwrap();
+        assert_eq!(out, b"no records match\n");
+    }
 
     #[test]
     fn the_lines_of_a_stream_stand_below_each_other() {

@@ -27,38 +27,38 @@ const DAY: u64 = 24 * 3600 * 1_000_000;
 /// Stands for the keystore where none was named.
 const KEYSTORE: &str = "KEYSTORE";
 
-/// Write enclave policies of SROS2 that close the side door of a robot.
+/// Write SROS2 permissions that close a robot's side door.
 ///
-/// In the robot's secured domain only the enclave of a relay may publish what the bridge delivers, call the robot's services,
-/// and set its goals. All other enclaves keep all other rights. The bridge itself takes part in no secured domain: it
-/// delivers in a domain of its own, and the relay carries that over.
+/// In the robot's secured domain, only the enclave of a relay may publish on the topics that the bridge delivers, call
+/// the robot's services, and send its goals. All other enclaves keep their other permissions. The bridge itself joins
+/// no secured domain: it delivers in a separate domain, and the relay forwards from there.
 ///
-/// The files hold no secrets. `ros2 security`, or openssl, signs them; the command tells how.
+/// The files contain no secrets. Sign them with `ros2 security` or openssl; the command prints how.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl bridge export-sros2 --config bridge.toml --keystore ~/sros2_keystore
   ledgerctl bridge export-sros2 --config bridge.toml --enclave /base --enclave /lidar --domain 7 --to sros2")]
 pub(crate) struct ExportSros2 {
-    /// The configuration of the robot's bridge
+    /// Configuration of the robot's bridge
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
     /// Another enclave in the robot's domain
     #[arg(long = "enclave", value_name = "PATH", value_parser = path)]
     enclaves: Vec<String>,
-    /// All enclaves of this keystore; only their names are read
+    /// Use all enclaves of this keystore; only their names are read
     #[arg(long, value_name = "DIR")]
     keystore: Option<PathBuf>,
-    /// The enclave of the relay
+    /// Enclave of the relay
     #[arg(long, value_name = "PATH", value_parser = path, default_value = "/ledgerd_relay")]
     relay: String,
-    /// The secured domain of the robot
+    /// Secured domain of the robot
     #[arg(long, value_name = "N", value_parser = domain::parse, default_value = "0")]
     domain: u16,
-    /// Where the files go
+    /// Directory for the files
     #[arg(long, value_name = "DIR", default_value = "sros2")]
     to: PathBuf,
-    /// Replace files that are there
+    /// Replace existing files
     #[arg(long)]
     force: bool,
 }
@@ -104,8 +104,7 @@ impl ExportSros2 {
         let written = self.write(&guarded, &others)?;
         output.show(&self.exported(&guarded, &others, written))?;
         if others.is_empty() {
-            let what =
-                "no other enclave is named: those that `ros2 security create_enclave` makes may publish everything";
+            let what = "no other enclave is named: those of `ros2 security create_enclave` may publish on every topic";
             warn(global.format(), what, "--keystore DIR, or --enclave PATH for each of them");
         }
         Ok(())
@@ -116,9 +115,9 @@ impl ExportSros2 {
         if config.domain_id.unwrap_or_default() != self.domain {
             return Ok(());
         }
-        Err(Rejection::new(Code::BadConfiguration, "the bridge is in the domain that is to be secured")
+        Err(Rejection::new(Code::BadConfiguration, "the bridge is in the domain to be secured")
             .found(format!("domain {} for both", self.domain))
-            .wanted("a domain of its own for the bridge and the relay: a bridge takes part in no secured domain")
+            .wanted("a separate domain for the bridge and the relay: a bridge joins no secured domain")
             .next("domain_id in the configuration of the bridge, or --domain for the robot's"))
     }
 
@@ -144,10 +143,10 @@ impl ExportSros2 {
         let files = files.map(|(name, text)| (name.to_owned(), text)).into_iter().chain(permissions);
         let files: Vec<_> = files.map(|(name, text)| (self.to.join(name), text)).collect();
         if let Some((path, _)) = files.iter().find(|(path, _)| !self.force && path.exists()) {
-            return Err(Rejection::new(Code::AlreadyExists, format!("{} is there already", path.display()))
+            return Err(Rejection::new(Code::AlreadyExists, format!("{} exists already", path.display()))
                 .found("a file that this command would replace")
                 .wanted("an empty directory, or --force")
-                .next("--to DIR for another place, or --force"));
+                .next("choose another directory with --to DIR, or replace the files with --force"));
         }
         files.into_iter().map(|(path, text)| put(&path, &text).map(|()| path)).collect()
     }
@@ -177,10 +176,10 @@ fn not_usable() -> Rejection {
 }
 
 fn nothing(config: &Path) -> Rejection {
-    Rejection::new(Code::BadConfiguration, format!("the bridge of {} guards nothing", config.display()))
+    Rejection::new(Code::BadConfiguration, format!("the bridge of {} guards no topic", config.display()))
         .found("no route that delivers commands, requests or goals to a robot")
         .wanted("the configuration of a robot's bridge: from_ledger, service_client or action_client")
-        .next("on a user's side there is no side door to close: run this with the configuration of the robot's bridge")
+        .next("use the configuration of the robot's bridge; a user's bridge has no side door to close")
 }
 
 fn validity() -> (String, String) {
@@ -194,7 +193,7 @@ fn put(path: &Path, text: &str) -> Result<(), Rejection> {
     let failed = |error: io::Error| {
         Rejection::new(Code::BadFile, format!("cannot write {}", path.display()))
             .found(error.to_string())
-            .next("--to DIR for another place")
+            .next("choose another directory with --to DIR")
     };
     path.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(failed)?;
     ledger_base::durable::replace(path, text.as_bytes(), ledger_base::durable::PUBLIC_MODE)
@@ -234,7 +233,7 @@ fn quoted(path: &Path) -> String {
 
 impl Facts for Exported {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "In domain {} only {} may", self.domain, self.relay)?;
+        writeln!(out, "In domain {}, only {} may", self.domain, self.relay)?;
         let mut table = Table::pairs();
         for Door { name, kind, service } in &self.guarded {
             let verb = match *kind {
@@ -250,7 +249,7 @@ impl Facts for Exported {
         }
         writeln!(out, "Written:")?;
         self.files.iter().try_for_each(|file| writeln!(out, "  {}", file.display()))?;
-        writeln!(out, "Now, with the tools of ROS 2:")?;
+        writeln!(out, "Sign with the ROS 2 tools:")?;
         self.ros2.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
         writeln!(out, "Or, in a keystore whose enclaves have keys:")?;
         self.openssl.iter().try_for_each(|line| writeln!(out, "  {line}"))

@@ -19,10 +19,10 @@ const CERTIFICATE: &str = "cert.pem";
 pub(super) fn enclaves(keystore: &Path) -> Result<Vec<String>, Rejection> {
     let top = keystore.join("enclaves");
     if !top.is_dir() {
-        return Err(Rejection::new(Code::BadFile, format!("{} is no keystore of SROS2", keystore.display()))
+        return Err(Rejection::new(Code::BadFile, format!("{} is not an SROS2 keystore", keystore.display()))
             .found("no directory \"enclaves\" in it")
-            .wanted("a keystore as `ros2 security create_keystore` makes it")
-            .next("name it with --keystore, or the enclaves themselves with --enclave"));
+            .wanted("a keystore of `ros2 security create_keystore`")
+            .next("name the keystore with --keystore, or the enclaves with --enclave"));
     }
     let mut found = Vec::new();
     look(&top, String::new(), 0, &mut found)?;

@@ -9,6 +9,7 @@ use crate::session::Session;
 use ledger_api::{Client, passphrase, v1};
 use ledger_base::durable::SECRET_MODE;
 use ledger_base::rejection::{Code, Rejection};
+use ledger_base::shell;
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Write};
@@ -17,46 +18,46 @@ use std::path::{Path, PathBuf};
 /// Largest copy, in bytes.
 const FILE_BYTES_MAX: usize = 64 * 1024;
 
-/// Write the CA of your organisation to a file, under a passphrase; for admins.
+/// Back up the CA key of your organisation to a file, under a passphrase; for admins.
 ///
-/// The file is ordinary PEM: the key encrypted with the passphrase, and the root. It stays good as long as the CA is. The
-/// ledger records who took a copy and when. Nothing is overwritten.
+/// The file is PEM: the encrypted key and the root certificate. It remains valid as long as the CA does. The ledger
+/// records who made the backup and when. Existing files are not overwritten.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca backup org1-ca.pem")]
 pub(crate) struct Backup {
-    /// The file
+    /// File of the backup
     file: PathBuf,
-    /// A file whose first line is the passphrase; otherwise LEDGERD_PASSPHRASE, otherwise it is asked for
+    /// File whose first line is the passphrase; otherwise LEDGERD_PASSPHRASE, otherwise a prompt
     #[arg(long, value_name = "FILE")]
     passphrase_file: Option<PathBuf>,
 }
 
-/// Put the CA of your organisation back from a file of `ca backup`; for admins.
+/// Restore the CA key of your organisation from a file of `ca backup`; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca restore org1-ca.pem --node node2")]
 pub(crate) struct Restore {
-    /// The file
+    /// File of the backup
     file: PathBuf,
-    /// The node that shall carry the CA: its name, ORGANISATION/NAME, or its id; the one of the context if left out
+    /// Node that receives the CA key: its name, ORGANISATION/NAME, or its id; by default the node of the context
     #[arg(long, value_name = "NODE")]
     node: Option<String>,
-    /// A file whose first line is the passphrase; otherwise LEDGERD_PASSPHRASE, otherwise it is asked for
+    /// File whose first line is the passphrase; otherwise LEDGERD_PASSPHRASE, otherwise a prompt
     #[arg(long, value_name = "FILE")]
     passphrase_file: Option<PathBuf>,
 }
 
-/// Let another node carry the CA of your organisation, and remove the key from the one that does; for admins.
+/// Move the CA key of your organisation to another node, and remove it from the node that holds it; for admins.
 ///
-/// The other one has it before the first one gives it up. If it was interrupted, type it again.
+/// The new node has the key before the old one removes it. If interrupted, run the command again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ca move node2")]
 pub(crate) struct Move {
-    /// The node that carries it from then on: its name, ORGANISATION/NAME, or its id
+    /// Node that receives the CA key: its name, ORGANISATION/NAME, or its id
     node: String,
-    /// The node that gives it up, where several carry it
+    /// Node that removes the key, if several hold it
     #[arg(long, value_name = "NODE")]
     from: Option<String>,
-    /// Do not ask whether it is meant
+    /// Do not ask for confirmation
     #[arg(long)]
     i_mean_it: bool,
 }
@@ -72,9 +73,9 @@ struct Copied<'a> {
 impl Facts for Copied<'_> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { organisation, file, from } = self;
-        writeln!(out, "the CA of {organisation} is in {}, as {from} carries it", file.display())?;
-        writeln!(out, "keep file and passphrase apart, and both away from the nodes")?;
-        writeln!(out, "to restore: ledgerctl ca restore {}", file.display())
+        writeln!(out, "the CA key of {organisation} is backed up in {}; {from} still holds it", file.display())?;
+        writeln!(out, "store the file and the passphrase separately, and both away from the nodes")?;
+        writeln!(out, "to restore: ledgerctl ca restore {}", shell::path(file))
     }
 }
 
@@ -97,8 +98,8 @@ impl Backup {
 /// A node that carries the CA and answers, with its name.
 async fn reachable(session: &Session, organisation: &str) -> Result<(Client, String), Failure> {
     let (nodes, context) = (nodes(session).await?.nodes, current(session).await?);
-    let mut refused = Rejection::new(Code::CaElsewhere, format!("no node carries the CA of {organisation}"))
-        .next("ledgerctl ca restore FILE, with a copy that was made before");
+    let mut refused = Rejection::new(Code::CaElsewhere, format!("no node holds the CA key of {organisation}"))
+        .next("restore it from an earlier backup: ledgerctl ca restore FILE");
     for carrier in carriers(session).await?.iter().filter(|carrier| carrier.organisation == organisation) {
         let Some(address) = address(&nodes, carrier) else { continue };
         match reach(&context, &address).await {
@@ -118,7 +119,7 @@ struct Restored {
 
 impl Facts for Restored {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{} carries the CA of {} from now on", self.node, self.organisation)
+        writeln!(out, "{} holds the CA key of {} from now on", self.node, self.organisation)
     }
 }
 
@@ -149,7 +150,7 @@ struct Moved {
 impl Facts for Moved {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { organisation, node, from } = self;
-        writeln!(out, "{node} carries the CA of {organisation}; the key is removed from {from}")
+        writeln!(out, "{node} holds the CA key of {organisation}; the key is removed from {from}")
     }
 }
 
@@ -159,9 +160,8 @@ impl Move {
         let target = own_node(session, &organisation, &self.node).await?;
         let from = self.source(session, &organisation, &target.full_name()).await?;
         let source = own_node(session, &organisation, &from).await?;
-        let lost =
-            [format!("{from} gives up the key of the CA of {organisation}; {} carries it then", target.full_name())];
-        confirm("the move of the CA", &lost, self.i_mean_it)?;
+        let lost = [format!("{from} removes the CA key of {organisation}; {} then holds it", target.full_name())];
+        confirm("moving the CA key", &lost, self.i_mean_it)?;
         let context = current(session).await?;
         // The ledger still names a node whose disk is lost. So the node itself says whether it has the key.
         let there = reach(&context, &target.address).await?;
@@ -183,14 +183,14 @@ impl Move {
         match (others.pop(), others.is_empty()) {
             (Some(only), true) => Ok(only),
             (None, _) => {
-                Err(Rejection::new(Code::CaElsewhere, format!("no other node carries the CA of {organisation}"))
-                    .found(format!("{target} carries it, or nobody does"))
+                Err(Rejection::new(Code::CaElsewhere, format!("no other node holds the CA key of {organisation}"))
+                    .found(format!("{target} holds it, or no node does"))
                     .next("ledgerctl ca status")
                     .into())
             }
-            (Some(last), false) => Err(Rejection::new(Code::BadArgument, "several nodes carry the CA")
+            (Some(last), false) => Err(Rejection::new(Code::BadArgument, "several nodes hold the CA key")
                 .found(format!("{}, {last}", others.join(", ")))
-                .wanted("--from NODE: the one that gives it up")
+                .wanted("--from NODE: the node that removes the key")
                 .into()),
         }
     }

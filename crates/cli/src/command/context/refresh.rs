@@ -10,13 +10,13 @@ use ledger_api::Context;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Learn the nodes and organisations of the network, as every command does beside its work.
+/// Update the nodes and organisations that a context lists.
 ///
-/// Unlike these it fails if nobody answers, or if the context cannot be written.
+/// Every command does this in the background. This one fails if no node answers or the context cannot be written.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context refresh\n  ledgerctl context refresh Salma")]
 pub(crate) struct Refresh {
-    /// Name of the context; otherwise the one in use
+    /// Name of the context; by default the selected one
     name: Option<String>,
 }
 
@@ -59,10 +59,10 @@ impl Refresh {
 impl Facts for Refreshed {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let (nodes, new, gone) = (self.nodes.len(), self.new.len(), self.gone.len());
-        writeln!(out, "context {} knows {nodes} nodes: {new} new, {gone} gone", self.context)?;
+        writeln!(out, "context {} lists {nodes} nodes: {new} new, {gone} removed", self.context)?;
         let mut table = Table::new(["NODE", "ORGANISATION", ""]);
         for node in &self.nodes {
-            let told = if node.address == self.told_by { "has told this" } else { "" };
+            let told = if node.address == self.told_by { "answered" } else { "" };
             let new = if self.new.contains(&node.address) { "new" } else { told };
             table.row([node.address.clone(), node.organisation.clone(), new.to_owned()]);
         }

@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// Change a setting of a context: renew=auto or renew=never.
 ///
-/// With renew=auto, as it is after enrolment, the certificate is renewed at use in the last third of its life.
+/// With renew=auto, the default, the certificate is renewed when it is used in the last third of its validity.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context set Salma renew=never")]
 pub(crate) struct Set {

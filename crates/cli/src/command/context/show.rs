@@ -13,11 +13,11 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Show a context, with the nodes that it knows.
+/// Show a context with its known nodes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context show\n  ledgerctl context show Salma")]
 pub(crate) struct Show {
-    /// Name of the context; otherwise the one in use
+    /// Name of the context; by default the selected one
     name: Option<String>,
 }
 
@@ -103,14 +103,14 @@ impl Facts for Details {
         table.pair("identity", &self.id);
         table.pair("valid until", time::moment(self.not_after));
         let renewed = match self.renewed_from {
-            Some(from) => format!("at use, from {} on", time::moment(from)),
-            None => "never, unless you type ledgerctl identity renew".to_owned(),
+            Some(from) => format!("when used, from {}", time::moment(from)),
+            None => "never; renew it with ledgerctl identity renew".to_owned(),
         };
         table.pair("renewed", renewed);
         table.pair("network", format!("{} {}", self.label, self.network).trim_start());
         table.pair("nodes", self.nodes.join(", "));
         for node in &self.known_nodes {
-            let last = if node.served_last { ", served last" } else { "" };
+            let last = if node.served_last { ", last used" } else { "" };
             table.pair("  of the network", format!("{} of {}{last}", node.address, node.organisation));
         }
         table.pair("stored in", self.directory.display());

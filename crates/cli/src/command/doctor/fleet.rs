@@ -33,7 +33,7 @@ fn side_doors(robots: &[RobotAsset], now: u64) -> Vec<Finding> {
             let others =
                 if door.publishers == 1 { "1 publishes".to_owned() } else { format!("{} publish", door.publishers) };
             let message = format!(
-                "{others} on {} of {} beside the bridge, told by {} {}: around the ledger",
+                "{others} on {} of {} in addition to the bridge, reported by {} {}: they bypass the ledger",
                 door.topic,
                 door.service,
                 door.by,
@@ -47,7 +47,7 @@ fn side_doors(robots: &[RobotAsset], now: u64) -> Vec<Finding> {
         })
         .collect();
     match open.is_empty() {
-        true => vec![Finding::ok("side doors", format!("none is reported of {} robots", robots.len()))],
+        true => vec![Finding::ok("side doors", format!("none reported for {} robots", robots.len()))],
         false => open,
     }
 }
@@ -68,7 +68,10 @@ async fn policies(session: &Session) -> Result<Vec<Finding>, Rejection> {
     let all: Vec<PolicyEntry> = session.list(ABAC, "policies").await?;
     let ours: Vec<&PolicyEntry> = all.iter().filter(|entry| entry.organisation == *own).collect();
     if ours.is_empty() {
-        return Ok(vec![Finding::ok("policy", format!("{own} has none of its own: the built-in one decides"))]);
+        return Ok(vec![Finding::ok(
+            "policy",
+            format!("{own} has no policies of its own: the built-in policy decides"),
+        )]);
     }
     let mut found = Vec::new();
     for entry in &ours {
@@ -79,7 +82,7 @@ async fn policies(session: &Session) -> Result<Vec<Finding>, Rejection> {
         found.extend(checked.policies.iter().filter(|policy| policy.unmatched).map(|policy| unmatched(entry, policy)));
     }
     if found.is_empty() {
-        found.push(Finding::ok("policy", format!("{} of {own}, all without a fault", ours.len())));
+        found.push(Finding::ok("policy", format!("{} of {own}, none with errors", ours.len())));
     }
     Ok(found)
 }
@@ -87,21 +90,22 @@ async fn policies(session: &Session) -> Result<Vec<Finding>, Rejection> {
 /// A policy that names what the network does not know today.
 fn nameless(PolicyEntry { organisation, id, .. }: &PolicyEntry, name: &UnknownName) -> Finding {
     let message =
-        format!("{organisation}/{id} names {}, which is unknown today: it matches nobody by that", shown(name));
+        format!("{organisation}/{id} names {}, which does not exist: the condition never matches", shown(name));
     Finding::advice(
         "policy",
         message,
-        format!("if it is a slip: ledgerctl policy show {id}, then ledgerctl policy put {id} @FILE"),
+        format!("if it is a typo: ledgerctl policy show {id}, then ledgerctl policy put {id} @FILE"),
     )
 }
 
 /// A policy that applies to nobody of today.
 fn unmatched(PolicyEntry { organisation, id, .. }: &PolicyEntry, policy: &PolicyMeaning) -> Finding {
-    let message = format!("{organisation}/{id} line {} applies to nobody of today: {}", policy.line, policy.meaning);
+    let message =
+        format!("{organisation}/{id} line {} applies to no current identity: {}", policy.line, policy.meaning);
     Finding::advice(
         "policy",
         message,
-        format!("if it should: ledgerctl policy show {id}; ledgerctl can WHO ACTION SERVICE tells why not"),
+        format!("if it should apply: ledgerctl policy show {id}; ledgerctl can WHO ACTION SERVICE prints the reason"),
     )
 }
 
@@ -155,6 +159,6 @@ mod tests {
         let name = UnknownName { line: 1, kind: "Robot".into(), name: "Turtelbot4".into(), near: String::new() };
         let told = nameless(&entry, &name);
         assert_eq!(told.state, State::Advice);
-        assert!(told.message.contains("names Robot::\"Turtelbot4\", which is unknown today"), "{}", told.message);
+        assert!(told.message.contains("names Robot::\"Turtelbot4\", which does not exist"), "{}", told.message);
     }
 }

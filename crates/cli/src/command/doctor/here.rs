@@ -59,7 +59,7 @@ fn room(home: &Path) -> Finding {
 fn judged(home: &Path, free: u64, no_names: bool) -> Finding {
     let text = format!("{} free for contexts in {}", size(free), home.display());
     match free < FREE_MIN || no_names {
-        true => Finding::wrong("own disk", text, "make room on that disk; a certificate cannot be renewed without"),
+        true => Finding::wrong("own disk", text, "free disk space: without it, certificates cannot be renewed"),
         false => Finding::ok("own disk", text),
     }
 }

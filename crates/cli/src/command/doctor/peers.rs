@@ -39,14 +39,15 @@ fn port(address: &str, outcome: io::Result<()>) -> Finding {
     let Err(error) = outcome else { return Finding::ok("port", format!("{address} accepts connections")) };
     let repair = match error.kind() {
         io::ErrorKind::ConnectionRefused => {
-            "start the node there, or compare its `listen` with this address; ledgerctl context refresh learns new addresses"
+            "start the node there, or compare its `listen` with this address; ledgerctl context refresh fetches new \
+             addresses"
         }
-        io::ErrorKind::TimedOut => "let TCP to this port through the firewalls on the way, or switch the machine on",
+        io::ErrorKind::TimedOut => "open this TCP port in the firewalls between, or start the machine",
         io::ErrorKind::NetworkUnreachable | io::ErrorKind::HostUnreachable => {
             "connect this machine to that network: ip route get ADDRESS"
         }
         // A name without an address has no kind of its own.
-        _ => "check that the name has an address: getent hosts NAME",
+        _ => "check that the name resolves: getent hosts NAME",
     };
     let why = if error.kind() == io::ErrorKind::TimedOut { "no answer".to_owned() } else { error.to_string() };
     Finding::wrong("port", format!("{address}: {why}"), repair)
@@ -120,7 +121,7 @@ fn survived(rule: &CertificateRuleFacts, nodes: &[Node]) -> Option<Finding> {
     Some(if rule.survives_lie || organisations.len() < 2 {
         Finding::ok("quorum", message)
     } else {
-        let repair = "four organisations with a voter each survive the lie of one: docs/cluster.md";
+        let repair = "four organisations with one voter each tolerate one lying organisation: docs/cluster.md";
         Finding::advice("quorum", message, repair)
     })
 }
@@ -136,7 +137,12 @@ fn version(node: &Node) -> Option<Finding> {
     let own = env!("CARGO_PKG_VERSION");
     let version = node.version.as_deref().filter(|version| *version != own)?;
     let message = format!("{} is version {version}, ledgerctl {own}", node.full_name());
-    Some(Finding::advice("version", message, "upgrade node by node: docs/operations.md, \"Upgrading a network\""))
+    Some(Finding::advice(
+        "version",
+        message,
+        "upgrade the nodes one by one: docs/operations.md, \"Upgrading a \
+                                              network\"",
+    ))
 }
 
 /// The clock of this machine against those of the nodes, and of each node against the others.
@@ -153,7 +159,7 @@ fn clocks(nodes: &[Node]) -> Vec<Finding> {
     let below = offsets.get(offsets.len().saturating_sub(1) / 2);
     let above = offsets.get(offsets.len() / 2);
     let Some(common) = below.into_iter().chain(above).copied().min_by_key(|offset| offset.unsigned_abs()) else {
-        return vec![Finding::unknown("clock", "no node told its time", "ledgerctl network status")];
+        return vec![Finding::unknown("clock", "no node reported its time", "ledgerctl network status")];
     };
     let doubt = told.iter().map(|(_, _, doubt)| *doubt).max().unwrap_or_default();
     let mut found = vec![off("this machine's clock", -common, doubt, "timedatectl set-ntp true")];

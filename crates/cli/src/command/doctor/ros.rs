@@ -71,8 +71,8 @@ fn ports(domain: &Domain, ephemeral: &str) -> Finding {
     match (given.next().flatten(), given.next().flatten()) {
         (Some(from), Some(to)) if first <= to && last >= from => Finding::advice(
             "DDS domain",
-            format!("{text}; the system gives {from} to {to} to any program"),
-            "choose a domain from 0 to 100: nodes of this one may find their ports taken",
+            format!("{text}; the system assigns ports {from} to {to} to other programs"),
+            "choose a domain from 0 to 100: in this one, ports may be taken",
         ),
         _ => Finding::ok("DDS domain", text),
     }
@@ -101,7 +101,12 @@ fn reached(reach: &Reach, interfaces: &[Interface]) -> Finding {
     let leads_far = addresses.iter().any(|(address, interface)| used(address) && !interface.is_loopback());
     let text = format!("{reach}, over {}", if named.is_empty() { "none".to_owned() } else { named.join(", ") });
     match (named.is_empty(), is_far && !leads_far) {
-        (true, _) => Finding::wrong("DDS interfaces", text, "bring up the loopback at least: ip link set lo up"),
+        (true, _) => Finding::wrong(
+            "DDS interfaces",
+            text,
+            "bring up at least the loopback interface: ip link set lo \
+                                                             up",
+        ),
         (false, true) => {
             Finding::wrong("DDS interfaces", text, "connect this machine to the network of the other hosts: ip link")
         }
@@ -123,19 +128,19 @@ fn multicast(interfaces: &[Interface], echoes: impl Fn(Ipv4Addr) -> io::Result<(
         }
     }
     match (works.is_empty(), fails.is_empty()) {
-        (false, true) => Finding::ok("multicast", format!("comes back over {}", works.join(", "))),
+        (false, true) => Finding::ok("multicast", format!("received over {}", works.join(", "))),
         (false, false) => Finding::advice(
             "multicast",
-            format!("comes back over {}, not over {}", works.join(", "), fails.join(", ")),
-            "ip link set INTERFACE multicast on; or name the hosts behind it: ROS_STATIC_PEERS",
+            format!("received over {}, not over {}", works.join(", "), fails.join(", ")),
+            "ip link set INTERFACE multicast on; or name the hosts behind it in ROS_STATIC_PEERS",
         ),
         (true, _) => Finding::wrong(
             "multicast",
             format!(
-                "does not come back: {}",
+                "not received: {}",
                 if fails.is_empty() { "no interface is up".to_owned() } else { fails.join(", ") }
             ),
-            "ip link set lo multicast on && ip route add 239.0.0.0/8 dev lo; or name the hosts: ROS_STATIC_PEERS",
+            "ip link set lo multicast on && ip route add 239.0.0.0/8 dev lo; or name the hosts in ROS_STATIC_PEERS",
         ),
     }
 }
@@ -156,7 +161,7 @@ fn echoes(address: Ipv4Addr) -> io::Result<()> {
             Ok((_, sender)) if sender == from => return Ok(()),
             Ok(_) => {}
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                return Err(io::Error::other("nothing comes back"));
+                return Err(io::Error::other("no multicast packet was received"));
             }
             Err(error) => return Err(error),
         }
@@ -167,13 +172,13 @@ fn echoes(address: Ipv4Addr) -> io::Result<()> {
 fn buffers(limit: Option<&str>) -> Finding {
     let Some(bytes) = limit.and_then(|text| text.trim().parse::<u64>().ok()) else {
         let message = format!("{RECEIVE_BUFFER} cannot be read here");
-        return Finding::unknown("receive buffers", message, "outside of the container: sysctl net.core.rmem_max");
+        return Finding::unknown("receive buffers", message, "outside the container: sysctl net.core.rmem_max");
     };
     match bytes < RECEIVE_BUFFER_MIN {
         true => Finding::advice(
             "receive buffers",
-            format!("at most {}: ROS messages larger than that are lost in bursts", size(bytes)),
-            format!("sysctl -w net.core.rmem_max={RECEIVE_BUFFER_MIN}, and a line in /etc/sysctl.d to keep it"),
+            format!("at most {}: bursts of larger ROS messages are lost", size(bytes)),
+            format!("sysctl -w net.core.rmem_max={RECEIVE_BUFFER_MIN}; add it to /etc/sysctl.d to make it permanent"),
         ),
         false => Finding::ok("receive buffers", format!("up to {}", size(bytes))),
     }

@@ -29,7 +29,7 @@ pub(super) struct FleetState {
 /// A robot or a service that is new and lacks what a new one needs, a share that would give nothing.
 pub(super) fn plan(state: &FleetState, file: &FleetFile, prune: bool) -> Result<FleetPlan, Rejection> {
     if let Some(owner) = file.organisation.as_ref().filter(|owner| **owner != state.organisation) {
-        return Err(Rejection::new(Code::NotOwner, format!("the file is about the fleet of {owner}"))
+        return Err(Rejection::new(Code::NotOwner, format!("the file describes the fleet of {owner}"))
             .found(format!("an identity of {}", state.organisation))
             .wanted(format!("an admin of {owner}"))
             .next("use a context of that organisation: --context NAME"));
@@ -101,10 +101,13 @@ fn check_trust(state: &FleetState, file: &FleetFile) -> Result<(), Rejection> {
         if !trusted.iter().any(|one| one == organisation) {
             return Err(Rejection::new(
                 Code::BadArgument,
-                format!("{name} does not trust {organisation}, so the attribute of a share does not count"),
+                format!("{name} does not trust {organisation}, so the attribute of a share has no effect"),
             )
             .found(format!("trust = {trusted:?}"))
-            .wanted(format!("{organisation} among those whom {name} trusts, or a share without an attribute"))
+            .wanted(format!(
+                "{organisation} among the organisations that {name} trusts, or a share without an \
+                             attribute"
+            ))
             .next(format!("add {organisation} to trust of [robot.{name}] in the file")));
         }
     }
@@ -222,10 +225,10 @@ fn new_service(robot: &str, topic: &str, entry: &ServiceEntry) -> Result<Service
 }
 
 fn incomplete(place: &str, what: &str) -> Rejection {
-    Rejection::new(Code::BadFile, format!("{place} is new, and the file does not say all of it"))
+    Rejection::new(Code::BadFile, format!("{place} is new, and the file does not describe it completely"))
         .found(format!("no {what}"))
         .wanted(what)
-        .next("ledgerctl export shows the form of a file")
+        .next("ledgerctl export prints a file in this form")
 }
 
 /// The description of a robot that is registered.

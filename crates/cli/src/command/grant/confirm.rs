@@ -14,14 +14,14 @@ use ledger_contract::{Acquired, Confirmation, Pending};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Agree that somebody acquires a service whose owner wants several people to agree.
+/// Confirm a contender for a service whose owner requires confirmations.
 ///
-/// For admins of the robot's owner, for identities with the attribute safety=true of organisations that the owner trusts,
-/// and those whom its policies permit `confirm`. Nobody confirms themselves.
+/// For admins of the robot's owner, identities with the attribute safety=true of organisations that the owner trusts,
+/// and identities to which its policies permit `confirm`. A contender cannot confirm itself.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl confirm Turtlebot4/cmd_vel Org1/Salma")]
 pub(crate) struct Confirm {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
     /// The contender
@@ -48,11 +48,13 @@ impl Facts for Confirmed {
         writeln!(out, "{contender} is confirmed by {}", state(pending))?;
         match acquired {
             Some(Acquired::Granted(grant)) => writeln!(out, "{contender} holds {service} with epoch {}", grant.epoch),
-            Some(Acquired::Queued { queued }) => writeln!(out, "{contender} is in line, position {}", queued.position),
+            Some(Acquired::Queued { queued }) => {
+                writeln!(out, "{contender} waits in the queue, position {}", queued.position)
+            }
             Some(Acquired::Pending { .. }) | None if refused.is_empty() => Ok(()),
             Some(Acquired::Pending { .. }) | None => {
-                writeln!(out, "it cannot have {service} yet: {refused}")?;
-                writeln!(out, "it may try again {}", time::relative(pending.until, self.time))
+                writeln!(out, "{service} cannot be granted yet: {refused}")?;
+                writeln!(out, "the confirmations expire {}", time::relative(pending.until, self.time))
             }
         }
     }
@@ -61,7 +63,7 @@ impl Facts for Confirmed {
 /// `Org2/admin (1 of 2)`.
 pub(super) fn state(pending: &Pending) -> String {
     let Pending { confirmed, wanted, .. } = pending;
-    let names = if confirmed.is_empty() { "nobody".to_owned() } else { confirmed.join(", ") };
+    let names = if confirmed.is_empty() { "none".to_owned() } else { confirmed.join(", ") };
     format!("{names} ({} of {wanted})", confirmed.len())
 }
 
@@ -88,16 +90,18 @@ struct Asked<'a> {
 impl Facts for Asked<'_> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Pending { service, contender, wanted, owner, until, .. } = &self.pending;
-        writeln!(out, "{service} is not yours yet: {wanted} others must confirm you")?;
+        let missing = wanted.saturating_sub(self.pending.confirmed.len() as u64);
+        let noun = if missing == 1 { "confirmation" } else { "confirmations" };
+        writeln!(out, "{service} is not acquired yet: waiting for {missing} {noun}")?;
         let mut table = Table::pairs();
         table.pair("confirmed", state(&self.pending));
         table.pair("until", format!("{} ({})", time::moment(*until), time::relative(*until, self.time)));
-        table.pair("by", format!("admins of {owner}, and whom its policies permit confirm"));
+        table.pair("by", format!("admins of {owner}, and identities to which its policies permit `confirm`"));
         table.write(out, 2)?;
-        writeln!(out, "they type: ledgerctl confirm {service} {contender}")?;
+        writeln!(out, "to confirm: ledgerctl confirm {service} {contender}")?;
         writeln!(
             out,
-            "to wait for it: ledgerctl acquire {service} --wait 5m; to take it back: ledgerctl release {service}"
+            "to wait: ledgerctl acquire {service} --wait 5m; to withdraw the request: ledgerctl release {service}"
         )
     }
 }
@@ -106,4 +110,29 @@ impl Facts for Asked<'_> {
 pub(super) fn asked(pending: Pending, done: &Committed, output: &mut Output) -> Result<(), Failure> {
     output.show(&Asked { pending, time: done.time, height: done.height, transaction: &done.id })?;
     Err(Failure::Told(Class::Conflict.exit_code()))
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn asked(wanted: u64, confirmed: &[&str]) -> String {
+        let json = serde_json::json!({"service": "Turtlebot4/cmd_vel", "contender": "Org1/Salma", "confirmed": confirmed,
+            "wanted": wanted, "owner": "Org2", "until": 61_000_000});
+        let pending = serde_json::from_value(json).unwrap();
+        let asked = Asked { pending, time: 1_000_000, height: 1, transaction: &ledger_base::hash::Hash::ZERO };
+        let mut out = Vec::new();
+        asked.text(&mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn a_contender_reads_how_many_confirmations_are_missing() {
+        assert!(asked(1, &[]).starts_with("Turtlebot4/cmd_vel is not acquired yet: waiting for 1 confirmation\n"));
+        assert!(
+            asked(3, &["Org2/Admin"])
+                .starts_with("Turtlebot4/cmd_vel is not acquired yet: waiting for 2 confirmations\n")
+        );
+    }
 }

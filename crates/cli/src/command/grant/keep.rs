@@ -52,7 +52,7 @@ impl<'s> Kept<'s> {
                 released = self.release() => released?,
                 () = ends.next() => {
                     return Err(Rejection::new(Code::Timeout, format!("{services}: not released, interrupted again"))
-                        .next(format!("its lease ends by itself; sooner: ledgerctl release {services}")).into());
+                        .next(format!("the lease expires by itself; to end it now: ledgerctl release {services}")).into());
                 }
             }
             output.note(&format!("{services}: released"));
@@ -128,7 +128,7 @@ impl<'s> Kept<'s> {
                     return Err(RENEW.told(refused));
                 }
                 if last.is_none() {
-                    note(&format!("{service}: not renewed, tried again: {} [{}]", refused.message, refused.code));
+                    note(&format!("{service}: renewal failed, retrying: {} [{}]", refused.message, refused.code));
                 }
                 *last = Some(refused);
                 sleep(PAUSE).await;
@@ -195,9 +195,9 @@ fn lost(released: &Released) -> Rejection {
         Some(Reason::Stopped) => {
             (Code::Stopped, "the robot was stopped".to_owned(), format!("once it is resumed: {again}"))
         }
-        Some(Reason::Preempted) => (Code::NotHolder, format!("{by} has a higher priority and has it now"), again),
-        Some(Reason::Overridden) => (Code::NotHolder, format!("{by} took it in an emergency"), again),
-        Some(Reason::Taken) => (Code::NotHolder, "its owner took it back".to_owned(), again),
+        Some(Reason::Preempted) => (Code::NotHolder, format!("preempted by {by}, with a higher priority"), again),
+        Some(Reason::Overridden) => (Code::NotHolder, format!("overridden by {by} in an emergency"), again),
+        Some(Reason::Taken) => (Code::NotHolder, "its owner revoked the grant".to_owned(), again),
         Some(Reason::Policy) => {
             let next = format!("to see why: ledgerctl can ORG/NAME acquire {service}, with your name");
             (Code::DeniedByPolicy, "the policies of its owner no longer permit it".to_owned(), next)
@@ -206,20 +206,20 @@ fn lost(released: &Released) -> Rejection {
             let next = "ask an admin of your organisation".to_owned();
             (Code::Revoked, "your certificate is revoked".to_owned(), next)
         }
-        Some(Reason::Expired) => (Code::NotHolder, "its lease ran out before a renewal".to_owned(), again),
+        Some(Reason::Expired) => (Code::NotHolder, "its lease expired before a renewal".to_owned(), again),
         Some(Reason::Idle) => {
-            let why = "no message came for as long as its owner allows (idle-release)".to_owned();
+            let why = "no message within the limit of its owner (idle-release)".to_owned();
             (Code::NotHolder, why, again)
         }
         Some(Reason::Released) => (Code::NotHolder, "another command of yours released it".to_owned(), again),
         Some(Reason::RobotRemoved) => {
-            (Code::UnknownService, "it was taken out of service".to_owned(), "ledgerctl robot list".to_owned())
+            (Code::UnknownService, "it was removed".to_owned(), "ledgerctl robot list".to_owned())
         }
-        Some(Reason::Delegated) => (Code::NotHolder, "you passed it on".to_owned(), again),
-        Some(Reason::Recalled) => (Code::NotHolder, format!("{by} took it back"), again),
+        Some(Reason::Delegated) => (Code::NotHolder, "you delegated it".to_owned(), again),
+        Some(Reason::Recalled) => (Code::NotHolder, format!("{by} recalled it"), again),
         _ => (Code::NotHolder, format!("it ended: {reason}"), again),
     };
-    Rejection::new(code, format!("{service} is yours no longer: {why}"))
+    Rejection::new(code, format!("{service} is no longer held: {why}"))
         .found(format!("the end of the grant with epoch {epoch}: {reason}"))
         .wanted("a grant to renew")
         .next(next)
@@ -240,11 +240,11 @@ mod tests {
     fn an_end_names_its_reason_and_has_the_exit_code_of_its_kind() {
         for (reason, part, exit) in [
             ("stopped", "the robot was stopped", 5),
-            ("preempted", "Org1/Farhad has a higher priority", 2),
-            ("overridden", "Org1/Farhad took it in an emergency", 2),
+            ("preempted", "preempted by Org1/Farhad", 2),
+            ("overridden", "overridden by Org1/Farhad", 2),
             ("policy", "no longer permit it", 2),
             ("revoked", "your certificate is revoked", 2),
-            ("expired", "its lease ran out", 2),
+            ("expired", "its lease expired", 2),
             ("released", "another command of yours", 2),
             ("invented_later", "it ended: invented_later", 2),
         ] {

@@ -23,7 +23,7 @@ impl Facts for Line {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self(LineState { service, holders, line, pending }, now) = self;
         if holders.is_empty() {
-            writeln!(out, "nobody holds {service}")?;
+            writeln!(out, "{service} has no holder")?;
         }
         for grant in holders {
             let expires = time::relative(grant.expires, *now);
@@ -32,10 +32,10 @@ impl Facts for Line {
         }
         for pending in pending {
             let (who, until) = (&pending.contender, time::relative(pending.until, *now));
-            writeln!(out, "{who} waits to be confirmed until {until}: confirmed by {}", confirm::state(pending))?;
+            writeln!(out, "{who} waits for confirmations until {until}: confirmed by {}", confirm::state(pending))?;
         }
         if line.is_empty() {
-            return writeln!(out, "nobody waits for it");
+            return writeln!(out, "the queue is empty");
         }
         let mut table = Table::new(["POSITION", "WHO", "PRIORITY", "SINCE", "UNTIL", "TURN"]);
         for place in line {
@@ -62,7 +62,7 @@ pub(crate) fn turn(place: &Place, now: u64) -> String {
     match place.expected {
         None => "-".to_owned(),
         Some(expected) if expected <= now => "soon".to_owned(),
-        Some(expected) => format!("{} if nobody renews", time::relative(expected, now)),
+        Some(expected) => format!("{} unless renewed", time::relative(expected, now)),
     }
 }
 
@@ -78,14 +78,18 @@ struct Joined<'a> {
 impl Facts for Joined<'_> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Place { service, position, priority, until, .. } = &self.queued;
-        writeln!(out, "{service} is held by others: you are in line")?;
+        writeln!(out, "{service} is held by others: you are in the queue")?;
         let mut table = Table::pairs();
         table.pair("position", position);
         table.pair("priority", priority);
         table.pair("turn", turn(&self.queued, self.time));
         table.pair("until", format!("{} ({})", time::moment(*until), time::relative(*until, self.time)));
         table.write(out, 2)?;
-        writeln!(out, "to wait for it: ledgerctl acquire {service} --wait 5m; to leave: ledgerctl release {service}")
+        writeln!(
+            out,
+            "to wait for it: ledgerctl acquire {service} --wait 5m; to leave the queue: ledgerctl release \
+                       {service}"
+        )
     }
 }
 
@@ -113,7 +117,7 @@ mod tests {
         let wanted = "\
 Husky/cmd_vel is held by Org1/Salma with epoch 3, expires in 8 s
 POSITION  WHO          PRIORITY  SINCE    UNTIL    TURN
-1         Org1/Farhad  -2        2 s ago  in 58 s  in 8 s if nobody renews
+1         Org1/Farhad  -2        2 s ago  in 58 s  in 8 s unless renewed
 ";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }

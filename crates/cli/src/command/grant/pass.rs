@@ -11,24 +11,24 @@ use crate::words::Words;
 use bytes::Bytes;
 use ledger_contract::PassOptions;
 
-/// Pass a grant that you hold on to somebody else for a while; you may take it back.
+/// Delegate a grant that you hold for a limited time; you can recall it.
 ///
-/// The robot goes on without a stop. The receiver must be permitted by the owner's policies, and its grant ends when you
-/// may no longer hold one.
+/// The robot does not stop. The receiver must be permitted by the owner's policies. Its grant ends when you could no
+/// longer hold one.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl delegate Turtlebot4/cmd_vel --to Org1/Farhad --for 10m")]
 pub(crate) struct Delegate {
     #[command(flatten)]
     pass: Pass,
-    /// When it ends in any case, from now on, such as 10m
+    /// Latest end of the delegated grant, from now, such as 10m
     #[arg(long = "for", value_name = "SPAN")]
     span: Option<Milliseconds>,
-    /// The receiver may pass it on, too
+    /// The receiver may delegate it further
     #[arg(long)]
     may_delegate: bool,
 }
 
-/// Hand a grant that you hold over to somebody else, for good.
+/// Hand a grant that you hold over permanently.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl handover Turtlebot4/cmd_vel --to Org1/Farhad")]
 pub(crate) struct Handover {
@@ -36,27 +36,27 @@ pub(crate) struct Handover {
     pass: Pass,
 }
 
-/// Take a grant back that you have delegated.
+/// Recall a grant that you delegated.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl recall Turtlebot4/cmd_vel")]
 pub(crate) struct Recall {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
-    /// Stop the robot between both
+    /// Stop the robot in between
     #[arg(long)]
     stop: bool,
 }
 
 #[derive(Debug, clap::Args)]
 struct Pass {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
     /// The receiver
     #[arg(long, value_name = "ORG/NAME")]
     to: String,
-    /// Stop the robot between both
+    /// Stop the robot in between
     #[arg(long)]
     stop: bool,
 }

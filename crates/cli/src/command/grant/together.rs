@@ -83,7 +83,7 @@ async fn released(session: &Session, services: &[String], height: u64) -> Result
     let mut subjects = Vec::new();
     for service in services {
         let line = session.ask(ABAC, "line", vec![Bytes::from(service.clone())]).await?;
-        subjects.push(answer::parse::<LineState>(&line, "a line")?.service);
+        subjects.push(answer::parse::<LineState>(&line, "a queue")?.service);
     }
     let mut stream = session.client.subscribe(Subscription {
         from_height: height + 1,

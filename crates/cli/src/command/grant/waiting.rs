@@ -109,7 +109,7 @@ impl<'s> Waiting<'s> {
                 Ok(is_ours.then(|| End::Granted(Box::new(granted))))
             }
             "left" => {
-                let left: Left = answer::parse(&event.payload, "an event of a line")?;
+                let left: Left = answer::parse(&event.payload, "an event of a queue")?;
                 Ok((left.contender == self.contender).then_some(End::Left(left)))
             }
             _ => Ok(None),
@@ -122,7 +122,7 @@ impl<'s> Waiting<'s> {
             return Ok(());
         }
         let response = self.session.ask(ABAC, "line", vec![Bytes::from(self.service.clone())]).await?;
-        let text = self.state(&answer::parse(&response, "a line")?);
+        let text = self.state(&answer::parse(&response, "a queue")?);
         let text = crate::output::printable(&text).into_owned();
         let width = text.chars().count();
         let _ = write!(io::stderr(), "\r{text}{}", " ".repeat(self.shown.saturating_sub(width)));
@@ -135,7 +135,7 @@ impl<'s> Waiting<'s> {
     fn state(&self, state: &LineState) -> String {
         let Self { service, contender, .. } = self;
         let holders: Vec<&str> = state.holders.iter().map(|grant| grant.holder.as_str()).collect();
-        let holders = if holders.is_empty() { "nobody".to_owned() } else { holders.join(", ") };
+        let holders = if holders.is_empty() { "none".to_owned() } else { holders.join(", ") };
         if let Some(pending) = state.pending.iter().find(|pending| pending.contender == *contender) {
             return format!("{service}: confirmed by {}, held by {holders}", confirm::state(pending));
         }
@@ -158,31 +158,31 @@ impl<'s> Waiting<'s> {
     async fn leave(&self, output: &Output) -> Result<Granted, Failure> {
         let service = self.service.clone();
         match self.session.call(ABAC, "release", vec![Bytes::from(service.clone())]).await {
-            Ok(_) => output.note(&format!("you have left the line of {service}")),
+            Ok(_) => output.note(&format!("you left the queue of {service}")),
             // We were neither in line nor holders any more.
             Err(refused) if refused.code == Code::NotHolder => {}
             Err(refused) => return Err(refused.into()),
         }
-        Err(Rejection::new(Code::Held, format!("{service} is not yours: you stopped waiting")).into())
+        Err(Rejection::new(Code::Held, format!("{service} is not acquired: you stopped waiting")).into())
     }
 
     fn refused(&self, left: &Left) -> Rejection {
         let service = &self.service;
         let (code, why) = match left.reason.known() {
-            Some(LeftReason::TimedOut) => (Code::Held, "others held it as long as you waited"),
-            Some(LeftReason::Policy) => (Code::DeniedByPolicy, "its policies no longer permit you to have it"),
+            Some(LeftReason::TimedOut) => (Code::Held, "others held it for your whole waiting time"),
+            Some(LeftReason::Policy) => (Code::DeniedByPolicy, "its policies no longer permit you to acquire it"),
             Some(LeftReason::Revoked) => (Code::Revoked, "your certificate is revoked"),
-            Some(LeftReason::Expired) => (Code::CertificateExpired, "your certificate has run out"),
-            Some(LeftReason::Unconfirmed) => (Code::Held, "too few confirmed you in time"),
-            Some(LeftReason::Left) => (Code::Held, "you left the line with another command"),
-            Some(LeftReason::Removed) => (Code::Held, "an admin of its owner sent you out of the line"),
-            Some(LeftReason::RobotRemoved) => (Code::UnknownService, "it was taken out of service"),
-            Some(LeftReason::Rule) => (Code::Held, "its owner changed the rule, and the line is shorter or gone"),
-            _ => (Code::Held, "you are no longer in line"),
+            Some(LeftReason::Expired) => (Code::CertificateExpired, "your certificate has expired"),
+            Some(LeftReason::Unconfirmed) => (Code::Held, "not enough confirmations in time"),
+            Some(LeftReason::Left) => (Code::Held, "another command of yours left the queue"),
+            Some(LeftReason::Removed) => (Code::Held, "an admin of its owner removed you from the queue"),
+            Some(LeftReason::RobotRemoved) => (Code::UnknownService, "it was removed"),
+            Some(LeftReason::Rule) => (Code::Held, "its owner changed the rule, which shortened or removed the queue"),
+            _ => (Code::Held, "you are no longer in the queue"),
         };
-        Rejection::new(code, format!("{service} is not yours: {why}"))
-            .found(format!("out of the line: {}", left.reason))
+        Rejection::new(code, format!("{service} is not acquired: {why}"))
+            .found(format!("removed from the queue: {}", left.reason))
             .wanted(format!("a grant of {service} to {}", self.contender))
-            .next(format!("to see who holds it and who waits: ledgerctl queue {service}"))
+            .next(format!("to see holders and queue: ledgerctl queue {service}"))
     }
 }

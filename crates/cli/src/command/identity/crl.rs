@@ -11,11 +11,11 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Record the newest revocation list of your CA; without a file, show those that the ledger has.
+/// Record the newest revocation list of your CA; without a file, show the recorded lists.
 ///
-/// For admins of the organisation of the CA. Everybody whom the list names is revoked, and their grants end in the same block. A
-/// list never takes a revocation back: whom a newer one leaves out stays revoked, and the answer says so. It has to be newer than
-/// the one before by the same key.
+/// For admins of the organisation of the CA. Every certificate on the list is revoked, and its grants end in the same
+/// block. A list never undoes a revocation: certificates that a newer list omits stay revoked, and the output says so.
+/// The list must be newer than the previous one of the same key.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -25,7 +25,8 @@ Example:
 pub(crate) struct Crl {
     /// The list, in PEM or DER
     file: Option<PathBuf>,
-    /// The consequence when a list has ended and no new one was recorded: warn, or refuse the people of your organisation
+    /// Behaviour when the list has expired and no new one was recorded: warn, or refuse the members of your
+    /// organisation
     #[arg(long, value_name = "warn|refuse", value_parser = stale, conflicts_with = "file")]
     when_ended: Option<Stale>,
 }
@@ -63,9 +64,13 @@ struct WhenEnded(SetStale);
 impl Facts for WhenEnded {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         match self.0.stale {
-            Stale::Warn => writeln!(out, "when a revocation list has ended, nodes and ledgerctl warn"),
+            Stale::Warn => writeln!(out, "when a revocation list expires, nodes and ledgerctl warn"),
             Stale::Refuse => {
-                writeln!(out, "when a revocation list has ended, its people are refused until a new one comes")
+                writeln!(
+                    out,
+                    "when a revocation list expires, the members of the organisation are rejected until a \
+                               new list is recorded"
+                )
             }
         }
     }
@@ -83,13 +88,17 @@ impl Facts for Recorded {
             writeln!(out, "revoked serial {serial}")?;
         }
         for serial in left_out {
-            writeln!(out, "serial {serial} is in the list no longer, and stays revoked")?;
+            writeln!(out, "serial {serial} is no longer on the list, and stays revoked")?;
         }
         if *restarted {
-            writeln!(out, "its number is not above that of the list before: it counts because it was made later")?;
+            writeln!(
+                out,
+                "its number is not higher than that of the previous list; it is accepted because it was \
+                           issued later"
+            )?;
         }
         if list.partial {
-            writeln!(out, "it leaves out people or reasons, so it does not replace the list about all people")?;
+            writeln!(out, "it covers only some certificates or reasons, so it does not replace the complete list")?;
         }
         Ok(())
     }

@@ -16,16 +16,17 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Make a context of a certificate and a key that exist, such as those of a Fabric user.
+/// Create a context from an existing certificate and key, such as those of a Fabric user.
 ///
-/// The organisation has to belong to the network: `ledgerctl network add-org`. Keys of P-256, P-384 and Ed25519 are read, in
-/// PKCS#8 or SEC1 without a passphrase. The CA that issued the certificate renews it: import the new one with --force.
+/// The organisation must be a member of the network: `ledgerctl network add-org`. Keys of P-256, P-384 and Ed25519 are
+/// supported, in PKCS#8 or SEC1 without a passphrase. The CA that issued the certificate renews it: import the new one
+/// with --force.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl identity import --cert msp/signcerts/cert.pem --key msp/keystore/priv_sk --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08")]
 pub(crate) struct Import {
-    /// The certificate in PEM; authorities that are not declared may follow it
+    /// The certificate in PEM; undeclared intermediate CAs may follow it
     #[arg(long, value_name = "FILE")]
     cert: PathBuf,
     /// Its private key in PEM
@@ -34,7 +35,7 @@ pub(crate) struct Import {
     /// Address of a node of the network
     #[arg(long, value_name = "HOST:PORT")]
     node: String,
-    /// SHA-256 of the CA's certificate of the organisation that runs the node
+    /// SHA-256 of the CA's certificate of the organisation that operates the node
     #[arg(long, value_name = "SHA256")]
     ca_fingerprint: String,
     /// Replace a context of this name; its key is lost
@@ -62,7 +63,7 @@ impl Import {
             Rejection::new(Code::BadArgument, "the CA's fingerprint cannot be read")
                 .found(format!("{:?}", self.ca_fingerprint))
                 .wanted("SHA-256 of the CA's certificate: 64 hexadecimal digits")
-                .next("ask an admin of the organisation that runs the node: ledgerctl network organisations")
+                .next("ask an admin of the organisation that operates the node: ledgerctl network organisations")
         })?;
         let mut imported = Enrolment::new(&self.node, fingerprint).import(chain, key).await?;
         if let Some(name) = &global.context {
@@ -70,9 +71,9 @@ impl Import {
         }
         let home = context::home()?;
         if !self.force && Context::list(&home)?.contains(&imported.name) {
-            return Err(Rejection::new(Code::AlreadyExists, format!("there is a context {:?} already", imported.name))
+            return Err(Rejection::new(Code::AlreadyExists, format!("the context {:?} exists already", imported.name))
                 .found(format!("a key in {}", context::directory(&home, &imported.name).display()))
-                .wanted("a name that is free: the key would be lost")
+                .wanted("an unused name: the key would be lost")
                 .next("choose another with --context NAME, or replace it with --force")
                 .into());
         }

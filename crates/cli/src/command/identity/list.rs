@@ -10,11 +10,11 @@ use crate::time;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// List the identities of your organisation, those that have not enrolled among them; for admins.
+/// List the identities of your organisation, including those that have not enrolled; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl identity list\n  ledgerctl identity list --expiring 30d")]
 pub(crate) struct List {
-    /// Only those whose last valid certificate ends within this time, the first to end first
+    /// Only identities whose last valid certificate expires within this time, earliest first
     #[arg(long, value_name = "SPAN")]
     expiring: Option<Milliseconds>,
 }

@@ -19,9 +19,9 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// Register a name with its role and attributes; for admins, and for registrars in their department.
+/// Register an identity with its role and attributes; for admins, and for registrars within their department.
 ///
-/// Prints a one-time secret and the command with which its owner enrols. The secret is shown once.
+/// Prints a one-time secret and the command with which the identity enrols. The secret is shown only once.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -30,24 +30,24 @@ Example:
   ledgerctl identity register Nadia --affiliation sales
   ledgerctl identity register Salma --reissue")]
 pub(crate) struct Register {
-    /// The name, as it will stand in the certificate
+    /// The name, as in the certificate
     name: String,
     /// The role of the identity
     #[arg(long, value_name = "ROLE", default_value = "member", value_parser = role)]
     role: Role,
-    /// An attribute to sign into the certificate; KEY alone means KEY=true
+    /// Attribute to sign into the certificate; KEY alone means KEY=true
     #[arg(long = "attr", value_name = "KEY[=VALUE]")]
     attributes: Vec<Attribute>,
-    /// The department, signed into the certificate as the attribute hf.Affiliation
+    /// Department, signed into the certificate as the attribute hf.Affiliation
     #[arg(long, value_name = "DEPARTMENT")]
     affiliation: Option<String>,
-    /// Give a registered name a new secret, and new attributes if any are named; its role stays
+    /// Create a new secret for a registered name, and new attributes if any are given; its role stays
     ///
-    /// Certificates issued before stay valid: revoke them if they should not. With new attributes they are revoked as soon
+    /// Existing certificates stay valid: revoke them if they should not. With new attributes, they are revoked as soon
     /// as the name has enrolled again.
     #[arg(long, conflicts_with = "role")]
     reissue: bool,
-    /// How long the secret can be used, at most 8760h
+    /// Validity of the secret, at most 8760h
     #[arg(long = "for", value_name = "SPAN", default_value = "168h")]
     span: Milliseconds,
 }
@@ -86,7 +86,7 @@ impl Facts for Invitation {
         table.pair("secret", format!("{} (shown once)", self.secret));
         table.pair("until", time::moment(self.expires));
         table.write(out, 2)?;
-        writeln!(out, "next, {} types:\n  {}", self.name, self.command)?;
+        writeln!(out, "to enrol, {} runs:\n  {}", self.name, self.command)?;
         if self.reissue {
             writeln!(out, "  (--force replaces the key of a context with this name)")?;
         }

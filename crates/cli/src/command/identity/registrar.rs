@@ -9,11 +9,12 @@ use ledger::msp::SetRegistrar;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Let a member register members of one department, with some attributes only; without a name, show the registrars.
+/// Permit a member to register members of one department, with the named attributes only; without a name, list the
+/// registrars.
 ///
-/// For admins. A registrar types `ledgerctl identity register NAME --affiliation DEPARTMENT`, and cancels what it has
-/// registered. It gives nobody another role, and no attribute that is not named here. Only an admin brings back a name
-/// that was revoked.
+/// For admins. A registrar uses `ledgerctl identity register NAME --affiliation DEPARTMENT`, and can cancel its own
+/// registrations. It can assign no other role and no attribute that is not named here. Only an admin can register a
+/// revoked name again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -21,16 +22,16 @@ Example:
   ledgerctl identity registrar Farhad --remove
   ledgerctl identity registrar")]
 pub(crate) struct Registrar {
-    /// Name of a member of your organisation
+    /// A member of your organisation
     #[arg(requires = "change")]
     name: Option<String>,
-    /// The department: `sales` is also `sales.north`
+    /// The department; `sales` includes `sales.north`
     #[arg(long, value_name = "DEPARTMENT", group = "change", requires = "name")]
     affiliation: Option<String>,
-    /// The name of an attribute that it may give
+    /// Name of an attribute that it may assign
     #[arg(long = "attr", value_name = "KEY", requires = "affiliation")]
     attributes: Vec<String>,
-    /// Take the right away
+    /// Remove the permission
     #[arg(long, group = "change", requires = "name")]
     remove: bool,
 }
@@ -58,7 +59,7 @@ impl Facts for Set {
         let name = printable(name);
         match affiliation {
             Some(department) => writeln!(out, "{name} may register members of {}", printable(department)),
-            None => writeln!(out, "{name} may register nobody any more"),
+            None => writeln!(out, "{name} may no longer register members"),
         }
     }
 }

@@ -8,9 +8,9 @@ use crate::time;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Renew your own certificate, with a new key, while the present one is still valid.
+/// Renew your own certificate, with a new key, while the current one is still valid.
 ///
-/// The new one says what is registered now: changed attributes take effect. Nodes and bridges renew theirs by themselves.
+/// The new certificate has the attributes that are registered now. Nodes and bridges renew theirs automatically.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl identity renew --context Salma")]
 pub(crate) struct Renew {}

@@ -19,10 +19,10 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// Revoke an identity: its certificates and, if it has not enrolled, its secret; its grants end in the same block.
+/// Revoke an identity: its certificates and, if it has not enrolled, its secret. Its grants end in the same block.
 ///
-/// For admins, through any node of the network. Nobody enrols with a secret from before. In an organisation whose CA is another
-/// software, such as Fabric's, each certificate of the name that begins before now is refused from then on, seen or not.
+/// For admins, through any node of the network. Earlier secrets become invalid. If the organisation has an external CA,
+/// such as Fabric's, all certificates of the name whose validity begins before now are rejected from then on.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -31,10 +31,10 @@ Example:
 pub(crate) struct Revoke {
     /// The name
     name: String,
-    /// Only the certificate with this serial number
+    /// Revoke only the certificate with this serial number
     #[arg(long, value_name = "HEX")]
     serial: Option<String>,
-    /// Why; stays on the ledger
+    /// Reason; recorded on the ledger
     #[arg(long, value_name = "TEXT")]
     reason: Option<String>,
     /// Give up after this time, with an error if it is not in force by then [default: never]
@@ -72,13 +72,17 @@ impl Facts for Revoked {
             )?;
         }
         if self.cancelled {
-            writeln!(out, "the secret of {} is void", self.name)?;
+            writeln!(out, "the secret of {} is invalid", self.name)?;
         }
         if let Some(barred) = self.barred {
             let (name, until) = (&self.name, time::moment(barred));
-            writeln!(out, "certificates of {name} that begin before {until} are refused; its CA issues the next one")?;
+            writeln!(
+                out,
+                "certificates of {name} whose validity begins before {until} are rejected; to readmit it, \
+                           its CA issues a new one"
+            )?;
             if self.certificates.is_empty() {
-                writeln!(out, "the ledger has seen no other certificate of this name: compare how it is written")?;
+                writeln!(out, "the ledger has no other certificate of this name: check the spelling")?;
             }
         }
         Ok(())

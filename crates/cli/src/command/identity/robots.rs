@@ -18,7 +18,7 @@ pub(super) async fn check_name(session: &Session, name: &str, role: Role, output
         robots.into_iter().filter(|robot| robot.organisation == home).map(|robot| robot.name).collect();
     check(name, &names)?;
     if role == Role::Robot && !names.iter().any(|robot| robot == name) {
-        output.note(&format!("{home} has no robot {name} yet: the identity of a robot has its exact name"));
+        output.note(&format!("{home} has no robot {name} yet: the identity of a robot must have exactly its name"));
     }
     Ok(())
 }
@@ -28,7 +28,7 @@ fn check(name: &str, robots: &[String]) -> Result<(), Rejection> {
         None => Ok(()),
         Some(robot) => Err(Rejection::new(
             Code::AlreadyExists,
-            format!("{name} differs from the name of a robot only in the case of its letters"),
+            format!("{name} differs from the name of a robot only in upper and lower case"),
         )
         .found(format!("robot {robot}"))
         .wanted(format!("{robot} for the identity of this robot, or another name"))

@@ -9,18 +9,18 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Copy the committed blocks of a node to an archive, which `ledgerd verify` checks by itself.
+/// Copy the committed blocks of a node to an archive, which `ledgerd verify` checks without the node.
 ///
-/// The node may run or be stopped. A block of a running node is copied within seconds of its commit. Run it again to add
-/// what has been committed since: put it into a timer, and let `retention` of the node keep blocks for longer than that
-/// takes. The archive's newest file may be unfinished; the next run replaces it by more of it.
+/// The node may be running. A block is copied within seconds of its commit. Run the command again to add newer blocks:
+/// use a timer, and set `retention` of the node longer than its period. The newest file of the archive may be
+/// incomplete; the next run replaces it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ledger archive /var/lib/ledgerd --to /backup/fleet")]
 pub(crate) struct Archive {
     /// The node's data directory
     #[arg(value_name = "DATA_DIR")]
     directory: PathBuf,
-    /// The archive; made if it is not there
+    /// Directory of the archive; created if it does not exist
     #[arg(long, value_name = "DIR")]
     to: PathBuf,
 }

@@ -12,9 +12,9 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// Show how the node and the network are.
+/// Show the state of the node and the network.
 ///
-/// Ends with 4 if the node knows no leader, so that nothing can be ordered.
+/// Exits with 4 if the node has no leader, so that nothing can be ordered.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl status\n  ledgerctl status --check")]
 pub(crate) struct Status {
@@ -73,7 +73,7 @@ impl Facts for Node {
 
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let facts = &self.facts;
-        let leader = if facts.leader_id == 0 { "none known".to_owned() } else { format!("node {}", facts.leader_id) };
+        let leader = if facts.leader_id == 0 { "none".to_owned() } else { format!("node {}", facts.leader_id) };
         let mut table = Table::pairs();
         table
             .pair("node", format!("{}/{} (id {}), {}", facts.organisation, facts.node_name, facts.node_id, facts.role));
@@ -81,12 +81,9 @@ impl Facts for Node {
         table.pair("network", format!("{} {}", facts.network_label, facts.network).trim_start());
         table.pair("leader", format!("{leader}, term {}", facts.term));
         table.pair("voters", self.voters.text());
-        let fetches = facts.catching_up_to.map_or_else(String::new, |height| format!(", fetches up to {height}"));
+        let fetches = facts.catching_up_to.map_or_else(String::new, |height| format!(", fetching up to {height}"));
         table.pair("height", format!("{} of {} committed{fetches}", facts.height, facts.committed));
-        table.pair(
-            "certified",
-            if facts.certified == 0 { "nothing yet".to_owned() } else { facts.certified.to_string() },
-        );
+        table.pair("certified", if facts.certified == 0 { "none yet".to_owned() } else { facts.certified.to_string() });
         table.pair("certificates", facts.certificate_rule.rule());
         table.pair("survives", facts.certificate_rule.survives());
         table.pair("block hash", &facts.block_hash);
@@ -121,7 +118,7 @@ fn print_peers(all: &[PeerFacts], out: &mut dyn Write) -> io::Result<()> {
         return Ok(());
     }
     writeln!(out)?;
-    let mut peers = Table::new(["PEER", "ID", "ADDRESS", "VOTES", "CONNECTED", "MATCHED"]);
+    let mut peers = Table::new(["PEER", "ID", "ADDRESS", "VOTES", "CONNECTED", "REPLICATED"]);
     for peer in all {
         peers.row([
             format!("{}/{}", peer.organisation, peer.name),
@@ -162,7 +159,7 @@ mod tests {
         let mut text = Vec::new();
         node.text(&mut text).unwrap();
         let text = String::from_utf8_lossy(&text);
-        assert!(text.contains("0 of 0 committed, fetches up to 9"), "{text}");
+        assert!(text.contains("0 of 0 committed, fetching up to 9"), "{text}");
         assert!(text.ends_with("\nattention: Org1/node1: height 5 of 9\n  try      wait\n"), "{text}");
         let json = serde_json::to_string(&node).unwrap();
         assert_eq!(json.matches(r#""attention":"#).count(), 1, "{json}");

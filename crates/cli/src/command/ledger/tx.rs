@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use crate::global::Global;
-use crate::output::{Facts, Output, Table};
+use crate::output::{self, Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
 use ledger_api::facts::{CallFacts, DecodedBytes, EventFacts, TransactionFacts};
@@ -10,7 +10,7 @@ use ledger_base::hash::Hash;
 use ledger_base::rejection::{Code, Rejection};
 use std::io::{self, Write};
 
-/// Show where a transaction is and what became of it.
+/// Show a transaction with its block, verdict and events.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -26,7 +26,7 @@ impl Tx {
             Rejection::new(Code::BadArgument, "the id of the transaction cannot be read")
                 .found(format!("{:?}", self.id))
                 .wanted("64 hexadecimal digits")
-                .next("copy the id from `ledgerctl block N`, or from the answer to `ledgerctl invoke -o json`")
+                .next("copy the id from `ledgerctl block N`, or from the output of `ledgerctl invoke -o json`")
         })?;
         let record = Session::open(global).await?.client.transaction(id).await?;
         output.show(&TransactionFacts::from(record))
@@ -40,17 +40,25 @@ pub(super) fn call(call: &CallFacts) -> String {
     words.join(" ")
 }
 
-/// An event: `abac granted`, its subject, and its payload in one line.
+/// An event: `abac granted`, its subject, and its payload on one line.
 pub(super) fn event_cells(event: &EventFacts) -> [String; 3] {
     let name = format!("{} {}", event.chaincode, event.name);
-    [name, event.subject.clone(), event.payload.to_text().replace('\n', " ")]
+    let payload = match &event.payload {
+        DecodedBytes::Json(value) => brief_json(value.get()),
+        other => other.to_text().replace('\n', " "),
+    };
+    [name, event.subject.clone(), payload]
+}
+
+fn brief_json(json: &str) -> String {
+    output::brief(json).unwrap_or_else(|| json.to_owned())
 }
 
 /// An argument in at most `BRIEF_CHARS_MAX` characters.
 fn brief(arg: &DecodedBytes) -> String {
     const BRIEF_CHARS_MAX: usize = 40;
     let text = match arg {
-        DecodedBytes::Json(value) => value.get().to_owned(),
+        DecodedBytes::Json(value) => brief_json(value.get()),
         DecodedBytes::Hex(digits) => format!("hex:{digits}"),
         _ => arg.to_text(),
     };

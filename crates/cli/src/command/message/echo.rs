@@ -32,16 +32,15 @@ const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 
 /// Print the messages of a service as they are committed, until Ctrl-C.
 ///
-/// Each message is YAML as `ros2 topic echo` prints it, behind a comment with block, time, sender, epoch and sequence
-/// number, and ends with `---`. The sender's signature is checked. A type without a definition is shown in hexadecimal
-/// digits. With
-/// `-o json` each line is an object.
+/// Each message is YAML in the format of `ros2 topic echo`, after a comment with block, time, sender, epoch and
+/// sequence number, and ends with `---`. The sender's signature is verified. A type without a definition is printed in
+/// hexadecimal. With `-o json` each line is an object.
 ///
-/// On a confidential service the command enters as a reader, and opens what its publishers encrypt from then on. It tells which
-/// messages are for others.
+/// On a confidential service, the command registers as a reader and decrypts messages that are published from then on.
+/// It reports messages that are encrypted for others.
 ///
-/// Where the owner limits the subscribers, the command takes a place, waits for one if the service has a line, and gives it
-/// back at the end.
+/// If the owner limits the subscribers, the command takes a slot, waits for one if the service has a queue, and
+/// releases it at the end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -49,19 +48,19 @@ Example:
   ledgerctl echo Arm/grip --msg arm_msgs/msg/Grip=Grip.msg
   ledgerctl echo Turtlebot4/cmd_vel --from 1 --count 10 -o json")]
 pub(crate) struct Echo {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
-    /// Begin at this height, 0 for the first block that there is; otherwise with the next one
+    /// Start at this height, 0 for the first stored block; by default with the next block
     #[arg(long, value_name = "HEIGHT", value_parser = number::height)]
     from: Option<u64>,
-    /// End after so many messages
+    /// End after N messages
     #[arg(long, value_name = "N", value_parser = number::count)]
     count: Option<u64>,
-    /// Print the bytes in hexadecimal digits, one line for each message
+    /// Print the bytes in hexadecimal, one line per message
     #[arg(long, conflicts_with = "full_length")]
     hex: bool,
-    /// Print all of long arrays and texts, not only the first 128 elements
+    /// Print long arrays and texts completely, not only the first 128 elements
     #[arg(long)]
     full_length: bool,
     #[command(flatten)]
@@ -125,7 +124,7 @@ impl Shown {
             Ok(kind) => Some(kind),
             Err(unknown) => {
                 output.note(&format!(
-                    "{}: messages are shown in hexadecimal digits; --msg {type_name}=FILE.msg shows their fields",
+                    "{}: messages are printed in hexadecimal; --msg {type_name}=FILE.msg decodes them",
                     unknown.message
                 ));
                 None
@@ -182,7 +181,7 @@ impl Echo {
             if from > node.height {
                 output.note(&format!("the last block is {}: waiting for block {from}", node.height));
             } else if from > 0 && from < node.first_height {
-                output.note(&format!("this node keeps no blocks before {}", node.first_height));
+                output.note(&format!("this node has no blocks before {}", node.first_height));
             }
         }
         let (mut senders, mut opening) =

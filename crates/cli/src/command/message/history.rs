@@ -7,7 +7,7 @@ use crate::answer;
 use crate::argument::message::Definitions;
 use crate::argument::moment::Moment;
 use crate::argument::number;
-use crate::command::audit::moment;
+use crate::command::audit::{moment, since};
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::output::{Facts, Output};
@@ -30,29 +30,30 @@ const GAP: u64 = 500;
 /// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[], help: "ledgerctl history" };
 
-/// List the commands of a service in the past, each with its values.
+/// List past commands of a service with their values.
 ///
-/// The node finds their blocks in its index (`ledgerctl audit`), and sends the signed transactions. The sender's signature is
-/// checked. One line for each: time, block, sender, epoch, sequence number, and the message.
+/// The node finds the blocks in its index (`ledgerctl audit`) and sends the signed transactions. The sender's signature
+/// is verified. Each line has time, block, sender, epoch, sequence number, and the message.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl history Turtlebot4/cmd_vel --since 10:00 --until 10:05
   ledgerctl history Turtlebot4/cmd_vel --since 10m -o json")]
 pub(crate) struct History {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
-    /// From this moment on: a span ago such as 10m, a time of today, a time, or a height; one hour ago by default
+    /// Start of the period: a span before now such as 10m, a time of today, a time, or a height; one hour ago by
+    /// default
     #[arg(long, value_name = "MOMENT", default_value = "1h")]
     since: Moment,
-    /// Up to this moment
+    /// End of the period
     #[arg(long, value_name = "MOMENT")]
     until: Option<Moment>,
-    /// End after so many messages
+    /// End after N messages
     #[arg(long, value_name = "N", value_parser = number::count)]
     count: Option<u64>,
-    /// Print the bytes in hexadecimal digits
+    /// Print the bytes in hexadecimal
     #[arg(long)]
     hex: bool,
     #[command(flatten)]
@@ -88,7 +89,7 @@ impl History {
         let session = Session::open(global).await?;
         let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
         let service: ServiceState = answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "a service")?;
-        let since = moment(&session, self.since).await?;
+        let since = since(&session, self.since).await?;
         let until = match self.until {
             Some(until) => moment(&session, until).await?,
             None => u64::MAX,
@@ -97,7 +98,7 @@ impl History {
         let mut left = self.count.unwrap_or(u64::MAX);
         let stretches = stretches(&session, &service.service, (since, until)).await?;
         if stretches.is_empty() {
-            output.note(&format!("nobody published on {} then, as far as this node may tell you", service.service));
+            output.note(&format!("no messages on {} in this period that this node may show you", service.service));
         }
         let mut opening = Opening::enter(&session, std::iter::once(&service)).await?;
         for Stretch { from, to } in stretches {

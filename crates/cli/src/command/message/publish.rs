@@ -28,16 +28,16 @@ const RATE_HZ_MAX: f64 = 1000.0;
 pub(crate) const COMMAND_TTL: Duration = Duration::from_secs(2);
 
 /// Advice to those whose bytes are no message.
-const AS_TEXT: &str = "write the message as YAML, and its bytes are made from it: '{linear: {x: 0.5}}'";
+const AS_TEXT: &str = "write the message as YAML; it is encoded automatically: '{linear: {x: 0.5}}'";
 
 /// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[("PAYLOAD", "the message")], help: "ledgerctl publish" };
 
 /// Publish a message on a service, under the grant that you hold.
 ///
-/// The message is YAML or JSON, as after `ros2 topic pub`; fields that are left out are zero, and `now` or `auto` is
-/// the time of a stamp or a header. Or it is bytes: CDR, with its header of four bytes in front, such as 00 01 00 00
-/// for little endian. On a service in open mode no grant is needed.
+/// The message is YAML or JSON, as for `ros2 topic pub`: omitted fields are zero, and `now` or `auto` sets a stamp or a
+/// header. Or it is CDR bytes with the header of four bytes, such as 00 01 00 00 for little endian. A service in open
+/// mode needs no grant.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -47,14 +47,14 @@ Example:
   ledgerctl publish Turtlebot4/cmd_vel --file twist.cdr
   ledgerctl publish Turtlebot4/cmd_vel --hex 000100009a9999999999b93f00000000000000000000000000000000000000000000000000000000000000000000000000000000")]
 pub(crate) struct Publish {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
     #[command(flatten)]
     source: Source,
     #[command(flatten)]
     definitions: Definitions,
-    /// Publish it so many times
+    /// Publish the message N times
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = number::count)]
     count: u64,
     /// Messages per second with --count
@@ -68,13 +68,13 @@ struct Source {
     /// The message as YAML or JSON, in quotes; {} is all zeros
     #[arg(value_name = "MESSAGE")]
     message: Option<String>,
-    /// The message as bytes, in hexadecimal digits
+    /// The message as bytes, in hexadecimal
     #[arg(long, value_name = "BYTES")]
     hex: Option<String>,
-    /// The message is the bytes of this file
+    /// Read the bytes of the message from this file
     #[arg(long, value_name = "FILE")]
     file: Option<PathBuf>,
-    /// The message is the bytes on standard input
+    /// Read the bytes of the message from standard input
     #[arg(long)]
     stdin: bool,
 }
@@ -97,8 +97,8 @@ impl Source {
         match (&self.message, &self.hex, &self.file) {
             // What a script's variable without a value gives must not move or stop a robot.
             (Some(text), ..) if text.trim().is_empty() => Err(Rejection::new(Code::BadMessage, "the message is empty")
-                .found("a text without anything in it")
-                .wanted("YAML or JSON; {} is a message with nothing but defaults")),
+                .found("an empty text")
+                .wanted("YAML or JSON; {} is a message with default values")),
             (Some(text), ..) => Written::parse(text).map(Content::Written).map_err(refused),
             (None, Some(digits), _) => bytes::from_hex(digits).map(Content::Bytes),
             (None, None, Some(path)) => bytes::from_file(path).map(Content::Bytes),

@@ -32,8 +32,8 @@ const BW: Words = Words { arguments: &[], help: "ledgerctl bw" };
 
 /// Print the rate of the messages of a service, until Ctrl-C.
 ///
-/// As `ros2 topic hz`: rate, and the shortest, mean and longest interval between two messages with its standard deviation, over
-/// the last messages. The times are those at which messages arrive here. `ledgerctl top` shows all services.
+/// As `ros2 topic hz`: the rate, and the shortest, mean and longest interval between messages with the standard
+/// deviation, over the last messages. The times are those of arrival here. `ledgerctl top` shows all services.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -46,8 +46,8 @@ pub(crate) struct Hz {
 
 /// Print the bandwidth of the messages of a service, until Ctrl-C.
 ///
-/// As `ros2 topic bw`: bytes a second, and the smallest, mean and largest message, over the last messages. Signature and
-/// certificate are not counted. Messages of a confidential service are counted as they are stored, which is encrypted.
+/// As `ros2 topic bw`: bytes per second, and the smallest, mean and largest message, over the last messages. Signatures
+/// and certificates are not counted. Messages of a confidential service are counted in their encrypted size.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -60,10 +60,10 @@ pub(crate) struct Bw {
 
 #[derive(Debug, clap::Args)]
 struct Measured {
-    /// The service; the robot alone is enough if it offers exactly one
+    /// The service; the robot alone if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
-    /// The figures are those of the last N messages
+    /// Compute the figures from the last N messages
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(2..=WINDOW_MAX))]
     window: u64,
     /// Time between two reports

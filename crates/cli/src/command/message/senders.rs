@@ -36,10 +36,10 @@ impl<'a> Senders<'a> {
             self.known.insert(creator, identity);
         }
         let signer = self.known.get(&creator).ok_or_else(|| {
-            Rejection::new(Code::UnknownCreator, format!("the signer of transaction {} is not known", transaction.id()))
+            Rejection::new(Code::UnknownCreator, format!("the sender of transaction {} is unknown", transaction.id()))
                 .found(format!("no certificate with fingerprint {creator}"))
-                .wanted("the certificate with the first message of a sender")
-                .next("the node left it out: ask another node")
+                .wanted("the sender's certificate with its first message")
+                .next("the node omitted it: query another node")
         })?;
         transaction.verify(&signer.public_key)?;
         Ok(signer)

@@ -16,14 +16,14 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Let the people of a Fabric organisation in, with the certificates that they have; for admins, with approval.
+/// Add a Fabric organisation, whose members keep their certificates; for admins, with approval.
 ///
-/// Reads the MSP directory of the organisation: cacerts, intermediatecerts, crls, and NodeOUs of config.yaml, which say
-/// which unit (OU) is which role. The organisation runs no node here: its people use those of others. An admin of another
-/// organisation approves what is proposed, or types the same command with the same directory.
+/// Reads the MSP directory of the organisation: cacerts, intermediatecerts, crls, and the NodeOUs of config.yaml, which
+/// map units (OU) to roles. The organisation operates no node here: its members use the nodes of others. An admin of
+/// another organisation approves the proposal, or runs the same command with the same directory.
 ///
-/// With --check nothing is proposed, and no network is needed: it says whether a person of the organisation could sign in, or why
-/// not.
+/// With --check, nothing is proposed and no network is needed: it checks whether a member of the organisation could
+/// sign in.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -32,10 +32,10 @@ Example:
 pub(crate) struct AddOrg {
     /// Name of the organisation
     name: String,
-    /// Its MSP directory
+    /// MSP directory of the organisation
     #[arg(long, value_name = "DIR")]
     msp: PathBuf,
-    /// Only check whether this person could sign in: an MSP directory with signcerts, or a certificate in PEM
+    /// Only check whether this member could sign in: an MSP directory with signcerts, or a certificate in PEM
     #[arg(long, value_name = "DIR")]
     check: Option<PathBuf>,
 }
@@ -66,7 +66,7 @@ impl AddOrg {
     pub(super) fn check(&self, global: &Global, output: &mut Output) -> Option<Result<(), Failure>> {
         self.check.as_deref().map(|person| {
             let (read, now) = (self.read(global)?, time::now());
-            let found = read.person(person, now).map_err(|error| error.prefix("the person could not sign in: "))?;
+            let found = read.person(person, now).map_err(|error| error.prefix("the member could not sign in: "))?;
             let (id, ledger_identity::Identity { role, attributes, not_before, not_after, .. }) = (found.id(), found);
             output.show(&Checked { id, role, attributes, not_before, not_after })
         })
@@ -90,7 +90,10 @@ impl AddOrg {
             units: read.units,
             lists: texts(&read.lists),
         };
-        let done = format!("organisation {} belongs to the network; its people: ledgerctl identity import", self.name);
+        let done = format!(
+            "organisation {} is a member of the network; its members run: ledgerctl identity import",
+            self.name
+        );
         decide(session, output, "add_organisation", json(&add)?, done).await
     }
 }

@@ -12,12 +12,12 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::io::{self, Write};
 
-/// Show how many signatures make a certificate, and what the voters survive; for admins, change it.
+/// Show how many signatures certify a block, and which faults the voters tolerate; for admins, change the rule.
 ///
-/// Strict certificates need more than (N + m) / 2 signatures of N voters, of which the largest organisation has m. So one
-/// organisation cannot have two different blocks certified, even if it lies with all its voters. They become strict by
-/// themselves once any one voter can be lost and still enough remain: with four organisations that have a voter each, for
-/// example. A change needs the approval of the organisations.
+/// Strict certificates need more than (N + m) / 2 signatures of N voters, where m is the number of voters of the
+/// largest organisation. One organisation then cannot have two different blocks certified, even if all its voters lie.
+/// Certificates become strict automatically once enough voters remain after the loss of any one, for example with four
+/// organisations that have one voter each. A change needs the approval of the organisations.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -25,10 +25,11 @@ Example:
   ledgerctl network certificates --set strict
   ledgerctl network certificates --one-hand OrgA,OrgB")]
 pub(crate) struct Certificates {
-    /// Propose strict certificates or the end of them, or approve that if it is proposed already
+    /// Propose strict certificates or their end, or approve an existing proposal for it
     #[arg(long, value_name = "strict|majority")]
     set: Option<String>,
-    /// Propose that these organisations count as one, as one hand directs them; repeat it for other sets, "none" ends all
+    /// Propose to count these organisations as one, because they are under common control; repeat it for other sets,
+    /// "none" removes all
     #[arg(long, value_name = "ORGANISATION,ORGANISATION", allow_hyphen_values = true)]
     one_hand: Vec<String>,
 }
@@ -42,7 +43,7 @@ impl Certificates {
             let hands = nodes.certificates.hands.clone();
             return output.show(&Known { rule: CertificateRuleFacts::of(&nodes.voters()), hands });
         }
-        let done = "the rule of certificates is changed: ledgerctl network certificates".to_owned();
+        let done = "the certificate rule is changed: ledgerctl network certificates".to_owned();
         decide(session, output, "set_certificate_rule", json(&SetCertificateRule { strict, hands })?, done).await
     }
 }
@@ -51,10 +52,10 @@ fn read(text: &str) -> Result<bool, Rejection> {
     match text {
         "strict" => Ok(true),
         "majority" => Ok(false),
-        _ => Err(Rejection::new(Code::BadArgument, "this is no rule of certificates")
+        _ => Err(Rejection::new(Code::BadArgument, "unknown certificate rule")
             .found(format!("{text:?}"))
             .wanted("strict or majority")
-            .next("ledgerctl network certificates --help says what they mean")),
+            .next("ledgerctl network certificates --help explains both")),
     }
 }
 

@@ -18,9 +18,9 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Let a node vote; for admins.
+/// Make a node a voter; for admins.
 ///
-/// Needs the approval of more than half of the organisations. The leader lets the node vote once it has caught up.
+/// Needs the approval of more than half of the organisations. The leader admits the node once its log is up to date.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network promote Org2/node2")]
 pub(crate) struct Promote {
@@ -28,9 +28,9 @@ pub(crate) struct Promote {
     node: String,
 }
 
-/// Take a node's vote: it goes on as a learner; for admins.
+/// Make a voter a learner; for admins.
 ///
-/// An organisation does that with its own nodes at once; for others' it needs approval.
+/// For nodes of your own organisation this takes effect at once; for others it needs approval.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network demote node2")]
 pub(crate) struct Demote {
@@ -40,8 +40,8 @@ pub(crate) struct Demote {
 
 /// Remove a node from the network; for admins.
 ///
-/// An organisation does that with its own nodes at once; for others' it needs approval. Its id never comes back: to
-/// bring the machine in again, invite it as a new node.
+/// For nodes of your own organisation this takes effect at once; for others it needs approval. The id is never reused:
+/// to bring the machine back, invite it as a new node.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -51,18 +51,18 @@ Example:
 pub(crate) struct Remove {
     /// The node: its name, ORGANISATION/NAME, or its id
     node: String,
-    /// Do not ask when it is the last node of an organisation, or the last one that carries its CA
+    /// Do not ask if it is the last node of an organisation, or the last one with its CA key
     #[arg(long)]
     i_mean_it: bool,
-    /// The proof that the node has lied: its organisation need not approve then. A node keeps proofs in certificates/ of its
-    /// data directory
+    /// Proof that the node lied: approval by its organisation is then not needed. Nodes store proofs in certificates/
+    /// of their data directory
     #[arg(long, value_name = "FILE")]
     proof: Option<PathBuf>,
 }
 
 /// Remove an organisation with its nodes and robots; for admins, with approval.
 ///
-/// Its certificates count no longer, and the rights of its members end in the same block.
+/// Its certificates become invalid, and the grants and permissions of its members end in the same block.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network remove-organisation Org3")]
 pub(crate) struct RemoveOrganisation {
@@ -70,17 +70,17 @@ pub(crate) struct RemoveOrganisation {
     name: String,
 }
 
-/// Hand the leadership over to another voter; for admins.
+/// Transfer the leadership to another voter; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network transfer Org2/node2\n  ledgerctl network transfer")]
 pub(crate) struct Transfer {
-    /// The voter: its name, ORGANISATION/NAME, or its id; without it the one that has caught up most
+    /// The voter: its name, ORGANISATION/NAME, or its id; by default the one with the newest log
     node: Option<String>,
 }
 
 impl Promote {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
-        let soon = "becomes a voter as soon as it has caught up; ledgerctl network status shows it";
+        let soon = "becomes a voter as soon as its log is up to date; see ledgerctl network status";
         set(session, output, (&self.node, None), NodeRole::Voter, soon).await
     }
 }
@@ -106,8 +106,8 @@ fn read_proof(file: &Path) -> Result<String, Rejection> {
     let bytes = durable::read(file, MISBEHAVIOUR_BYTES_MAX)?;
     let proof = Misbehaviour::from_bytes(&bytes)?;
     if !proof.is_lie() {
-        return Err(Rejection::new(Code::BadArgument, "the file proves no lie")
-            .found("two different results of one block: the machine or the state of that node is at fault")
+        return Err(Rejection::new(Code::BadArgument, "the file does not prove a lie")
+            .found("two different results of one block: the machine or the state of that node is faulty")
             .wanted("a file HEIGHT-NODE.lie, TERM-NODE.votes or TERM-NODE.heads in certificates/ of a node"));
     }
     Ok(hex::encode(bytes))
@@ -119,17 +119,14 @@ fn lost(node: &NodeRecord, nodes: &[NodeRecord], carriers: &[CarrierRecord]) -> 
     let live = nodes.iter().filter(|other| other.role != NodeRole::Removed && other.organisation == *organisation);
     let mut lost = Vec::new();
     if live.count() == 1 {
-        lost.push(format!(
-            "{} is the last node of {organisation}, which then has no node of its own",
-            node.full_name()
-        ));
+        lost.push(format!("{} is the last node of {organisation}, which then has no node", node.full_name()));
     }
     let carried = carriers.iter().filter(|carrier| carrier.full_name() == node.full_name());
     for CarrierRecord { organisation, .. } in carried {
         if carriers.iter().filter(|other| other.organisation == *organisation).count() == 1 {
             lost.push(format!(
-                "no other node carries the CA of {organisation}: without a copy of it nobody of {organisation} can ever \
-                 enrol or renew again (ledgerctl ca carry NODE first)"
+                "no other node holds the CA key of {organisation}: without a backup, enrolment and renewal in \
+                 {organisation} end permanently (ledgerctl ca carry NODE first)"
             ));
         }
     }
@@ -191,7 +188,11 @@ impl Transfer {
         // The leader itself is asked, and may be of an organisation that has joined since.
         let session = Session::connect(current(session).await?).await?;
         let leadership = session.client.transfer_leadership(id).await.map_err(|refused: Rejection| {
-            if refused.advice().is_empty() { refused.next("ledgerctl network status shows who votes") } else { refused }
+            if refused.advice().is_empty() {
+                refused.next("ledgerctl network status shows the voters")
+            } else {
+                refused
+            }
         })?;
         let leader = nodes.iter().find(|node| node.id == leadership.leader).map_or_else(String::new, |n| n.full_name());
         output.show(&Leads { leader_id: leadership.leader, leader, term: leadership.term })

@@ -1,7 +1,7 @@
 //! How a decision is told: done, or who must still approve.
 
 use crate::failure::Failure;
-use crate::output::{Facts, Output, Table, printable};
+use crate::output::{self, Facts, Output, Table, printable};
 use bytes::Bytes;
 use ledger::Call;
 use ledger::Quorum;
@@ -50,8 +50,8 @@ impl Facts for Decided {
 fn failed(decision: &Decision) -> Option<Rejection> {
     let proposal = decision.proposal.as_ref()?;
     let code = Code::from_number(proposal.failed?.code).unwrap_or(Code::Refused);
-    let message = format!("enough have approved, but it could not be done: {}", what(&proposal.call));
-    let found = format!("{code} {} when it was executed; nothing of it was kept", code.name());
+    let message = format!("enough have approved, but the call failed: {}", what(&proposal.call));
+    let found = format!("{code} {} when it was executed; its changes were discarded", code.name());
     let next = format!("ledgerctl explain {code}; then propose it again");
     Some(Rejection::new(code, message).found(found).wanted("a call that is still possible").next(next))
 }
@@ -69,7 +69,7 @@ pub(super) fn waiting(decision: &Decision, out: &mut dyn Write) -> io::Result<()
     }
     table.pair("ends", crate::time::moment(proposal.expires));
     table.write(out, 2)?;
-    writeln!(out, "next, an admin of {} types:", printable(&decision.pending.join(" or ")))?;
+    writeln!(out, "to approve, an admin of {} runs:", printable(&decision.pending.join(" or ")))?;
     writeln!(out, "  ledgerctl network approve {}", short(&proposal.id.to_string()))
 }
 
@@ -78,13 +78,14 @@ fn added(add: &AddOrganisation) -> String {
     let AddOrganisation { name, roots, intermediates, units, lists } = add;
     let authority = |text: &String| {
         let der = hex::decode(text).unwrap_or_default();
-        let subject = Certificate::parse(&der).map_or_else(|_| "an unreadable one".to_owned(), |found| found.subject);
+        let subject =
+            Certificate::parse(&der).map_or_else(|_| "an unreadable certificate".to_owned(), |found| found.subject);
         format!("{subject} (sha256 {})", Hash::of(&[&der]))
     };
     let authorities: Vec<_> = roots.iter().chain(intermediates).map(authority).collect();
     let units: Vec<_> = units.iter().map(|unit| format!("{} = {}", unit.unit, unit.role)).collect();
     let lists = lists.len();
-    let units = if units.is_empty() { "everybody a member".to_owned() } else { units.join(", ") };
+    let units = if units.is_empty() { "all members".to_owned() } else { units.join(", ") };
     format!("add organisation {name} with {}; units: {units}; revocation lists: {lists}", authorities.join(", "))
 }
 
@@ -92,12 +93,12 @@ fn added(add: &AddOrganisation) -> String {
 fn certificates(SetCertificateRule { strict, hands }: &SetCertificateRule) -> String {
     let strict = strict.map(|strict| match strict {
         true => "make certificates strict".to_owned(),
-        false => "end strict certificates: one organisation that lies can then have two blocks certified".to_owned(),
+        false => "end strict certificates: one lying organisation could then have two blocks certified".to_owned(),
     });
     let names = |hand: &BTreeSet<String>| hand.iter().map(String::as_str).collect::<Vec<_>>().join(" and ");
     let hands = hands.as_ref().map(|hands| match hands.as_slice() {
-        [] => "count each organisation as a hand of its own".to_owned(),
-        hands => format!("count as one hand: {}", hands.iter().map(names).collect::<Vec<_>>().join("; ")),
+        [] => "count each organisation separately".to_owned(),
+        hands => format!("count as one organisation: {}", hands.iter().map(names).collect::<Vec<_>>().join("; ")),
     });
     strict.into_iter().chain(hands).collect::<Vec<_>>().join("; ")
 }
@@ -111,7 +112,7 @@ pub(super) fn node_role(call: &Call) -> Option<(u64, String, NodeRole)> {
 /// The reason in a proposed change of what a node shall be.
 fn reason(call: &Call) -> &'static str {
     match argument(call, "set_node_role") {
-        Some(SetNodeRole { proof: Some(_), .. }) => ", by the proof that it has lied",
+        Some(SetNodeRole { proof: Some(_), .. }) => ", with the proof that it lied",
         _ => "",
     }
 }
@@ -155,9 +156,11 @@ pub(super) fn what(call: &Call) -> String {
     })
 }
 
-/// The beginning of an argument, as it could be typed.
+/// The beginning of an argument.
 fn shown(argument: &Bytes) -> String {
     let (text, max) = match std::str::from_utf8(argument) {
+        // An object is shown with its times in local time, not in microseconds.
+        Ok(text) if text.starts_with('{') => (output::brief(text).unwrap_or_else(|| text.to_owned()), 60),
         Ok(text) => (text.to_owned(), 60),
         Err(_) => (format!("hex:{}", hex::encode(argument)), 24),
     };
@@ -214,7 +217,7 @@ mod tests {
             "proposed: make node Org2/node2 (id 2) a voter\n",
             "  approved by  Org1\n",
             "  missing      1 of Org2, Org3\n",
-            "next, an admin of Org2 or Org3 types:\n  ledgerctl network approve abababababab\n",
+            "to approve, an admin of Org2 or Org3 runs:\n  ledgerctl network approve abababababab\n",
         ] {
             assert!(text.contains(part), "{part:?} in {text}");
         }
@@ -226,10 +229,13 @@ mod tests {
     }
 
     #[test]
-    fn a_call_is_shown_as_it_could_be_typed_and_long_arguments_are_cut() {
+    fn a_call_is_shown_with_times_in_local_time_and_long_arguments_are_cut() {
         let args = [Bytes::from("text"), Bytes::from_static(b"\xff\x00"), Bytes::from("é".repeat(70))];
         let call = Call { chaincode: "abac".into(), function: "put".into(), args: args.to_vec() };
         assert_eq!(what(&call), format!("call abac put text hex:ff00 {}…", "é".repeat(60)));
+        let args = vec![Bytes::from(r#"{"until":1700000000000000}"#)];
+        let call = Call { chaincode: "abac".into(), function: "put".into(), args };
+        assert!(what(&call).starts_with("call abac put until=2023-11-1"), "{}", what(&call));
     }
 
     #[test]

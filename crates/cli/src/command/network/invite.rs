@@ -28,9 +28,8 @@ const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 
 /// Invite a node of your organisation, or another organisation; for admins.
 ///
-/// Prints a token: one word for `ledgerd join`, which holds a secret and is good once. A node joins as a learner.
-/// Another organisation joins once more than half of the organisations have approved; it founds its own CA on its own
-/// machine.
+/// Prints a token for `ledgerd join`: a secret that is valid once. A node joins as a learner. Another organisation can
+/// join once more than half of the organisations have approved; it creates its own CA on its own machine.
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("who").required(true).args(["node", "organisation", "list", "cancel"]))]
 #[command(after_help = "\
@@ -41,22 +40,22 @@ Example:
   ledgerctl network invite --list
   ledgerctl network invite --cancel node2")]
 pub(crate) struct Invite {
-    /// Name of a new node of your organisation, or of one that lost its disk
+    /// Name of a new node of your organisation, or of one whose disk is lost
     #[arg(long, value_name = "NAME")]
     node: Option<String>,
     /// Name of another organisation
     #[arg(long, value_name = "NAME")]
     organisation: Option<String>,
-    /// List the invitations that can still be answered
+    /// List the pending invitations
     #[arg(long)]
     list: bool,
-    /// Cancel the invitation of a node of your organisation, or of an organisation that yours has invited
+    /// Cancel the invitation of a node of your organisation, or of an organisation that yours invited
     #[arg(long, value_name = "NAME")]
     cancel: Option<String>,
     /// Name of that organisation's first node
     #[arg(long, value_name = "NAME", default_value = "node1", conflicts_with = "node")]
     first_node: String,
-    /// How long that organisation may wait, at most 720h
+    /// Validity of an organisation's invitation, at most 720h
     #[arg(long = "for", value_name = "SPAN", default_value = "168h", conflicts_with = "node")]
     span: Milliseconds,
 }
@@ -88,7 +87,7 @@ impl Facts for Invited {
             printable(if self.decision.is_some() { &self.organisation } else { &name })
         )?;
         let mut table = Table::pairs();
-        table.pair("token", "in the command below; good once, and whoever has it can use it");
+        table.pair("token", "in the command below; valid once, for its bearer");
         table.pair("until", self.expires.map_or_else(String::new, time::moment));
         table.write(out, 2)?;
         if let Some(decision) = self.decision.as_ref().filter(|decision| !decision.executed) {
@@ -125,11 +124,11 @@ impl Invite {
         door: Door,
         organisation: String,
     ) -> Result<Invited, Rejection> {
-        let failed = |what: &str| Rejection::new(Code::Internal, format!("a key cannot be made: {what}"));
+        let failed = |what: &str| Rejection::new(Code::Internal, format!("a key cannot be generated: {what}"));
         let mut seed = [0; 32];
         SystemRandom::new().fill(&mut seed).map_err(|error| failed(&error.to_string()))?;
         let key = SigningKey::from_seed(&seed).map_err(|error| failed(&error.to_string()))?;
-        let key = Hash::from_slice(key.public_key().bytes()).ok_or_else(|| failed("it is too short"))?;
+        let key = Hash::from_slice(key.public_key().bytes()).ok_or_else(|| failed("too short"))?;
         let expires = session.client.now().saturating_add(self.span.0.saturating_mul(1000));
         let invite = InviteOrganisation { name: organisation.clone(), key, expires };
         let done = session.call(MSP, "invite_organisation", json(&invite)?).await?;
@@ -157,9 +156,15 @@ async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invite
             session.client.reissue(name, &BTreeMap::new()).await?
         }
         Some(known) => {
-            return Err(Rejection::new(Code::AlreadyRegistered, format!("{name} is registered, and not as a node"))
-                .found(format!("role {}", known.role))
-                .wanted("a name that is free, or that of a node"));
+            return Err(Rejection::new(
+                Code::AlreadyRegistered,
+                format!(
+                    "{name} is registered with another role than \
+                                                                        node"
+                ),
+            )
+            .found(format!("role {}", known.role))
+            .wanted("an unused name, or that of a node"));
         }
     };
     let token = door.token(registered.organisation, name.to_owned(), JoinKind::Node, registered.secret);
@@ -179,10 +184,13 @@ async fn check_away(session: &Session, organisation: &str, name: &str) -> Result
     if node.id != status.node_id && !(is_connected && matches!(connected.await, Ok(Ok(_)))) {
         return Ok(());
     }
-    Err(Rejection::new(Code::AlreadyExists, format!("node {} runs: there is nothing to join", node.full_name()))
+    Err(Rejection::new(Code::AlreadyExists, format!("node {} is running: it cannot join again", node.full_name()))
         .found(format!("node {}, a {}, which answers at {}", node.id, node.role, node.address))
-        .wanted("a new name, or a node that is gone")
-        .next("for another certificate of this node, on its machine: ledgerd renew --config ledgerd.toml; if its disk is lost, stop it first"))
+        .wanted("a new name, or a node that is lost")
+        .next(
+            "for a new certificate of this node, on its machine: ledgerd renew --config ledgerd.toml; if its disk \
+               is lost, stop it first",
+        ))
 }
 
 fn invited(token: &JoinToken, expires: Option<u64>, decision: Option<Decision>) -> Invited {

@@ -6,7 +6,7 @@ use ledger::msp::{NodeRole, Nodes};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// List the nodes: what they shall be, and what they are.
+/// List the nodes with their roles and target roles.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network nodes")]
 pub(crate) struct List {}
@@ -22,7 +22,7 @@ impl Facts for Known {
     }
 
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let mut table = Table::new(["NODE", "ID", "ADDRESS", "SHALL BE", "IS"]);
+        let mut table = Table::new(["NODE", "ID", "ADDRESS", "TARGET", "ROLE"]);
         for node in &self.0.nodes {
             table.row([
                 node.full_name(),

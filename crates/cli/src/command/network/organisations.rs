@@ -11,7 +11,7 @@ use ledger::msp::{NodeRole, Organisation};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// List the organisations with their authorities.
+/// List the organisations with their CAs.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network organisations")]
 pub(crate) struct List {}

@@ -17,14 +17,15 @@ use ledger_base::rejection::Code;
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// List what waits for the approval of organisations.
+/// List the proposals that wait for the approval of organisations.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network proposals")]
 pub(crate) struct List {}
 
 /// Propose a call of a function that needs approval; for admins.
 ///
-/// It is executed in the block in which enough have approved (`ledgerctl network quorums`). A proposal is an approval, too.
+/// It is executed in the block with the last approval that is needed (`ledgerctl network quorums`). The proposal counts
+/// as an approval of your organisation.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -34,22 +35,22 @@ pub(crate) struct Propose {
     call: chaincode::Call,
 }
 
-/// Approve a proposal for your organisation; for admins.
+/// Approve a proposal on behalf of your organisation; for admins.
 ///
-/// It is done in the block in which enough have approved: more than half of the organisations, unless the network has decided
-/// otherwise (`ledgerctl network quorums`). If it cannot be done then, the proposal has failed.
+/// The call is executed in the block with the last approval that is needed: more than half of the organisations, unless
+/// the network has set another quorum (`ledgerctl network quorums`). If the call fails then, the proposal has failed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network approve 3f9a0c77c1d2")]
 pub(crate) struct Approve {
-    /// Id of the proposal, or its first 8 digits or more
+    /// Id of the proposal, or at least its first 8 digits
     id: String,
 }
 
-/// Take a proposal of your organisation back, or your approval of another's; for admins.
+/// Withdraw a proposal of your organisation, or your approval of another's; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network withdraw 3f9a0c77c1d2")]
 pub(crate) struct Withdraw {
-    /// Id of the proposal, or its first 8 digits or more
+    /// Id of the proposal, or at least its first 8 digits
     id: String,
 }
 
@@ -73,7 +74,7 @@ impl Approve {
         let done = session.call(MSP, "approve", vec![Bytes::from(self.id)]).await?;
         let decision: Decision = answer::parse(&done.response, "the decision")?;
         let action = decision.proposal.as_ref().map_or_else(String::new, |proposal| what(&proposal.call));
-        Decided { done: format!("approved and done: {action}"), decision }.show(output)
+        Decided { done: format!("approved and executed: {action}"), decision }.show(output)
     }
 }
 
@@ -102,7 +103,7 @@ impl Serialize for Standing {
 impl Facts for Standing {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.decisions.is_empty() {
-            return writeln!(out, "nothing waits for approval");
+            return writeln!(out, "no proposal waits for approval");
         }
         let mut table = Table::new(["PROPOSAL", "WHAT", "BY", "APPROVED", "MISSING", "WAITS FOR", "ENDS"]);
         for decision in &self.decisions {

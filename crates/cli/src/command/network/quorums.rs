@@ -11,11 +11,11 @@ use ledger_base::rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Show how many must approve what; for admins, change it.
+/// Show the quorum of each function that needs approval; for admins, change it.
 ///
 /// A quorum is "organisations = majority", "organisations = all", "organisations = N", "admins of ORGANISATION = N", or
-/// "admins = N" for that many admins of the organisation that proposes. Where the network has fewer than N organisations, all
-/// of them must approve. A change needs the quorum that the function has. "default" takes it back.
+/// "admins = N" for N admins of the organisation that proposes. If the network has fewer than N organisations, all of
+/// them must approve. A change needs the current quorum of the function. "default" restores the default.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -23,7 +23,7 @@ Example:
   ledgerctl network quorums --set msp remove_organisation 'organisations = all'
   ledgerctl network quorums --set msp remove_organisation default")]
 pub(crate) struct Quorums {
-    /// Propose another quorum for a function, or approve it if it is proposed already
+    /// Propose another quorum for a function, or approve an existing proposal for it
     #[arg(long, num_args = 3, value_names = ["CHAINCODE", "FUNCTION", "QUORUM"])]
     set: Option<Vec<String>>,
 }
@@ -46,7 +46,7 @@ fn read(text: &str) -> Result<Option<Quorum>, Rejection> {
         return Ok(None);
     }
     text.parse().map(Some).map_err(|wanted: ledger::NotAQuorum| {
-        Rejection::new(Code::BadArgument, "this is no quorum")
+        Rejection::new(Code::BadArgument, "this is not a quorum")
             .found(format!("{text:?}"))
             .wanted(format!("{wanted}, or \"default\""))
             .next("ledgerctl network quorums --help has examples")

@@ -10,11 +10,11 @@ use ledger::msp::{ActivateRules, NodeRole, RulesOverview, SpokenBy};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Show the rules of execution and the nodes that speak them; for admins, activate newer ones.
+/// Show the execution rules and the versions that each node supports; for admins, activate newer rules.
 ///
-/// Every block is executed by the rules that its network had at that height. A newer release may speak newer rules. They are
-/// activated when more than half of the organisations approve, and only if every voter speaks them. A node that does not
-/// speak them stops before their first block.
+/// Every block is executed by the rules that its network had at that height. A newer release may support newer rules.
+/// They are activated when more than half of the organisations approve, and only if every voter supports them. A node
+/// that does not support them stops before their first block.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -22,10 +22,10 @@ Example:
   ledgerctl network rules --activate 2
   ledgerctl network rules --activate 2 --from 120000")]
 pub(crate) struct Rules {
-    /// Propose newer rules, or approve them if they are proposed already
+    /// Propose newer rules, or approve an existing proposal for them
     #[arg(long, value_name = "NUMBER")]
     activate: Option<u32>,
-    /// The first block that they may execute; the next one unless given
+    /// First block that uses them; the next one by default
     #[arg(long, value_name = "HEIGHT", requires = "activate")]
     from: Option<u64>,
 }
@@ -38,7 +38,7 @@ impl Rules {
             return output.show(&Known { overview, asked });
         };
         let args = json(&ActivateRules { number, height: self.from })?;
-        let done = format!("rules {number} are activated; ledgerctl network rules shows from which block on");
+        let done = format!("rules {number} are activated; ledgerctl network rules shows from which block");
         decide(session, output, "activate_rules", args, done).await
     }
 }
@@ -63,17 +63,17 @@ impl Known {
 impl Facts for Known {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let RulesOverview { active, pending, activations, nodes } = &self.overview;
-        let of_block = |at: &Activation| format!("{}, from block {} on", at.number, at.height);
+        let of_block = |at: &Activation| format!("{}, from block {}", at.number, at.height);
         let in_force = activations.iter().rfind(|at| at.number == *active);
         let mut table = Table::pairs();
-        table.pair("in force", in_force.map_or_else(|| format!("{active}, since the network was founded"), of_block));
+        table.pair("in force", in_force.map_or_else(|| format!("{active}, since the first block"), of_block));
         table.pair("pending", pending.as_ref().map_or_else(|| "none".to_owned(), of_block));
         if let Some(asked) = nodes.iter().find(|node| node.id == self.asked) {
-            table.pair("this node", format!("{} speaks up to {}", asked.node, asked.newest));
+            table.pair("this node", format!("{} supports up to {}", asked.node, asked.newest));
         }
         table.write(out, 0)?;
         writeln!(out)?;
-        let mut table = Table::new(["NODE", "SHALL BE", "SPEAKS UP TO", "RELEASE"]);
+        let mut table = Table::new(["NODE", "TARGET", "SUPPORTS UP TO", "RELEASE"]);
         for SpokenBy { node, role, newest, release, .. } in nodes {
             let release = release.clone().unwrap_or_else(|| "-".to_owned());
             table.row([node.clone(), role.to_string(), newest.to_string(), release]);
@@ -81,7 +81,7 @@ impl Facts for Known {
         table.write(out, 0)?;
         match self.by_all_voters().filter(|newest| newest > active && pending.is_none()) {
             Some(newest) => {
-                writeln!(out, "\nevery voter speaks rules {newest}; next, an admin types:")?;
+                writeln!(out, "\nevery voter supports rules {newest}; to activate them, an admin runs:")?;
                 writeln!(out, "  ledgerctl network rules --activate {newest}")
             }
             None => Ok(()),
@@ -111,7 +111,7 @@ mod tests {
         let (voter, learner) = (NodeRole::Voter, NodeRole::Learner);
         let all = || vec![node(1, voter, 3), node(2, voter, 3), node(3, learner, 2)];
         let text = told(None, all());
-        for part in ["in force   2, since", "Org1/node1 speaks up to 3", "--activate 3\n", "0.2.0"] {
+        for part in ["in force   2, since", "Org1/node1 supports up to 3", "--activate 3\n", "0.2.0"] {
             assert!(text.contains(part), "{part:?} in {text}");
         }
         let silent = told(None, vec![node(1, voter, 3), node(2, voter, 2)]);

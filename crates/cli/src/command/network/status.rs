@@ -26,11 +26,11 @@ use tokio::task::JoinSet;
 /// How long one node has to answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Show how every node of the network is.
+/// Show the state of every node of the network.
 ///
-/// Asks each node itself. IS is what it does in the ordering, SHALL BE what the ledger wants, ATTESTED the last height
-/// whose state it has signed. Ends with 4 if nothing can be ordered: no majority of the voters answers, or nobody
-/// leads.
+/// Each node is asked for its own state. ROLE is its current role in the ordering, TARGET the role on the ledger.
+/// REPLICATED is the last block that the leader has replicated to it, SIGNED UP TO the last height whose state it has
+/// signed. Exits with 4 if nothing can be ordered: no majority of the voters answers, or there is no leader.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -199,9 +199,9 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
         // Another node may have taken its address.
         let (said, reason) = match answer {
             Some(Ok(said)) if said.status.node_id == node.id => (Some(said), String::new()),
-            Some(Ok(other)) => (None, format!("node {} answers there", other.status.node_id)),
+            Some(Ok(other)) => (None, format!("node {} answers at this address", other.status.node_id)),
             Some(Err(refused)) => (None, refused.message),
-            None => (None, "it was not asked".to_owned()),
+            None => (None, "not queried".to_owned()),
         };
         let clock = said.as_ref().map(Answer::clock);
         let said = said.as_ref().map(|answer| &answer.status);
@@ -323,8 +323,8 @@ impl Overview {
         }
         let is_told = |item: &Attention| item.is_critical() && ["quorum", "leader"].contains(&&*item.facts.check);
         if !self.quorum.quorum && !attention.iter().any(is_told) {
-            let next = "on the machine of each silent voter: systemctl status ledgerd; start it if it is stopped, restart it if it \
-                        runs and does not answer";
+            let next = "on the machine of each unreachable voter: systemctl status ledgerd; start it if it is \
+                        stopped, restart it if it runs and does not answer";
             attention.push(Attention::here("quorum", CRITICAL, format!("voters: {}", self.quorum.text()), next));
         }
         attention.extend(Attention::own_certificate(own, now));
@@ -340,8 +340,7 @@ impl Facts for Overview {
 
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let leader = self.nodes.iter().find(|node| node.leader);
-        let leader =
-            leader.map_or_else(|| "none known".to_owned(), |node| format!("{} (id {})", node.full_name(), node.id));
+        let leader = leader.map_or_else(|| "none".to_owned(), |node| format!("{} (id {})", node.full_name(), node.id));
         let mut table = Table::pairs();
         table.pair("network", format!("{} {}", self.label, self.network).trim_start());
         table.pair("leader", format!("{leader}, term {}", self.term));
@@ -358,11 +357,11 @@ impl Facts for Overview {
             "NODE",
             "ID",
             "ADDRESS",
-            "IS",
-            "SHALL BE",
+            "ROLE",
+            "TARGET",
             "HEIGHT",
-            "MATCHED",
-            "ATTESTED",
+            "REPLICATED",
+            "SIGNED UP TO",
             "STATE",
             "DISK FREE",
             "CERTIFICATE",

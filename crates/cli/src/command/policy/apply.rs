@@ -11,10 +11,11 @@ use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_contract::PolicyDraft;
 
-/// Put a whole set of policies in force; for admins.
+/// Put a complete set of policies in force; for admins.
 ///
-/// The set takes the place of all policies of your organisation, and has a number. Grants that it no longer permits end in the
-/// same block. Where others must agree, propose it first, and apply the proposal once they have.
+/// The set replaces all policies of your organisation and gets the next version number. Grants that it no longer
+/// permits end in the same block. If the change needs approvals, propose it first, and apply the proposal once it is
+/// approved.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("files", |files| files.required_unless_present_any(["proposal", "built_in"])))]
 #[command(after_help = "\
@@ -25,17 +26,17 @@ Example:
 pub(crate) struct Apply {
     #[command(flatten)]
     set: Set,
-    /// Apply a proposal: its id, or the first 8 digits or more
+    /// Apply a proposal: its id, or at least its first 8 digits
     #[arg(long, value_name = "ID", conflicts_with_all = ["files", "built_in", "message", "base", "approvals", "i_mean_it", "expect"])]
     proposal: Option<String>,
-    /// Apply a proposal that has stood for three days without the approvals that your organisation asks for
+    /// Apply a proposal that is three days old without the approvals that your organisation requires
     #[arg(long, requires = "proposal")]
     break_glass: bool,
 }
 
-/// Bring the policies of an earlier version back; for admins.
+/// Restore the policies of an earlier version; for admins.
 ///
-/// They come in force as a new version. Grants that they do not permit end in the same block.
+/// They become a new version. Grants that they do not permit end in the same block.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy rollback 3 -m 'guests could not drive'")]
 pub(crate) struct Rollback {

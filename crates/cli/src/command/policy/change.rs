@@ -16,7 +16,7 @@ use std::io::{self, Write};
 /// [`Code::PoliciesChanged`], [`Code::NeedsApproval`], and all others of `policy apply`.
 pub(in crate::command) async fn apply(session: &Session, set: &PolicyDraft) -> Result<PolicyChange, Rejection> {
     let done = session.call(ABAC, "policy", arguments("apply", set)?).await.map_err(|refused| match refused.code {
-        Code::PoliciesChanged => WORDS.told(refused).next("try again: the same command starts from the set in force"),
+        Code::PoliciesChanged => WORDS.told(refused).next("run the command again: it starts from the set in force"),
         Code::NeedsApproval => WORDS.told(refused).next("propose it: the same command with --propose"),
         _ => WORDS.told(refused),
     })?;
@@ -70,6 +70,6 @@ impl<T: Serialize> Facts for AppliedChange<T> {
 impl<T: Serialize> Facts for ProposedChange<T> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let id = printable(&self.proposal);
-        writeln!(out, "proposed as {id}\n  others agree with: ledgerctl policy approve {id}")
+        writeln!(out, "proposed as {id}\n  to approve: ledgerctl policy approve {id}")
     }
 }

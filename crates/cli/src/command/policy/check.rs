@@ -15,8 +15,8 @@ use std::path::PathBuf;
 
 /// Check policies in files without putting them in force.
 ///
-/// The node checks each file as `policy put` would, and names every fault with its line and column. If there are any, the
-/// exit code is 3. Without faults it says for each policy whom it lets do what, under which conditions and limits.
+/// The node checks each file as `policy put` would, and reports every error with line and column. If there are errors,
+/// the exit code is 3. Otherwise it prints what each policy permits to whom, under which conditions and limits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy check night.cedar guests.cedar")]
 pub(crate) struct Check {
@@ -55,13 +55,13 @@ impl Facts for Checked {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         for File { file, faults, policies, unknown } in &self.0 {
             if faults.is_empty() {
-                writeln!(out, "{file}: fine")?;
+                writeln!(out, "{file}: no errors")?;
             }
             for policy in policies {
                 meaning(out, policy)?;
             }
             for name in unknown {
-                writeln!(out, "  warning: line {} names {}, which is unknown today", name.line, shown(name))?;
+                writeln!(out, "  warning: line {} names {}, which does not exist", name.line, shown(name))?;
             }
             for PolicyFault { message, help, line, column, length, text } in faults {
                 if *line == 0 {
@@ -126,9 +126,9 @@ mod tests {
         let mut out = Vec::new();
         checked.text(&mut out).unwrap();
         let wanted = "a.cedar:12:8: attribute `nam` not found\n  12 | \twhen { principal.nam == 1 };\n     | \t      \
-                      ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: fine\n  line 3: any user may acquire any service\n    when \
-                      their role is admin\n    with at most 0.2 m/s\n    warning: it applies to nobody of today, as far as the ledger knows people\n    without stop, resume: a permit must name \
-                      them\n  warning: line 3 names User::\"Org1/Late\", which is unknown today\n";
+                      ^^^^^^^^^^^^^\n  help: did you mean `name`?\na.cedar: too long\nb.cedar: no errors\n  line 3: any user may acquire any service\n    when \
+                      their role is admin\n    with at most 0.2 m/s\n    warning: it applies to no current identity that the ledger lists\n    without stop, resume: a permit must name \
+                      these actions\n  warning: line 3 names User::\"Org1/Late\", which does not exist\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

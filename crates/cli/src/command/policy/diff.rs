@@ -14,10 +14,10 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-/// Tell which of today's grants policies in files would end.
+/// Show which current grants the policies in files would end.
 ///
-/// The files are taken as the whole set of your organisation, each with the name of its file. Nothing is changed. With
-/// `--decisions` it asks about decisions of the last week again, as `ledgerctl policy shadow` does.
+/// The files are taken as the complete set of your organisation, each policy with the name of its file. Nothing is
+/// changed. With `--decisions`, it also evaluates decisions of the last week again, as `ledgerctl policy shadow` does.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -27,7 +27,7 @@ pub(crate) struct Diff {
     /// Files with policies in Cedar
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
-    /// Tell also which of the last N recorded decisions would be others
+    /// Also show which of the last N recorded decisions would change
     #[arg(long, value_name = "N", value_parser = number::count)]
     decisions: Option<u64>,
 }
@@ -71,7 +71,7 @@ impl Facts for Told {
             writeln!(out, "    found {}; wanted {}", printable(found), printable(wanted))?;
         }
         for robot in unreachable {
-            writeln!(out, "nobody whom the ledger knows could publish to {} any more", printable(robot))?;
+            writeln!(out, "no known identity could publish to {} any more", printable(robot))?;
         }
         changes(out, &PolicyDiff { ends: Vec::new(), unreachable: Vec::new(), ..self.diff.clone() })?;
         self.recorded.as_ref().map_or(Ok(()), |recorded| recorded.text(out))
@@ -109,8 +109,8 @@ mod tests {
         let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
-                      nobody whom the ledger knows could publish to Husky any more\n\
-                      nobody whom the ledger lists can do more or less afterwards\n";
+                      no known identity could publish to Husky any more\n\
+                      no listed identity gains or loses permissions\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

@@ -12,13 +12,13 @@ use ledger_contract::{PolicyEntry, PolicySet, PolicySetTexts, PolicyText};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// List the sets of policies of an organisation, the newest first.
+/// List the policy sets of an organisation, newest first.
 ///
-/// Every change makes a new set with the next number. The newest 32 are kept with their texts.
+/// Every change creates a new set with the next version number. The newest 32 are stored with their texts.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy history\n  ledgerctl policy history Org2")]
 pub(crate) struct History {
-    /// The organisation; yours without
+    /// The organisation; your own by default
     #[arg(value_name = "ORG")]
     organisation: Option<String>,
 }
@@ -44,7 +44,8 @@ pub(super) async fn entry(session: &Session, home: &str, id: &str, version: u64)
     let names: Vec<&str> = policies.iter().map(|policy| policy.id.as_str()).collect();
     let found = policies.iter().find(|policy| policy.id == id).cloned();
     let Some(PolicyText { id, text }) = found else {
-        let names = if names.is_empty() { "no policy: the built-in one decided".to_owned() } else { names.join(", ") };
+        let names =
+            if names.is_empty() { "no policy: the built-in policy decided".to_owned() } else { names.join(", ") };
         let message = format!("version {version} of {organisation} has no policy of this name");
         return Err(Rejection::new(Code::NotFound, message).found(id).wanted(names).into());
     };
@@ -57,7 +58,7 @@ struct Sets(Vec<PolicySet>);
 impl Facts for Sets {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(out, "no set of policies yet: the built-in policy decides");
+            return writeln!(out, "no policy sets: the built-in policy decides");
         }
         let mut table = Table::new(["VERSION", "SINCE", "BY", "APPROVED BY", "POLICIES", "NEXT NEEDS", "MESSAGE"]);
         for set in &self.0 {
@@ -119,6 +120,6 @@ mod tests {
         }
         let mut out = Vec::new();
         Sets(vec![]).text(&mut out).unwrap();
-        assert_eq!(String::from_utf8(out).unwrap(), "no set of policies yet: the built-in policy decides\n");
+        assert_eq!(String::from_utf8(out).unwrap(), "no policy sets: the built-in policy decides\n");
     }
 }

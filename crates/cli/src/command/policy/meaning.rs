@@ -32,11 +32,15 @@ pub(in crate::command) fn meaning(out: &mut dyn Write, policy: &PolicyMeaning) -
         writeln!(out, "    with {}", printable(&limits.join(", ")))?;
     }
     if *unmatched {
-        writeln!(out, "    warning: it applies to nobody of today, as far as the ledger knows people")?;
+        writeln!(out, "    warning: it applies to no current identity that the ledger lists")?;
     }
     match effect.as_str() {
         _ if except.is_empty() => Ok(()),
-        "permit" => writeln!(out, "    without {}: a permit must name them", except.join(", ")),
-        _ => writeln!(out, "    without {} by the robot and by holders: a forbid must name it", except.join(", ")),
+        "permit" => writeln!(out, "    without {}: a permit must name these actions", except.join(", ")),
+        _ => writeln!(
+            out,
+            "    without {} by the robot and by holders: a forbid must name these actions",
+            except.join(", ")
+        ),
     }
 }

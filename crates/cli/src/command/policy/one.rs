@@ -14,8 +14,8 @@ use ledger_contract::{PolicyChange, PolicyDraft, PolicySet, PolicySetTexts, Poli
 
 /// Put a policy of your organisation in force, or replace it; for admins.
 ///
-/// The first policy of an organisation takes the place of the built-in one. Grants that the policies no longer permit
-/// end in the same block.
+/// The first policy of an organisation replaces the built-in policy. Grants that the policies no longer permit end in
+/// the same block.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -26,7 +26,7 @@ pub(crate) struct Put {
     id: String,
     /// The policy in Cedar: text, @FILE, or - for standard input
     policy: String,
-    /// Also if nobody may publish to some robot then
+    /// Also if no one could publish to some robot afterwards
     #[arg(long)]
     i_mean_it: bool,
     #[command(flatten)]
@@ -39,7 +39,7 @@ pub(crate) struct Put {
 pub(crate) struct Remove {
     /// Name of the policy within your organisation
     id: String,
-    /// Also if nobody may publish to some robot then
+    /// Also if no one could publish to some robot afterwards
     #[arg(long)]
     i_mean_it: bool,
 }
@@ -78,10 +78,10 @@ impl Remove {
 /// The text of a policy, which must be UTF-8.
 fn read(bytes: &[u8]) -> Result<String, Rejection> {
     ledger_base::text::of_bytes(bytes).map_err(|fault| {
-        Rejection::new(Code::BadArgument, "the policy is no text")
+        Rejection::new(Code::BadArgument, "the policy is not text")
             .found(fault.to_string())
             .wanted("Cedar in UTF-8")
-            .next("see the default policy: ledgerctl policy show default")
+            .next("see the built-in policy: ledgerctl policy show default")
     })
 }
 
@@ -119,7 +119,7 @@ impl InForce {
         let done =
             session.call(ABAC, "policy", arguments("apply", &draft)?).await.map_err(|refused| match refused.code {
                 Code::PoliciesChanged => {
-                    WORDS.told(refused).next("try again: the same command starts from the set in force")
+                    WORDS.told(refused).next("run the command again: it starts from the set in force")
                 }
                 _ => WORDS.told(refused),
             })?;

@@ -17,10 +17,10 @@ use std::io::{self, Write};
 /// Fewest digits by which a proposal is named.
 const DIGITS_MIN: usize = 8;
 
-/// Propose a whole set of policies for your organisation; for admins.
+/// Propose a complete set of policies for your organisation; for admins.
 ///
-/// This is your approval, too. It comes in force when an admin of your organisation applies it, once enough have
-/// approved. It replaces only the set that is in force now.
+/// The proposal counts as your approval. Once it is approved, an admin of your organisation applies it. It can only
+/// replace the set that is in force now.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("files", |files| files.required_unless_present_any(["built_in", "restore"])))]
 #[command(after_help = "\
@@ -33,45 +33,46 @@ pub(crate) struct Propose {
     /// Propose the policies of an earlier version
     #[arg(long, value_name = "VERSION", conflicts_with_all = ["files", "built_in"])]
     restore: Option<u64>,
-    /// Say how it does beside the set in force, and leave approvals for later
+    /// Evaluate the set in parallel with the one in force, and leave approvals for later
     #[arg(long)]
     shadow: bool,
 }
 
-/// List the proposed sets of policies, or show one with its texts.
+/// List the proposed policy sets, or show one with its texts.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy proposals\n  ledgerctl policy proposals 3f9a0c77")]
 pub(crate) struct Proposals {
-    /// Id of one, or its first 8 digits or more
+    /// Id of a proposal, or at least its first 8 digits
     id: Option<String>,
 }
 
-/// Approve a proposed set of policies; for admins.
+/// Approve a proposed policy set; for admins.
 ///
-/// The approval counts for exactly this set, and for seven days. Read it first: `ledgerctl policy proposals ID`.
+/// The approval is for exactly this set, and expires after seven days. Read the set first: `ledgerctl policy proposals
+/// ID`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy approve 3f9a0c77")]
 pub(crate) struct Approve {
-    /// Id of the proposal, or its first 8 digits or more
+    /// Id of the proposal, or at least its first 8 digits
     id: String,
 }
 
-/// Take a proposed set of your organisation back, or your approval of another's; for admins.
+/// Withdraw a proposed set of your organisation, or your approval of another's; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy withdraw 3f9a0c77")]
 pub(crate) struct Withdraw {
-    /// Id of the proposal, or its first 8 digits or more
+    /// Id of the proposal, or at least its first 8 digits
     id: String,
 }
 
-/// Tell who must agree to the policies of an organisation.
+/// Show which approvals the policies of an organisation need.
 ///
-/// An organisation gives itself a rule with `policy apply --approvals QUORUM`. The rule of the network holds for all
+/// An organisation sets its own rule with `policy apply --approvals QUORUM`. The rule of the network applies to all
 /// organisations; it is set with `network propose abac set_policy_approvals QUORUM`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy approvals\n  ledgerctl policy approvals Org2")]
 pub(crate) struct Approvals {
-    /// The organisation; yours without
+    /// The organisation; your own by default
     #[arg(value_name = "ORG")]
     organisation: Option<String>,
 }
@@ -89,12 +90,12 @@ pub(super) async fn resolve(session: &Session, digits: &str) -> Result<String, F
         (Some(one), None) if digits.len() >= DIGITS_MIN => Ok(one.id.clone()),
         (found, _) => {
             let message = match found {
-                Some(_) => "several proposals could be meant",
-                None => "no proposed set of policies has this id",
+                Some(_) => "the id matches several proposals",
+                None => "no proposed policy set has this id",
             };
             Err(Rejection::new(Code::NotFound, message)
                 .found(digits)
-                .wanted(format!("the id of one, or its first {DIGITS_MIN} digits or more"))
+                .wanted(format!("an id, or at least its first {DIGITS_MIN} digits"))
                 .next("ledgerctl policy proposals")
                 .into())
         }
@@ -154,7 +155,7 @@ impl Approvals {
             None => session.identity()?.organisation,
         };
         let response = session.ask(ABAC, "policy_approvals", vec![Bytes::from(organisation)]).await?;
-        output.show(&Rules(answer::parse(&response, "the rules of agreement to policies")?))
+        output.show(&Rules(answer::parse(&response, "the approval rules of policies")?))
     }
 }
 
@@ -187,12 +188,12 @@ fn missing(needs: &[PolicyNeed]) -> String {
     let missing = needs.iter().filter(|need| need.missing > 0);
     let missing: Vec<String> =
         missing.map(|need| format!("{} more for {} ({})", need.missing, need.quorum, need.of)).collect();
-    if missing.is_empty() { "nobody".to_owned() } else { missing.join("; ") }
+    if missing.is_empty() { "none".to_owned() } else { missing.join("; ") }
 }
 
 fn approvers(proposal: &PolicyProposal) -> String {
     let names: Vec<&str> = proposal.approved.iter().map(|approval| approval.who.as_str()).collect();
-    if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
 /// Writes a proposal as facts.
@@ -204,7 +205,7 @@ fn facts(proposal: &PolicyProposal, out: &mut dyn Write) -> io::Result<()> {
         table.pair("message", &proposal.message);
     }
     table.pair("replaces", format!("version {}", proposal.base));
-    table.pair("policies", if names.is_empty() { "the built-in one".to_owned() } else { names.join(", ") });
+    table.pair("policies", if names.is_empty() { "the built-in policy".to_owned() } else { names.join(", ") });
     table.pair("SHA-256", &proposal.hash);
     if let Some(rule) = &proposal.approvals {
         table.pair("next needs", rule);
@@ -225,7 +226,7 @@ impl Facts for Done {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let (id, organisation) = (short(&self.proposal.id), printable(&self.proposal.organisation));
         let done = if self.done == "shadow" { "proposed" } else { self.done };
-        writeln!(out, "{done}: set of policies {id} of {organisation}")?;
+        writeln!(out, "{done}: policy set {id} of {organisation}")?;
         facts(&self.proposal, out)?;
         match (self.done, self.proposal.needs.iter().any(|need| need.missing > 0)) {
             ("withdrawn", _) => Ok(()),
@@ -235,9 +236,9 @@ impl Facts for Done {
                     "it is compared with the set in force from now on: ledgerctl policy shadow --proposal {id}"
                 )
             }
-            (_, true) => writeln!(out, "next, others type: ledgerctl policy approve {id}"),
+            (_, true) => writeln!(out, "to approve: ledgerctl policy approve {id}"),
             (_, false) => {
-                writeln!(out, "next, an admin of {organisation} types: ledgerctl policy apply --proposal {id}")
+                writeln!(out, "to apply it, an admin of {organisation} runs: ledgerctl policy apply --proposal {id}")
             }
         }
     }
@@ -249,7 +250,7 @@ struct Standing(Vec<PolicyProposal>);
 impl Facts for Standing {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(out, "no set of policies is proposed");
+            return writeln!(out, "no policy set is proposed");
         }
         let mut table = Table::new(["PROPOSAL", "FOR", "BY", "REPLACES", "APPROVED BY", "WAITS FOR", "MESSAGE"]);
         for proposal in &self.0 {
@@ -273,7 +274,7 @@ struct Whole(PolicyProposalTexts);
 impl Facts for Whole {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let PolicyProposalTexts { proposal, policies } = &self.0;
-        writeln!(out, "set of policies {} of {}", short(&proposal.id), printable(&proposal.organisation))?;
+        writeln!(out, "policy set {} of {}", short(&proposal.id), printable(&proposal.organisation))?;
         facts(proposal, out)?;
         for policy in policies {
             writeln!(out, "\n// {}\n{}", printable(&policy.id), printable_lines(policy.text.trim()))?;
@@ -288,7 +289,7 @@ struct Rules(PolicyApprovals);
 impl Facts for Rules {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let PolicyApprovals { organisation, network, own } = &self.0;
-        let alone = format!("none: an admin of {organisation} decides alone");
+        let alone = format!("none: one admin of {organisation} decides");
         let mut table = Table::pairs();
         table.pair("network", network.as_deref().unwrap_or("none"));
         table.pair(organisation, own.as_deref().unwrap_or(if network.is_none() { &alone } else { "none" }));

@@ -3,7 +3,7 @@
 use super::propose;
 use crate::argument::moment::Moment;
 use crate::argument::{number, policies};
-use crate::command::audit::moment;
+use crate::command::audit;
 use crate::command::can::asked;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -31,15 +31,16 @@ const BETWEEN_LOOKS: Duration = Duration::from_secs(2);
 /// The action of a grant that was taken.
 const OVERRIDE: &str = "override";
 
-/// Tell which recorded decisions a set of policies would have changed, before it is in force.
+/// Show which recorded decisions a policy set would have changed, before it is in force.
 ///
-/// The set is a proposed one (`ledgerctl policy propose --shadow`), from the block that proposed it on: it runs beside the set in
-/// force for as long as it stands. Without a proposal and without files, that is each proposed set of your organisation. Files
-/// are a set that nobody has proposed, and are asked about the last day, or since `--since`.
+/// The set is a proposed one (`ledgerctl policy propose --shadow`), evaluated from the block of its proposal on, as
+/// long as the proposal is pending. Without a proposal and without files, it is each proposed set of your organisation.
+/// Files are a set without a proposal, evaluated for the last day, or since `--since`.
 ///
-/// Takes the grants, the commands in open mode and the refusals by policies from the audit, about robots of your organisation. Each
-/// is asked again under the set as the whole set of your organisation, at its own time, with the attributes that people have now.
-/// Nothing is changed. Refusals with LGR-3001 and LGR-3002 count as denied, all else as allowed. Takeovers are left out.
+/// Reads grants, commands in open mode and policy rejections from the audit, for robots of your organisation. Each
+/// decision is evaluated again at its own time, with this set as the complete set of your organisation and with the
+/// current attributes of identities. Nothing is changed. Rejections with LGR-3001 and LGR-3002 count as denied, all
+/// others as allowed. Overrides are omitted.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -47,19 +48,19 @@ Example:
   ledgerctl policy shadow --proposal 3f9a0c77 --follow
   ledgerctl policy shadow night.cedar guests.cedar --since 7d")]
 pub(crate) struct Shadow {
-    /// Files with policies in Cedar; without any, the proposed sets
+    /// Files with policies in Cedar; by default the proposed sets
     #[arg(value_name = "FILE", conflicts_with = "proposal")]
     files: Vec<PathBuf>,
-    /// Only the proposed set with this id, or with its first 8 digits or more
+    /// Only the proposed set with this id, or at least its first 8 digits
     #[arg(long, value_name = "ID")]
     proposal: Option<String>,
-    /// Decisions from this moment on: a span ago such as 10m, a time of today, a time, or a height
+    /// Start of the period: a span before now such as 10m, a time of today, a time, or a height
     #[arg(long, value_name = "MOMENT")]
     since: Option<Moment>,
-    /// The last so many different decisions
+    /// Evaluate the last N different decisions
     #[arg(long, value_name = "N", default_value_t = DECISIONS_MAX, value_parser = number::count)]
     most: u64,
-    /// Go on, and tell it again whenever a count has changed
+    /// Continue, and print the result again whenever a count changes
     #[arg(long)]
     follow: bool,
 }
@@ -160,7 +161,7 @@ impl Shadow {
     /// The sets to compare, and since when.
     async fn candidates(&self, session: &Session) -> Result<Vec<Candidate>, Failure> {
         let since = match self.since {
-            Some(since) => Some(moment(session, since).await?),
+            Some(since) => Some(audit::since(session, since).await?),
             None => None,
         };
         if let Some(policies) = policies::read(&self.files)? {
@@ -277,13 +278,13 @@ fn verdict(row: &AuditRow) -> Option<(&str, bool)> {
 impl Facts for All {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(out, "no set of policies is proposed: ledgerctl policy propose FILE… --shadow");
+            return writeln!(out, "no policy set is proposed: ledgerctl policy propose FILE… --shadow");
         }
         for Beside { proposal, since, compared } in &self.0 {
             if let Some(id) = proposal {
                 writeln!(
                     out,
-                    "proposed set {} beside the one in force, since {}",
+                    "proposed set {} in parallel with the one in force, since {}",
                     propose::short(id),
                     time::moment(*since)
                 )?;
@@ -303,7 +304,7 @@ impl Facts for Compared {
             differ.len()
         )?;
         if *unknown > 0 {
-            writeln!(out, "not asked again, as the person, the service or the action is not known: {unknown}")?;
+            writeln!(out, "not evaluated, because the identity, the service or the action is unknown: {unknown}")?;
         }
         if differ.is_empty() {
             return Ok(());

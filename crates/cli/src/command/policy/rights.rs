@@ -20,10 +20,10 @@ pub(in crate::command) fn changes(out: &mut dyn Write, diff: &PolicyDiff) -> io:
     }
     ends(out, diff)?;
     if diff.incomplete {
-        writeln!(out, "there are more people or services than it asks about: these are some of the differences")?;
+        writeln!(out, "there are more identities or services than were evaluated: these are some of the differences")?;
     }
     if diff.gained.is_empty() && diff.lost.is_empty() && diff.limited.is_empty() && !diff.incomplete {
-        writeln!(out, "nobody whom the ledger lists can do more or less afterwards")?;
+        writeln!(out, "no listed identity gains or loses permissions")?;
     }
     Ok(())
 }
@@ -39,7 +39,7 @@ pub(super) fn ends(out: &mut dyn Write, PolicyDiff { ends, unreachable, .. }: &P
         )?;
     }
     for robot in unreachable {
-        writeln!(out, "nobody whom the ledger knows could publish to {} any more", printable(robot))?;
+        writeln!(out, "no known identity could publish to {} any more", printable(robot))?;
     }
     Ok(())
 }
@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
         let mut out = Vec::new();
         changes(&mut out, &PolicyDiff::default()).unwrap();
-        assert_eq!(String::from_utf8(out).unwrap(), "nobody whom the ledger lists can do more or less afterwards\n");
+        assert_eq!(String::from_utf8(out).unwrap(), "no listed identity gains or loses permissions\n");
     }
 
     #[test]

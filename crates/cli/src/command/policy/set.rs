@@ -13,12 +13,12 @@ pub(super) struct Set {
     /// Files with policies in Cedar: night.cedar is the policy `night`
     #[arg(value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// No policy of your own: the built-in one decides
+    /// No policies of your own: the built-in policy decides
     #[arg(long, conflicts_with = "files")]
     built_in: bool,
     #[command(flatten)]
     about: About,
-    /// The rule for the next set: a quorum such as 'admins = 2', or none
+    /// Approval rule for the next set: a quorum such as 'admins = 2', or none
     #[arg(long, value_name = "QUORUM")]
     approvals: Option<String>,
     #[command(flatten)]
@@ -28,13 +28,13 @@ pub(super) struct Set {
 /// The circumstances of a set.
 #[derive(Debug, clap::Args)]
 pub(super) struct About {
-    /// Why, for those who read the history
+    /// Reason; recorded in the history
     #[arg(long, short, default_value = "", hide_default_value = true)]
     message: String,
-    /// The version that the set was made from: if another one is in force, nothing is changed
+    /// Version that the set was made from: if another one is in force, nothing is changed
     #[arg(long, value_name = "VERSION")]
     base: Option<u64>,
-    /// Also if nobody may publish to some robot then
+    /// Also if no one could publish to some robot afterwards
     #[arg(long)]
     i_mean_it: bool,
 }

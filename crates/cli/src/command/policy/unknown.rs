@@ -6,10 +6,10 @@ use crate::session::Session;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_contract::{PolicyText, UnknownName};
 
-/// The names that come later.
+/// Names that are expected later.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(in crate::command) struct Expected {
-    /// A name that the network does not know today, and that is no slip: Org1/Farhad
+    /// Accept this name, although the network does not know it yet: Org1/Farhad
     #[arg(long, value_name = "NAME")]
     expect: Vec<String>,
 }
@@ -35,10 +35,10 @@ fn refused(unknown: &[(String, UnknownName)]) -> Option<Rejection> {
     let (_, first) = unknown.first()?;
     let told: Vec<String> = unknown.iter().map(|(policy, name)| format!("{} in {policy}", shown(name))).collect();
     Some(
-        Rejection::new(Code::PolicyInvalid, "a policy names what the network does not know today")
+        Rejection::new(Code::PolicyInvalid, "a policy names something that the network does not have")
             .found(told.join("; "))
-            .wanted("names of the network, as robot list and identity list show them")
-            .next(format!("correct it, or if it comes later: --expect '{}'", first.name)),
+            .wanted("names of the network, as in robot list and identity list")
+            .next(format!("correct it, or if it will exist later: --expect '{}'", first.name)),
     )
 }
 

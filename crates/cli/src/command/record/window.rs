@@ -129,16 +129,16 @@ impl Blocks<'_> {
     fn dropped(&self, wished: String) -> Rejection {
         Rejection::new(Code::Pruned, format!("this node has dropped old blocks, also {wished}"))
             .found(format!("blocks {} to {}", self.kept, self.tip))
-            .wanted("a beginning that the node has")
+            .wanted("a start that the node still has")
             .next("--since 0 for what it has, or a context with a node that keeps more")
     }
 }
 
 fn ahead(at: u64, now: u64) -> Rejection {
-    Rejection::new(Code::BadArgument, "--since lies in the future")
+    Rejection::new(Code::BadArgument, "--since is in the future")
         .found(format!("{}, {}", time::moment(at), time::relative(at, now)))
         .wanted("a moment before now")
-        .next("leave --since out to record what comes from now on")
+        .next("omit --since to record from now on")
 }
 
 fn empty(window: &Window, last: u64) -> Rejection {

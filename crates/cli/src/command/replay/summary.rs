@@ -61,10 +61,10 @@ impl Facts for Replayed {
             writeln!(out, "{} messages were not published: a subscriber did not keep up", self.unheard)?;
         }
         if self.unusable > 0 {
-            writeln!(out, "{} messages are no CDR, and were left out", self.unusable)?;
+            writeln!(out, "{} messages are not CDR, and were omitted", self.unusable)?;
         }
         if self.is_cut {
-            writeln!(out, "the file ends in the middle: its recorder was killed, or it is damaged there")?;
+            writeln!(out, "the file is truncated: its recorder was killed, or it is damaged")?;
         }
         Ok(())
     }

@@ -17,8 +17,8 @@ use std::io::{self, Write};
 
 /// Change settings of a robot of your organisation; for admins.
 ///
-/// Settings that are not named stay unchanged, and so do the grants that the new settings still allow. A summary tells
-/// what changed and which grants ended.
+/// Other settings stay unchanged, as do the grants that the new settings permit. The output lists the changes and the
+/// grants that ended.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Settings of a service:
@@ -45,16 +45,16 @@ Example:
   ledgerctl robot set Husky --attribute payload_kg=75 --attribute zones=
   ledgerctl robot set Husky trust=Org1,Org2 --dry-run")]
 pub(crate) struct Set {
-    /// The service; the robot alone is enough if it offers exactly one, and for the robot's own settings
+    /// The service; the robot alone if it offers exactly one, and for the robot's own settings
     #[arg(value_name = "ROBOT[/TOPIC]")]
     target: String,
     /// Settings to change, such as mode=open
     #[arg(value_name = "KEY=VALUE", required_unless_present = "attributes")]
     settings: Vec<Setting>,
-    /// An attribute that gets this value; without a value it is removed
+    /// Set an attribute; without a value, remove it
     #[arg(long = "attribute", value_name = "NAME=[VALUE]")]
     attributes: Vec<Capability>,
-    /// Only tell what would change and which grants would end
+    /// Only show the changes and the grants that would end
     #[arg(long)]
     dry_run: bool,
 }
@@ -107,7 +107,7 @@ pub(super) async fn replace(session: &Session, name: &str, spec: Bytes, output: 
 pub(super) async fn enter_readers(session: &Session, robot: &RobotAsset, output: &Output) -> Result<(), Failure> {
     for service in robot.services.iter().filter(|service| service.sharing.is_confidential()) {
         if enter(session, &service.service).await? {
-            output.note(&format!("{} is confidential, and you are one of its readers", service.service));
+            output.note(&format!("{} is confidential, and you are now one of its readers", service.service));
         }
     }
     Ok(())
@@ -147,7 +147,7 @@ impl Facts for Changed {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { name, change: RobotChange { robot, changed, ended }, dry_run } = self;
         if changed.is_empty() {
-            return writeln!(out, "{name} is as it was: it has these settings already");
+            return writeln!(out, "nothing to change: {name} has these settings already");
         }
         writeln!(out, "{} {}", robot.name, if *dry_run { "would change" } else { "is changed" })?;
         settings(out, changed)?;
@@ -178,11 +178,11 @@ pub(in crate::command) fn ends(out: &mut dyn Write, ended: &[Released], end: &st
 }
 
 /// The name that people type.
-fn typed(setting: &str) -> &str {
+pub(super) fn typed(setting: &str) -> &str {
     KEYS.iter().find(|key| key.field == setting).map_or(setting, |key| key.name)
 }
 
-fn shown(setting: &str, value: &str) -> String {
+pub(super) fn shown(setting: &str, value: &str) -> String {
     match value.parse::<u64>() {
         Ok(ms) if setting.ends_with("_ms") || setting == "lease_ms_max" => time::span(ms.saturating_mul(1000)),
         Ok(speed) if setting.ends_with("_mm_s") => format!("{} m/s", decimal(speed)),
@@ -195,18 +195,18 @@ fn shown(setting: &str, value: &str) -> String {
 fn why(reason: &Told<Reason>) -> &str {
     match reason.known() {
         Some(Reason::Policy) => "the robot no longer permits this holder",
-        Some(Reason::Taken) => "the mode has no room for this holder",
+        Some(Reason::Taken) => "the mode has no slot for this holder",
         Some(Reason::RobotRemoved) => "the robot no longer offers this service",
-        Some(Reason::Released) => "its holder gave it back",
-        Some(Reason::Expired) => "its lease ran out",
+        Some(Reason::Released) => "its holder released it",
+        Some(Reason::Expired) => "its lease expired",
         Some(Reason::Revoked) => "its holder's certificate is revoked",
-        Some(Reason::Preempted) => "somebody with a higher priority took its place",
+        Some(Reason::Preempted) => "a contender with a higher priority preempted it",
         Some(Reason::Idle) => "its holder published nothing for too long",
         Some(Reason::Stopped) => "the robot is stopped",
-        Some(Reason::Delegated) => "its holder passed it on",
-        Some(Reason::Recalled) => "one who had passed it on took it back",
-        Some(Reason::TaskEnded) => "its task has ended",
-        Some(Reason::Overridden) => "somebody took the service whatever its rule says",
+        Some(Reason::Delegated) => "its holder delegated it",
+        Some(Reason::Recalled) => "it was recalled",
+        Some(Reason::TaskEnded) => "its task ended",
+        Some(Reason::Overridden) => "an emergency operator overrode it",
         Some(_) | None => reason.word(),
     }
 }
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn nothing_that_changes_is_said_too() {
-        assert_eq!(text(vec![], vec![], false), "Husky is as it was: it has these settings already\n");
+        assert_eq!(text(vec![], vec![], false), "nothing to change: Husky has these settings already\n");
         let dry = text(vec![setting("/cmd_vel", "stop_hex", "00010000", "")], vec![], true);
         assert_eq!(dry, "Husky would change\n  /cmd_vel  stop  00010000  ->  none\nno grant would end\n");
     }
@@ -261,7 +261,7 @@ mod tests {
     #[test]
     fn refusals_name_what_people_type() {
         let refused = Rejection::new(Code::BadArgument, "lease_ms_max of service /cmd_vel is out of range")
-            .next("lease_ms is 20 ms, and lease_ms_max is never shorter: set both");
+            .next("lease_ms is 20 ms, and lease_ms_max must not be shorter: set both");
         let refused = in_words_of_the_command_line(refused);
         assert_eq!(refused.message, "lease-max of service /cmd_vel is out of range");
         assert_eq!(refused.advice(), "lease is 20 ms, and lease-max is never shorter: set both");

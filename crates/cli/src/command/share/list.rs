@@ -19,7 +19,7 @@ pub(super) struct List {}
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl share show share-Turtlebot4-Org1")]
 pub(super) struct Show {
-    /// Name of the share, as `share list` shows it; ORG/NAME for one of another owner
+    /// Name of the share, as in `share list`; ORG/NAME for one of another owner
     id: String,
 }
 
@@ -64,10 +64,7 @@ struct ShareList(Vec<ShareEntry>);
 impl Facts for ShareList {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(
-                out,
-                "nothing is shared by ledgerctl share; policies may permit more: ledgerctl policy list"
-            );
+            return writeln!(out, "no shares; policies may permit more: ledgerctl policy list");
         }
         let mut table = Table::new(["SHARE", "OF", "ROBOT", "WITH", "MAY", "WHEN", "LIMITS"]);
         for share in &self.0 {
@@ -78,7 +75,7 @@ impl Facts for ShareList {
                     owner,
                     String::new(),
                     String::new(),
-                    "see its text: it was edited".to_owned(),
+                    "edited: see its text".to_owned(),
                     String::new(),
                     String::new(),
                 ],
@@ -130,7 +127,7 @@ impl Facts for ShareInWords {
             meaning(out, policy)?;
         }
         if self.share.edited {
-            writeln!(out, "  it was edited: only its text says what it gives")?;
+            writeln!(out, "  it was edited: only its text is authoritative")?;
         }
         writeln!(out, "{}", printable_lines(self.share.text.trim()))
     }
@@ -158,7 +155,7 @@ mod tests {
             .unwrap();
         let wanted = "SHARE    OF    ROBOT          WITH                  MAY                          WHEN           LIMITS\n\
                       share-x  Org2  Husky/cmd_vel  Org1 with guest=true  use                          08:00-18:00 Z  0.3 m/s\n\
-                      share-x  Org2                                       see its text: it was edited\n";
+                      share-x  Org2                                       edited: see its text\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

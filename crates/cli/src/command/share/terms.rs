@@ -12,34 +12,35 @@ pub(super) struct Terms {
     /// The robot, or one of its services
     #[arg(value_name = "ROBOT[/TOPIC]", required = true)]
     resource: String,
-    /// The organisation, or one person of it
+    /// The organisation, or one identity of it
     #[arg(long, value_name = "ORG[/PERSON]", required = true)]
     with: String,
-    /// Only those who carry this attribute; KEY alone means KEY=true
+    /// Only identities with this attribute; KEY alone means KEY=true
     #[arg(long = "attr", value_name = "KEY[=VALUE]")]
     attribute: Option<Attribute>,
-    /// From when on: 10m from now, or a time such as 2027-05-01T08:00:00+02:00
+    /// Start: 10m for ten minutes from now, or a time such as 2027-05-01T08:00:00+02:00
     #[arg(long, value_name = "TIME")]
     from: Option<When>,
-    /// Until when: 8h from now, or a time such as 2027-05-01T18:00:00+02:00
+    /// End: 8h for eight hours from now, or a time such as 2027-05-01T18:00:00+02:00
     #[arg(long, value_name = "TIME")]
     until: Option<When>,
-    /// Within these hours: '08:00-18:00', '08:00-18:00 Mon-Fri +02:00'; without an offset that of this machine today, all year
+    /// Only within these hours: '08:00-18:00', '08:00-18:00 Mon-Fri +02:00'; without an offset, the current one of this
+    /// machine, all year
     #[arg(long, value_name = "HOURS")]
     hours: Option<String>,
-    /// Fastest linear speed, m/s; the robot's gate enforces it
+    /// Largest linear speed, m/s; enforced by the robot's gate
     #[arg(long, value_name = "SPEED")]
     max_linear: Option<String>,
-    /// Fastest angular speed, rad/s
+    /// Largest angular speed, rad/s
     #[arg(long, value_name = "SPEED")]
     max_angular: Option<String>,
-    /// Most messages a second
+    /// Largest rate, messages per second
     #[arg(long, value_name = "HZ")]
     rate: Option<String>,
-    /// Their priority, for services with priority=policy
+    /// Priority, for services with priority=policy
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     priority: Option<String>,
-    /// They read, and command nothing
+    /// Permit reading only
     #[arg(long, conflicts_with_all = ["max_linear", "max_angular", "rate", "priority"])]
     read_only: bool,
 }

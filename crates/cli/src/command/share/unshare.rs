@@ -16,20 +16,20 @@ use ledger_contract::{Access, PolicyDiff, ShareEntry, UnsharePreview};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Take a share back; for admins of its owner.
+/// Remove a share; for admins of its owner.
 ///
-/// Grants that nothing else permits end in the same block. It shows what people lose, and who may still use the robot and why. Then it
-/// asks.
+/// Grants that nothing else permits end in the same block. The command shows the permissions that people lose, and who
+/// may still use the robot and why. Then it asks for confirmation.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl unshare share-Turtlebot4-Org1
   ledgerctl unshare Turtlebot4 --with Org1 --yes")]
 pub(crate) struct Unshare {
-    /// Name of the share, as `share list` shows it; with --with the robot or the service
+    /// Name of the share, as in `share list`; with --with the robot or the service
     #[arg(value_name = "SHARE")]
     name: String,
-    /// The organisation or the person with whom it is shared
+    /// The organisation or the identity with which it is shared
     #[arg(long, value_name = "ORG[/PERSON]")]
     with: Option<String>,
     #[command(flatten)]
@@ -104,12 +104,9 @@ impl Facts for UnshareDifference {
         writeln!(out, "the share {} ends", printable(&self.id))?;
         changes(out, &self.diff)?;
         if self.still.is_empty() {
-            return writeln!(
-                out,
-                "then nobody of another organisation may use the robot, of those whom the ledger lists"
-            );
+            return writeln!(out, "afterwards, no listed member of another organisation may use the robot");
         }
-        writeln!(out, "people of other organisations who may still use the robot:")?;
+        writeln!(out, "members of other organisations who may still use the robot:")?;
         Holdings(&self.still).write(out, 2)
     }
 }

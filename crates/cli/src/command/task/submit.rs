@@ -15,10 +15,10 @@ use ledger_contract::{FRAME_DEFAULT, Submitted, TaskSpec};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// Have a robot traverse points: at once, or when its line comes to the task.
+/// Let a robot traverse points, at once or when it is the task's turn in the queue.
 ///
-/// You hold the robot's command service while the task runs. Where others hold it, the task waits in line if the service
-/// has one.
+/// You hold the robot's command service while the task runs. If others hold it, the task waits in the queue, provided
+/// that the service has one.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -31,22 +31,22 @@ pub(crate) struct Submit {
     /// The points in order, in metres and radians, with at most 6 decimals
     #[arg(long, value_name = "X,Y[,YAW];…", allow_hyphen_values = true)]
     points: Points,
-    /// The coordinate frame of the points
+    /// Coordinate frame of the points
     #[arg(long, default_value = FRAME_DEFAULT)]
     frame: String,
-    /// A lower priority than the one that you have
+    /// A lower priority than your own
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     priority: Option<i64>,
-    /// Join the line only then: a span from now such as 10m, or a time such as 2027-05-01T14:30:00Z
+    /// Join the queue only then: a span from now such as 10m, or a time such as 2027-05-01T14:30:00Z
     #[arg(long, value_name = "TIME")]
     not_before: Option<When>,
-    /// Expire then if the task has not ended: a span from now, or a time
+    /// Expire then unless the task has ended: a span from now, or a time
     #[arg(long, value_name = "TIME")]
     deadline: Option<When>,
     /// The command service, such as cmd_vel
     #[arg(long, value_name = "TOPIC")]
     service: Option<String>,
-    /// Wait again after somebody with more right took the robot
+    /// Join the queue again after a preemption
     #[arg(long)]
     requeue: bool,
 }

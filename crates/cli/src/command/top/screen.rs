@@ -60,7 +60,7 @@ impl Screen {
     pub(super) fn open() -> Result<Self, Rejection> {
         if !isatty(io::stdin()) || !isatty(io::stdout()) {
             return Err(Rejection::new(Code::BadArgument, "top needs a terminal")
-                .found("standard input or output that is none")
+                .found("standard input or output that is not a terminal")
                 .wanted("a terminal for both")
                 .next(
                     "for programs: ledgerctl watch -o json, ledgerctl status -o json, ledgerctl robot list -o json",

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 /// Turns a line around, and back: the chosen one.
 const CHOSEN: (&str, &str) = ("\x1b[7m", "\x1b[0m");
 /// The keys.
-const KEYS: &str = "up, down choose   s stop the robot   u resume it   r release your grant   q end";
+const KEYS: &str = "up, down select   s stop the robot   u resume it   r release your grant   q quit";
 
 /// The network as it is known, and the chosen service.
 pub(super) struct View {
@@ -88,7 +88,7 @@ impl View {
         match robot {
             Some(robot) if robot.stopped.is_some() => self.question = Some(Question::about(robot.name.clone())),
             Some(robot) => self.told = format!("{} is not stopped", robot.name),
-            None => self.told = "nothing is chosen".to_owned(),
+            None => self.told = "no service is selected".to_owned(),
         }
     }
 
@@ -113,7 +113,7 @@ impl View {
     fn title(&self, columns: usize) -> String {
         let at = if self.now == 0 { String::new() } else { format!(", {}", time::moment(self.now)) };
         let voters = self.overview.as_ref().map(|overview| format!("; voters: {}", overview.quorum.text()));
-        let failed = self.failed.as_ref().map(|reason| format!("; not of now: {reason}"));
+        let failed = self.failed.as_ref().map(|reason| format!("; out of date: {reason}"));
         cut(&format!("{}{at}{}{}", self.network, failed.unwrap_or_default(), voters.unwrap_or_default()), columns)
     }
 

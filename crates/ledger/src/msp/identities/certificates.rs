@@ -127,10 +127,10 @@ fn check_may_issue(ctx: &Context<'_>, caller: &Identity, organisation: &str) -> 
     if ctx.get(carrier_key(organisation, &caller.organisation, &caller.name).as_bytes()).is_some() {
         return Ok(());
     }
-    Err(Rejection::new(Code::NotAdmin, format!("{} may not issue for {organisation}", caller.id()))
-        .found("a node that does not carry its CA, as far as the ledger knows")
-        .wanted(format!("a node that carries the CA of {organisation}"))
-        .next("ledgerctl ca status shows the nodes that carry it"))
+    Err(Rejection::new(Code::NotAdmin, format!("{} may not issue certificates for {organisation}", caller.id()))
+        .found("a node that does not hold its CA key, according to the ledger")
+        .wanted(format!("a node that holds the CA key of {organisation}"))
+        .next("ledgerctl ca status shows the nodes that hold it"))
 }
 
 /// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away. One that
@@ -195,7 +195,7 @@ fn take_secret(
 ) -> Result<Option<Bytes>, Rejection> {
     let now = ctx.block_time();
     let Some(secret) = record.secret.clone().filter(|secret| secret.sha256 == presented) else {
-        return Err(refused("another secret than the one that is registered"));
+        return Err(refused("another secret than the registered one"));
     };
     let Some(used) = secret.used else {
         if now > secret.expires {
@@ -225,8 +225,8 @@ fn check_renewal(ctx: &Context<'_>, record: &IdentityRecord, holder: &Identity) 
     let now = ctx.block_time();
     let good = |issued: &&IssuedCertificate| issued.not_after >= now && !is_revoked(ctx, issued);
     let Some(newest) = record.certificates.iter().rfind(good) else {
-        return Err(Rejection::new(Code::Revoked, format!("{} has no certificate that could be renewed", record.id()))
-            .found("certificates that were revoked or have expired")
+        return Err(Rejection::new(Code::Revoked, format!("{} has no certificate that can be renewed", record.id()))
+            .found("only revoked or expired certificates")
             .next("ask an admin of the organisation for a new one-time secret"));
     };
     if now.saturating_sub(newest.recorded) >= RENEWAL_PAUSE || newest.recorded == 0 {
@@ -241,7 +241,7 @@ fn check_renewal(ctx: &Context<'_>, record: &IdentityRecord, holder: &Identity) 
 
 /// The refusal of a renewal that comes too soon after the last one.
 fn too_soon(name: &str) -> Rejection {
-    Rejection::new(Code::LimitExceeded, format!("{name} has received a certificate just now"))
+    Rejection::new(Code::LimitExceeded, format!("{name} received a certificate a moment ago"))
         .wanted(format!("a renewal at most once in {} s", RENEWAL_PAUSE / 1_000_000))
         .next("use that certificate, or try again in a minute")
 }
@@ -345,7 +345,7 @@ pub(in super::super) fn adopt(
 }
 
 fn refused(found: &str) -> Rejection {
-    Rejection::new(Code::EnrolmentRefused, "enrolment is refused")
+    Rejection::new(Code::EnrolmentRefused, "enrolment is rejected")
         .found(found)
         .wanted("a registered name and its unused one-time secret")
 }

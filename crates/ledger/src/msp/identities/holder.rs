@@ -35,10 +35,10 @@ pub struct CertifiedHolder {
 /// `holder ORGANISATION/NAME`: the newest certificate of a name that is valid at block time and was not revoked.
 pub(in super::super) fn holder(ctx: &Context<'_>, id: &Bytes) -> Result<Bytes, Rejection> {
     let unknown = |found: String| {
-        Rejection::new(Code::NotFound, "no certificate of this name counts now")
+        Rejection::new(Code::NotFound, "no identity with a valid certificate has this name")
             .found(found)
-            .wanted("ORGANISATION/NAME of somebody who has enrolled, e.g. Org1/Farhad")
-            .next("ask an admin of that organisation: ledgerctl identity list shows names and certificates")
+            .wanted("ORGANISATION/NAME of an enrolled identity, such as Org1/Farhad")
+            .next("check the name; an admin of that organisation lists names and certificates: ledgerctl identity list")
     };
     let id = std::str::from_utf8(id).map_err(|_| unknown("bytes that are not UTF-8".to_owned()))?;
     let shown: String = id.chars().take(80).collect();
@@ -61,7 +61,7 @@ pub(in super::super) fn holder(ctx: &Context<'_>, id: &Bytes) -> Result<Bytes, R
             return json(&CertifiedHolder::of(holder));
         }
     }
-    Err(unknown(format!("{} certificates of {shown}, none of which is valid", record.certificates.len())))
+    Err(unknown(format!("{} certificates of {shown}, none of them valid", record.certificates.len())))
 }
 
 impl CertifiedHolder {

@@ -10,6 +10,7 @@ use super::{IssuedCertificate, is_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, check_name};
 use ledger_storage::state::Overlay;
@@ -63,7 +64,7 @@ pub(super) fn revoke(
     check_name(name).map_err(|error| Rejection::from(error).code(Code::BadArgument))?;
     if name == caller.name {
         return Err(Rejection::new(Code::LastOne, format!("{} may not revoke itself", caller.id()))
-            .wanted(format!("another admin of {}, so that one is left", caller.organisation)));
+            .wanted(format!("another admin of {}, so that at least one remains", caller.organisation)));
     }
     let organisation = &caller.organisation;
     let seen = ctx.range(seen_of(organisation, name).as_bytes(), SEEN_MAX);
@@ -102,9 +103,11 @@ pub(crate) fn check_barred(identity: &Identity, overlay: &Overlay) -> Result<(),
     }
     Err(Rejection::new(Code::Revoked, format!("the certificates of {} were revoked", identity.id()))
         .found(format!(
-            "one that begins at {} µs; {} revoked the name at {} µs",
-            identity.valid_from, barred.by, barred.time
+            "a certificate valid from {}; {} revoked the name at {}",
+            rfc3339(identity.valid_from),
+            barred.by,
+            rfc3339(barred.time)
         ))
-        .wanted("a certificate that begins later")
+        .wanted("a certificate whose validity begins later")
         .next(format!("have the CA of {} issue a new one with a new key", identity.organisation)))
 }

@@ -64,7 +64,7 @@ impl SetRegistrar {
 /// `set_registrar {name, affiliation?, attributes?}`
 pub(in super::super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let set: SetRegistrar = object("set_registrar", argument, "{\"name\", \"affiliation\", \"attributes\": [NAME]}")?;
-    let caller = admin(ctx, "name registrars")?;
+    let caller = admin(ctx, "manage registrars")?;
     let organisation = caller.organisation.clone();
     let fits = |word: &String| !word.is_empty() && word.len() <= WORD_BYTES_MAX && !word.chars().any(char::is_control);
     let words = set.affiliation.iter().chain(&set.attributes).chain([&set.name]);
@@ -85,7 +85,7 @@ pub(in super::super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<B
         return Err(bad(
             "set_registrar",
             "REGISTRAR_JSON",
-            "other attributes than hf.Affiliation, which the department is",
+            "other attributes than hf.Affiliation, which is the department",
         ));
     }
     let key = registrar_key(&organisation, &set.name);
@@ -97,7 +97,9 @@ pub(in super::super) fn set(ctx: &mut Context<'_>, argument: &Bytes) -> Result<B
             return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has too many registrars"))
                 .found(others.len().to_string())
                 .wanted(format!("at most {REGISTRARS_MAX}"))
-                .next("ledgerctl identity registrar shows them; --remove takes the right away"));
+                .next(
+                    "remove one: ledgerctl identity registrar NAME --remove; ledgerctl identity registrar lists them",
+                ));
         }
         store::write(ctx, &key, &set)?;
     }
@@ -127,7 +129,7 @@ pub(super) fn maker_lost(
     maker: &Maker,
 ) -> Result<Option<&'static str>, Rejection> {
     if was_revoked(ctx, &maker.issuer, &maker.serial) {
-        return Ok(Some("a secret by somebody whose certificate was revoked"));
+        return Ok(Some("a secret created by an identity whose certificate was revoked"));
     }
     if !maker.registrar {
         return Ok(None);
@@ -135,7 +137,7 @@ pub(super) fn maker_lost(
     let name = record.by.split_once('/').map_or("", |(_, name)| name);
     let bounds: Option<SetRegistrar> = store::read(ctx, &registrar_key(&record.organisation, name))?;
     let may = bounds.is_some_and(|bounds| bounds.excess(Some(record.role), &record.attributes).is_none());
-    Ok(if may { None } else { Some("a secret by somebody who may register this name no longer") })
+    Ok(if may { None } else { Some("a secret created by an identity that may no longer register this name") })
 }
 
 /// Somebody who may register.
@@ -174,7 +176,7 @@ impl<'a> Registering<'a> {
         if self.bounds.is_none() || ctx.get(registrar_key(organisation, name).as_bytes()).is_none() {
             return Ok(());
         }
-        Err(self.beyond(format!("{organisation}/{name}, who is a registrar"), "a name without that right"))
+        Err(self.beyond(format!("{organisation}/{name}, who is a registrar"), "a name that is not a registrar"))
     }
 
     /// May it give a new secret to this registered name? The secret makes its bearer that person: so a registrar gives it to those
@@ -185,7 +187,7 @@ impl<'a> Registering<'a> {
         }
         if known.by != self.caller.id() {
             return Err(
-                self.beyond(format!("{}, whom {} registered", known.id(), known.by), "a name that it registered")
+                self.beyond(format!("{}, registered by {}", known.id(), known.by), "a name that it registered itself")
             );
         }
         self.check_no_right(ctx, &known.name)?;
@@ -212,7 +214,7 @@ impl<'a> Registering<'a> {
 
     fn beyond(&self, found: String, wanted: &str) -> Rejection {
         let Identity { organisation, .. } = self.caller;
-        Rejection::new(Code::NotAdmin, format!("{} may register members of its department only", self.caller.id()))
+        Rejection::new(Code::NotAdmin, format!("{} may only register members of its department", self.caller.id()))
             .found(found)
             .wanted(wanted.to_owned())
             .next(format!("ask an admin of {organisation}"))

@@ -8,6 +8,7 @@ use super::{IdentityRecord, IssuedCertificate, REGISTRATION_LIFE_MAX, Secret, co
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_base::hash::Hash;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::certificate::encode_attributes;
 use ledger_identity::{ATTRIBUTE_FORM, Role, check_new_name, check_readable, read_attribute, shown_attribute};
@@ -56,8 +57,8 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     check_form(&attributes)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(REGISTRATION_LIFE_MAX) {
-        return Err(Rejection::new(Code::BadArgument, "the secret would end at an impossible time")
-            .found(format!("{expires} µs, block time {now} µs"))
+        return Err(Rejection::new(Code::BadArgument, "the expiry of the secret is out of range")
+            .found(format!("{}, block time {}", rfc3339(expires), rfc3339(now)))
             .wanted("a time in the next 365 days"));
     }
     let organisation = &caller.organisation;
@@ -66,7 +67,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
     let record = match (known, again) {
         (Some(known), true) => {
             if role.is_some_and(|role| role != known.role) {
-                return Err(registered_for(&known, "the role of a registered name stays"));
+                return Err(registered_for(&known, "the role of a registered name cannot change"));
             }
             registering.check_again(ctx, &known)?;
             let attributes = if attributes.is_empty() { known.attributes.clone() } else { attributes };
@@ -75,14 +76,14 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
             IdentityRecord { attributes, secret, local: None, changed, by: caller.id(), ..known }
         }
         (Some(known), false) => {
-            return Err(registered_for(&known, "a new name").next(format!(
-                "choose another name, or give this one a new secret: ledgerctl identity register {name} --reissue"
+            return Err(registered_for(&known, "an unused name").next(format!(
+                "choose another name, or create a new secret for this one: ledgerctl identity register {name} --reissue"
             )));
         }
         (None, true) => {
             return Err(Rejection::new(Code::NotFound, format!("{name:?} is not registered at {organisation}"))
                 .wanted("a registered name")
-                .next("leave out --reissue to register it"));
+                .next("omit --reissue to register it"));
         }
         (None, false) => {
             registering.check(role, &attributes)?;
@@ -127,11 +128,9 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
                 true => "register another name".to_owned(),
                 false => format!("to end its rights: ledgerctl identity revoke {name}"),
             };
-            return Err(Rejection::new(Code::NotFound, format!("nothing of {} can be cancelled", record.id()))
+            return Err(Rejection::new(Code::NotFound, format!("no registration of {} can be cancelled", record.id()))
                 .found(found)
-                .wanted(
-                    "a registration whose secret was not used yet, or a revoked name that has never signed anything",
-                )
+                .wanted("a registration whose secret was not used yet, or a revoked name that never signed anything")
                 .next(next));
         }
         forget(ctx, &record)?;
@@ -147,15 +146,15 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
 fn kept_because(ctx: &Context<'_>, record: &IdentityRecord) -> Option<&'static str> {
     let has_signed = |issued: &IssuedCertificate| ctx.get(&store::known_certificate_key(&issued.fingerprint)).is_some();
     if record.role == Role::Node {
-        Some("a node, whose name its network knows")
+        Some("a node, whose name the network has recorded")
     } else if !record.certificates.iter().all(|issued| is_revoked(ctx, issued)) {
-        Some("a name that has enrolled, and whose certificate is not revoked")
+        Some("an enrolled name with a valid certificate")
     } else if record.stays
         || record.local.is_some()
         || record.registered == 0
         || record.certificates.iter().any(has_signed)
     {
-        Some("a name under which something was signed, or may have been")
+        Some("a name that has signed something, or may have")
     } else {
         None
     }
@@ -184,12 +183,13 @@ fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<()
         if let Some(known) = store::read::<String>(ctx, key)? {
             return Err(Rejection::new(
                 Code::AlreadyRegistered,
-                format!("{name:?} looks like a name that is registered"),
+                format!("{name:?} looks like a registered name"),
             )
             .found(format!("{known:?} of {organisation}"))
-            .wanted("a name that people can tell from the others, whatever the case of its letters (UTS 39)")
+            .wanted("a name that is visibly different from the others, not only in case (UTS 39)")
             .next(format!(
-                "choose another name; a revoked one that has never signed anything becomes free by ledgerctl identity cancel {known}"
+                "choose another name; a revoked one that never signed anything can be freed with ledgerctl identity \
+                 cancel {known}"
             )));
         }
     }
@@ -236,7 +236,7 @@ pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(),
     if count(ctx, organisation, |number| number.saturating_add(1))? <= most {
         return Ok(());
     }
-    let free = "cancel registrations that will not be used: ledgerctl identity list";
+    let free = "cancel unused registrations: ledgerctl identity list";
     Err(quotas::quota_reached(organisation, "identities", most, free))
 }
 
@@ -251,7 +251,7 @@ fn check_form(attributes: &BTreeMap<String, String>) -> Result<(), Rejection> {
         let text = shown_attribute(key, value);
         read_attribute(&text).map_err(|fault| {
             let found: String = text.chars().take(FOUND_CHARS_MAX).collect();
-            Rejection::new(Code::BadArgument, "this is no attribute")
+            Rejection::new(Code::BadArgument, "this is not an attribute")
                 .found(format!("{found:?}"))
                 .wanted(ATTRIBUTE_FORM)
                 .next(fault.question("--attr "))
@@ -264,7 +264,7 @@ pub(super) fn unknown(organisation: &str, name: &str) -> Rejection {
     let name: String = name.chars().take(128).collect();
     Rejection::new(Code::NotFound, format!("{name:?} is not registered at {organisation}"))
         .wanted("a registered name")
-        .next("ledgerctl identity list shows who is registered")
+        .next("ledgerctl identity list shows the registered names")
 }
 
 fn registered_for(known: &IdentityRecord, wanted: &str) -> Rejection {

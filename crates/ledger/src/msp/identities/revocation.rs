@@ -50,8 +50,8 @@ pub(in super::super) fn revoke(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     let live: Vec<_> = record.certificates.iter().filter(|issued| !is_revoked(ctx, issued)).cloned().collect();
     let cancelled = record.pending(ctx.block_time()).is_some();
     if live.is_empty() && !cancelled {
-        return Err(Rejection::new(Code::NotFound, format!("nothing of {} can be revoked", record.id()))
-            .found("no certificate that is not revoked, and no open registration")
+        return Err(Rejection::new(Code::NotFound, format!("{} has nothing to revoke", record.id()))
+            .found("no valid certificate, and no open registration")
             .next(format!("ledgerctl identity show {name}")));
     }
     for issued in &live {

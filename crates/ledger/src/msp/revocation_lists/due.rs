@@ -4,6 +4,7 @@ use super::super::store::{LISTS, list_state, read_state, stale_key};
 use super::super::{NAME, RECORD_LIST};
 use super::{LISTS_MAX, Stale, current};
 use crate::transaction::Transaction;
+use ledger_base::moment::rfc3339;
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::{Identity, Role};
 use ledger_storage::state::StateRead;
@@ -22,10 +23,13 @@ impl Due {
                 let organisation = &identity.organisation;
                 Err(Rejection::new(
                     Code::ListStale,
-                    format!("{organisation} refuses its members now, {} among them", identity.id()),
+                    format!(
+                        "{organisation} rejects its own members, such as {}, until a new revocation list is recorded",
+                        identity.id()
+                    ),
                 )
-                .found(format!("the revocation list of its CA, which has ended at {end} µs"))
-                .wanted("a revocation list that is good now")
+                .found(format!("the revocation list of its CA, which expired at {}", rfc3339(*end)))
+                .wanted("a revocation list that has not expired")
                 .next(format!("ask an admin of {organisation}: ledgerctl identity crl FILE records the new list")))
             }
             _ => Ok(()),

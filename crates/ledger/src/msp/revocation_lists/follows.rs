@@ -2,6 +2,7 @@
 //! Revocations do not depend on it.
 
 use super::ListRecord;
+use ledger_base::moment::rfc3339;
 use ledger_base::mutation::{Mutation, active};
 use ledger_base::rejection::{Code, Rejection};
 use ledger_identity::revocation_list::RevocationList;
@@ -12,18 +13,18 @@ pub const LIST_AHEAD_MAX: u64 = 5 * 60 * 1_000_000;
 /// Checks that a list is of today, by block time in microseconds.
 pub(in super::super) fn check_time(list: &RevocationList, now: u64) -> Result<(), Rejection> {
     if list.this_update > now.saturating_add(LIST_AHEAD_MAX) {
-        return Err(old("the revocation list is from the future")
-            .found(format!("made at {} µs, block time {now} µs", list.this_update))
-            .wanted("a list that was made before now")
+        return Err(old("the revocation list is dated in the future")
+            .found(format!("issued at {}, block time {}", rfc3339(list.this_update), rfc3339(now)))
+            .wanted("a list issued before now")
             .next(
-                "compare the clock of the CA with one that you trust; if it is wrong, set it and make the list again",
+                "compare the clock of the CA with a trusted clock; if it is wrong, correct it and issue the list again",
             ));
     }
     if let Some(end) = list.next_update.filter(|end| *end < now) {
-        return Err(old("the revocation list has ended")
-            .found(format!("next update at {end} µs, block time {now} µs"))
-            .wanted("a list that is good now")
-            .next("have the CA make a new one"));
+        return Err(old("the revocation list has expired")
+            .found(format!("next update at {}, block time {}", rfc3339(end), rfc3339(now)))
+            .wanted("a list that has not expired")
+            .next("have the CA issue a new list"));
     }
     Ok(())
 }
@@ -31,12 +32,12 @@ pub(in super::super) fn check_time(list: &RevocationList, now: u64) -> Result<()
 /// Checks that a list was made after the one before of the same key and scope. Of two lists of one moment the numbers decide.
 pub(super) fn check(before: &ListRecord, list: &RevocationList) -> Result<(), Rejection> {
     if list.this_update < before.this_update && !active(Mutation::TakeAnOlderList) {
-        return Err(old("the revocation list is older than the one that the ledger has")
-            .found(format!("made at {} µs", list.this_update))
-            .wanted(format!("made at {} µs or later", before.this_update)));
+        return Err(old("the revocation list is older than the recorded one")
+            .found(format!("issued at {}", rfc3339(list.this_update)))
+            .wanted(format!("issued at {} or later", rfc3339(before.this_update))));
     }
     if list.this_update == before.this_update && !grows(before, list) {
-        return Err(old("the number of the revocation list does not grow")
+        return Err(old("the number of the revocation list does not increase")
             .found(list.number.as_ref().map_or_else(|| "no number".to_owned(), hex::encode))
             .wanted(format!("a number above {}, or a later time", before.number.as_deref().unwrap_or("none"))));
     }

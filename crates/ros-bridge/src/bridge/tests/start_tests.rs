@@ -13,7 +13,7 @@ async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() 
     let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
     let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
     assert_eq!(refused.code, Code::UnknownMode);
-    assert_eq!(refused.message, "T/cmd_vel is in mode limited, and this bridge does not know its rule");
+    assert_eq!(refused.message, "T/cmd_vel is in mode limited, which this bridge does not support");
     assert_eq!(refused.found, "capability \"places\" with the value \"2\"");
 }
 

@@ -192,7 +192,7 @@ impl Pump {
             }
             self.count_losses(source.losses());
         }
-        tracing::error!(topic = %self.topic, "DDS has ended: no sample is read any more");
+        tracing::error!(topic = %self.topic, "DDS ended; no samples are read any more");
         self.queue.close();
     }
 
@@ -241,12 +241,12 @@ impl Pump {
             let lost = count.saturating_sub(self.losses.lost.get(reason).copied().unwrap_or_default());
             // A best-effort sample may be lost without a fault.
             if lost > 0 && *reason == LossReason::BestEffort {
-                tracing::debug!(topic = %self.topic, lost, "samples were lost before they reached the bridge");
+                tracing::debug!(topic = %self.topic, lost, "samples lost before they reached the bridge");
             } else if lost > 0
                 && let Some(not_logged) = self.log_limiter.admit("lost", Instant::now())
             {
                 let reason = reason.name();
-                tracing::warn!(topic = %self.topic, lost, reason, not_logged, "samples were lost before they reached the bridge");
+                tracing::warn!(topic = %self.topic, lost, reason, not_logged, "samples lost before they reached the bridge");
             }
         }
         self.losses = losses;
@@ -254,7 +254,7 @@ impl Pump {
 
     fn skip_history(&mut self) {
         if let Some(not_logged) = self.log_limiter.admit("history", Instant::now()) {
-            tracing::info!(topic = %self.topic, not_logged, "a sample is not taken in: its publisher wrote it before this route read the topic");
+            tracing::info!(topic = %self.topic, not_logged, "sample ignored: written before this route read the topic");
         }
     }
 
@@ -269,7 +269,7 @@ impl Pump {
     fn drop_unreadable(&mut self, error: &Rejection) {
         self.queue.count_dropped(1);
         if let Some(not_logged) = self.log_limiter.admit("unreadable", Instant::now()) {
-            tracing::warn!(topic = %self.topic, %error, not_logged, "a sample was dropped: no CDR, so its publisher has another `type` than this route");
+            tracing::warn!(topic = %self.topic, %error, not_logged, "sample dropped: not CDR, so its publisher has another `type` than this route");
         }
     }
 

@@ -103,7 +103,7 @@ impl TopicInput {
                 self.left.extend(std::iter::from_fn(|| before.try_next()));
                 self.lost = self.lost.saturating_add(before.dropped());
             }
-            Err(error) => tracing::warn!(%error, "the topic is read as before"),
+            Err(error) => tracing::warn!(%error, "cannot change the subscription; the topic is read as before"),
         }
     }
 

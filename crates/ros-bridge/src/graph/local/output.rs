@@ -49,7 +49,7 @@ impl TopicOutput {
     pub(crate) async fn follow(&mut self, qos: &Qos) {
         match opened(&*self.middleware, &self.settings, qos).await {
             Ok((output, matched)) => (self.output, self.matched) = (output, matched),
-            Err(error) => tracing::warn!(%error, "the topic is offered as before"),
+            Err(error) => tracing::warn!(%error, "cannot change the publisher; the topic is offered as before"),
         }
     }
 

@@ -93,7 +93,7 @@ impl Publisher {
         *loan.user_header_mut() = encode_header(self.origin, sequence, self.mark);
         let reached = loan.write_from_slice(wire).send().map_err(|error| failed(&what(), &error))?;
         if let Err(error) = self.notifier.notify() {
-            tracing::debug!(topic = %self.topic, %error, "a subscriber in shared memory was not woken");
+            tracing::debug!(topic = %self.topic, %error, "cannot wake a subscriber in shared memory");
         }
         Ok(reached)
     }

@@ -137,7 +137,7 @@ impl Drop for Subscriber {
         self.stop.store(true, Ordering::Release);
         // Without the wake-up the thread sees the flag within WAIT_MAX.
         if let Err(error) = self.waker.notify() {
-            tracing::debug!(%error, "the thread of shared memory was not woken");
+            tracing::debug!(%error, "cannot wake the shared memory thread");
         }
     }
 }
@@ -166,7 +166,7 @@ impl Pump {
                 // This process stood still (SIGSTOP), and goes on. What lies there now may have come at the beginning of that.
                 Err(ListenerWaitError::InterruptSignal) => since.elapsed(),
                 Err(error) => {
-                    tracing::error!(topic = %self.topic, %error, "the subscription in shared memory has ended");
+                    tracing::error!(topic = %self.topic, %error, "subscription in shared memory ended");
                     break;
                 }
             };

@@ -103,7 +103,7 @@ impl HolderDisplay {
             Err(refused) => {
                 if let Some(not_logged) = self.log_limiter.admit(refused.code.name(), Instant::now()) {
                     let (service, code, reason) = (&self.service, refused.code.name(), one_line(&refused));
-                    tracing::warn!(service, code, reason, not_logged, "the voters do not say who holds {service}");
+                    tracing::warn!(service, code, reason, not_logged, "the voters do not confirm who holds {service}");
                 }
                 false
             }

@@ -7,9 +7,9 @@ use serde::Serialize;
 pub(crate) struct Percentiles {
     /// Half are less.
     pub p50: f64,
-    /// 95 of 100 are less.
+    /// The 95th percentile.
     pub p95: f64,
-    /// 99 of 100 are less.
+    /// The 99th percentile.
     pub p99: f64,
     /// The largest.
     pub max: f64,

@@ -29,10 +29,7 @@ pub(super) struct Standing(Vec<Open>);
 impl Facts for Standing {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
-            return writeln!(
-                out,
-                "no invitation can be answered (those that wait for approval: ledgerctl network proposals)"
-            );
+            return writeln!(out, "no pending invitations (those that wait for approval: ledgerctl network proposals)");
         }
         let mut table = Table::new(["INVITED", "NAME", "BY", "UNTIL"]);
         for open in &self.0 {
@@ -77,7 +74,7 @@ impl Facts for Cancelled {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(
             out,
-            "the invitation of {} {} is void, and its token good for nothing",
+            "the invitation of {} {} is cancelled, and its token is invalid",
             self.what,
             printable(&self.name)
         )
@@ -98,9 +95,9 @@ pub(super) async fn cancel(session: &Session, name: &str) -> Result<Cancelled, R
     match session.call(MSP, "cancel_invitation", argument).await {
         Ok(_) => Ok(Cancelled { what: "organisation", name: name.to_owned() }),
         Err(refused) if refused.code == Code::NotFound => {
-            Err(Rejection::new(Code::NotFound, "no such invitation can be cancelled")
+            Err(Rejection::new(Code::NotFound, "there is no such invitation to cancel")
                 .found(format!("{name:?}"))
-                .wanted("a node of your organisation, or an organisation, that was invited and has not answered")
+                .wanted("a node of your organisation, or an organisation, with a pending invitation")
                 .next("ledgerctl network invite --list"))
         }
         Err(refused) => Err(refused),

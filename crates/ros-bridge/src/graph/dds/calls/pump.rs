@@ -105,7 +105,7 @@ impl Pump {
 
     fn drop_one(&mut self, reason: &'static str) {
         if let Some(not_logged) = self.log_limiter.admit(reason, Instant::now()) {
-            tracing::warn!(topic = self.topic, reason, not_logged, "a request or a reply was dropped");
+            tracing::warn!(topic = self.topic, reason, not_logged, "request or reply dropped");
         }
     }
 

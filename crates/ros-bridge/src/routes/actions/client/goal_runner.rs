@@ -171,7 +171,7 @@ impl ActionClient {
     /// Cancels goals for a reason of the bridge's own.
     fn cancel(&mut self, goals: &[GoalId], reason: &'static str) {
         for goal in goals {
-            tracing::warn!(service = self.service, goal = hex::encode(goal), reason, "a goal is cancelled");
+            tracing::warn!(service = self.service, goal = hex::encode(goal), reason, "goal cancelled");
             self.call(Part::Cancel, &cancel_of(*goal), Call::Own(*goal));
         }
     }

@@ -85,7 +85,7 @@ impl FromLedger {
             Err(error) => {
                 counts.summary.unpublished += 1;
                 if let Some(silent) = self.log_limiter.admit("unpublished", Instant::now()) {
-                    tracing::warn!(service = self.route.service, %error, not_logged = silent, "a message was not published");
+                    tracing::warn!(service = self.route.service, %error, not_logged = silent, "message not published");
                 }
             }
         }
