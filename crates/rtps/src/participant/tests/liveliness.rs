@@ -142,3 +142,17 @@ fn an_asserted_writer_sends_a_heartbeat_with_the_flag_of_liveliness_to_all_its_r
     });
     assert_eq!(flags.collect::<Vec<_>>(), [(EntityId::UNKNOWN, writer, true)]);
 }
+
+#[test]
+fn the_lease_of_a_writer_ends_with_it() {
+    let mut participant = alone();
+    step(&mut participant, 0, Input::Time);
+    let mut endpoint = endpoint_data(writer_of(STRANGER, 1));
+    endpoint.qos.liveliness_lease = Ticks::from_micros(150_000);
+    step(&mut participant, 0, datagram(STRANGER, &[announced(&participant_data(STRANGER)), published(1, &endpoint)]));
+    step(&mut participant, 10_000, datagram(STRANGER, &[disposed(EntityId::PUBLICATIONS_WRITER, 2, endpoint.guid)]));
+    while let Some(due) = participant.deadline().filter(|due| *due < LEASE / 5) {
+        assert_ne!(due, 150_000);
+        step(&mut participant, due, Input::Time);
+    }
+}

@@ -127,6 +127,20 @@ fn large_samples_of_more_writers_than_have_room_all_arrive_one_after_the_other()
 }
 
 #[test]
+fn the_sample_that_was_begun_first_is_completed_without_repair() {
+    for reliability in [Reliability::Reliable, Reliability::BestEffort] {
+        let mut crowd = Crowd::new(reliability, 6);
+        for first in 1..=100 {
+            for writer in 1..=6 {
+                crowd.now += 10;
+                crowd.fragment(writer, 1, first);
+            }
+        }
+        assert_eq!(crowd.delivered.first(), Some(&(1, 1)));
+    }
+}
+
+#[test]
 fn samples_that_never_become_whole_give_way_after_a_while() {
     let mut crowd = Crowd::new(Reliability::Reliable, 10);
     // Three writers take all the room, and keep their samples alive.

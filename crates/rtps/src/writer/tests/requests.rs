@@ -84,3 +84,37 @@ fn a_late_reader_of_a_writer_that_has_written_a_million_samples_costs_one_heartb
         assert_eq!((numbers(&out), gaps(&out).len(), heartbeats(&out).len()), (vec![], 0, 1));
     }
 }
+
+#[test]
+fn an_answer_while_a_sample_is_being_pushed_does_not_announce_it() {
+    let mut writer = durable(10);
+    writer.add_reader(at(0), peer(1, true, true));
+    writer.write(at(0), sample(10));
+    poll(&mut writer, 0);
+    writer.write(at(20_000), sample(1 << 20));
+    poll(&mut writer, 20_000);
+    receive(&mut writer, 20_000, acknack(1, 1, &[1], 1, false));
+    let mut out = Vec::new();
+    for micros in (20_050..21_200).step_by(50) {
+        out.extend(poll(&mut writer, micros));
+    }
+    assert!(fragments(&out).len() > 50 && !writer.is_acknowledged());
+    assert_eq!((numbers(&out), heartbeats(&out)), (vec![1], vec![(1, 1)]));
+}
+
+#[test]
+fn samples_that_all_reliable_readers_have_are_not_lost_when_newer_ones_replace_them() {
+    let mut writer = durable(3);
+    writer.add_reader(at(0), peer(1, true, true));
+    for number in 1..=10 {
+        writer.write(at(0), sample(10));
+        poll(&mut writer, 0);
+        receive(&mut writer, 0, acknack(1, number + 1, &[], i32::try_from(number).unwrap(), true));
+    }
+    assert_eq!(writer.losses(), WriterLosses::default());
+    for _ in 0..5 {
+        writer.write(at(0), sample(10));
+        poll(&mut writer, 0);
+    }
+    assert_eq!(writer.losses(), WriterLosses { replaced: 2, pushed_out: 0 });
+}
