@@ -240,7 +240,7 @@ async fn what_cannot_join_is_told_why() {
     let elsewhere = JoinToken { addresses: vec![other.nodes[0].address.clone()], ..good.clone() };
     newcomer.join(&elsewhere.to_string()).refused(&["is not trusted", &good.ca.to_string()]);
     let renamed = JoinToken { network: Hash([1; 32]), ..good.clone() };
-    newcomer.join(&renamed.to_string()).refused(&["of another network"]);
+    newcomer.join(&renamed.to_string()).refused(&["belongs to another network"]);
     let wrong = JoinToken { secret: "00".repeat(16), ..good.clone() };
     newcomer.join(&wrong.to_string()).refused(&["enrolment is rejected", "ledgerctl network invite --node node2"]);
     let taken = Newcomer { address: fleet.nodes[0].address.clone(), ..Newcomer::new(&fleet, "taken") };

@@ -113,8 +113,8 @@ fn several_pages() -> Rejection {
         .found(format!("more than {PAGE_MAX} elements, or {} KiB", PAGE_BYTES / 1024))
         .wanted("a request for one page")
         .next(
-            "request it in pages, with the argument {}: each page contains the place of the next; ledgerctl lists \
-               all pages",
+            "request it in pages, with the argument {}: each page contains the place of the next; the command line shows \
+             complete lists",
         )
 }
 

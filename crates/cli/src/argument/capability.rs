@@ -93,7 +93,7 @@ mod tests {
         }
         assert!(read("\"a").unwrap_err().contains("quote is missing"));
         assert!(read("crane,payload_kg=20").unwrap_err().contains("payload_kg=20 looks like another attribute"));
-        assert!(read("9223372036854775808").unwrap_err().contains("quotes"));
+        assert!(read("9223372036854775808").unwrap_err().contains("texts are quoted"));
     }
 
     #[test]

@@ -296,7 +296,7 @@ mod tests {
             text(&no),
             "no: Org1/Farhad may not [LGR-3002]\n  policy night: principal.role == \"admin\"\n    \
              found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
-             of your organisation Org1/Salma could\n"
+             of your organisation, Org1/Salma could\n"
         );
     }
 

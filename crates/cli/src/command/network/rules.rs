@@ -117,6 +117,6 @@ mod tests {
         let silent = told(None, vec![node(1, voter, 3), node(2, voter, 2)]);
         assert!(!silent.contains("--activate"), "{silent}");
         let pending = told(Some(Activation { number: 3, height: 70 }), all());
-        assert!(pending.contains("3, from block 70 on") && !pending.contains("--activate"), "{pending}");
+        assert!(pending.contains("3, from block 70") && !pending.contains("--activate"), "{pending}");
     }
 }

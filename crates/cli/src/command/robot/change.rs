@@ -264,6 +264,6 @@ mod tests {
             .next("lease_ms is 20 ms, and lease_ms_max must not be shorter: set both");
         let refused = in_words_of_the_command_line(refused);
         assert_eq!(refused.message, "lease-max of service /cmd_vel is out of range");
-        assert_eq!(refused.advice(), "lease is 20 ms, and lease-max is never shorter: set both");
+        assert_eq!(refused.advice(), "lease is 20 ms, and lease-max must not be shorter: set both");
     }
 }

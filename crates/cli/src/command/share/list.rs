@@ -153,8 +153,8 @@ mod tests {
         ShareList(vec![entry(&terms.text()), entry("@share(\"1\") permit (principal, action, resource);")])
             .text(&mut out)
             .unwrap();
-        let wanted = "SHARE    OF    ROBOT          WITH                  MAY                          WHEN           LIMITS\n\
-                      share-x  Org2  Husky/cmd_vel  Org1 with guest=true  use                          08:00-18:00 Z  0.3 m/s\n\
+        let wanted = "SHARE    OF    ROBOT          WITH                  MAY                   WHEN           LIMITS\n\
+                      share-x  Org2  Husky/cmd_vel  Org1 with guest=true  use                   08:00-18:00 Z  0.3 m/s\n\
                       share-x  Org2                                       edited: see its text\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }

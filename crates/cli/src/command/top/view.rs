@@ -227,7 +227,7 @@ mod tests {
         for part in ["T/c0", "Org1/\\u{1b}[2J", "in 10 s", "20.0/s", "3 ms", "9 ms"] {
             assert!(lines[3].contains(part), "{part:?} in {:?}", lines[3]);
         }
-        assert!(!lines.concat().contains("\u{1b}[2J") && lines.last().is_some_and(|line| line.contains("q end")));
+        assert!(!lines.concat().contains("\u{1b}[2J") && lines.last().is_some_and(|line| line.contains("q quit")));
     }
 
     #[test]
@@ -263,8 +263,8 @@ mod tests {
     #[test]
     fn after_a_look_that_failed_the_last_one_stays_and_says_so() {
         let mut view = view(1);
-        view.saw(Err(Rejection::new(ledger_base::rejection::Code::Unreachable, "nobody answers")), 2_000_000);
+        view.saw(Err(Rejection::new(ledger_base::rejection::Code::Unreachable, "no node answers")), 2_000_000);
         let lines = view.lines(&BTreeMap::new(), (120, 24));
-        assert!(lines[0].contains("not of now: nobody answers [LGR-4001]") && lines[3].contains("T/c0"), "{lines:?}");
+        assert!(lines[0].contains("out of date: no node answers [LGR-4001]") && lines[3].contains("T/c0"), "{lines:?}");
     }
 }
