@@ -1,7 +1,7 @@
 //! The state of the bridge and of each route on `/diagnostics`, as `diagnostic_msgs/msg/DiagnosticArray` once a second:
 //! where ROS 2's own tools look (REP 107).
 
-use std::time::SystemTime;
+use std::{net::Ipv4Addr, time::SystemTime};
 
 use ledger_base::rejection::Rejection;
 use ros_message::Message;
@@ -51,6 +51,18 @@ pub struct Status {
 }
 
 impl Status {
+    /// That of the local graph. `hosts` are those of participants that exchange no message with this bridge, one for each.
+    pub(crate) fn of_graph(hosts: &[Ipv4Addr]) -> Self {
+        let (level, message) = match hosts {
+            [] => (Level::Ok, "every participant can be reached".to_owned()),
+            [host, ..] => {
+                let count = hosts.len();
+                (Level::Error, format!("{count} participant(s), the first on {host}: each {UNREACHABLE}"))
+            }
+        };
+        Self { level, name: "graph".to_owned(), message, values: Vec::new() }
+    }
+
     /// That of a route, with its counters and the holders of its service.
     pub(crate) fn of_route(summary: &RouteSummary, holder: String, state: State<'_>) -> Self {
         let (level, message) = match state {
@@ -174,6 +186,12 @@ mod tests {
         assert_eq!(level(State::NearbyEndpoint { others: 1, topic: "/cmd_vel" }), Level::Warn);
         assert_eq!(level(State::Unreachable { others: 1, role: Role::Subscriber, topic: "/cmd_vel" }), Level::Error);
         assert_eq!(Status::of_route(&summary, String::new(), State::Silent(&fault)).message, "silent: why");
+        let graph = Status::of_graph(&[Ipv4Addr::LOCALHOST; 2]);
+        assert_eq!((graph.level, Status::of_graph(&[]).level), (Level::Error, Level::Ok));
+        assert!(
+            graph.message.starts_with("2 participant(s), the first on 127.0.0.1: each has no address"),
+            "{graph:?}"
+        );
     }
 
     #[test]

@@ -72,6 +72,8 @@ pub(crate) struct Reporter {
     node: String,
     heard: Instant,
     is_lost: bool,
+    /// Was there a participant in the local graph that cannot be reached?
+    had_unreachable: bool,
     /// The counters at the last look, by the numbers of the routes.
     counted: BTreeMap<usize, RouteSummary>,
     diagnostics: Option<Diagnostics>,
@@ -132,6 +134,7 @@ impl Reporter {
             node,
             heard,
             is_lost: false,
+            had_unreachable: false,
             counted,
             diagnostics,
             statuses: Statuses::default(),
@@ -212,8 +215,16 @@ impl Reporter {
     }
 
     /// Tells what is new about each route, and how they all do.
+    /// That of the local graph, since a participant in it could not be reached.
+    fn status_of_graph(&mut self) -> Option<Status> {
+        let hosts = self.local.middleware().unreachable();
+        self.had_unreachable |= !hosts.is_empty();
+        self.had_unreachable.then(|| Status::of_graph(&hosts))
+    }
+
     fn look_at_routes(&mut self, neighbourhood: &Neighbourhood, now: Instant) {
         let mut statuses = vec![self.status_of_node()];
+        statuses.extend(self.status_of_graph());
         for slot in self.roster.slots() {
             let (summary, holder) = (slot.counters.summary(), slot.counters.lock().live.holder.clone());
             let status = match (slot.open(), self.is_lost) {

@@ -10,7 +10,6 @@ use ledger_base::rejection::Rejection;
 use ledger_gate::sample::Sample;
 use rtps::{
     guid::Guid,
-    interface::LossReason,
     interface::{EndpointSettings, IncomingSample},
     io::{DomainReader, Losses, QueueLimits},
     time::Ticks,
@@ -240,7 +239,7 @@ impl Pump {
         for (reason, count) in &losses.lost {
             let lost = count.saturating_sub(self.losses.lost.get(reason).copied().unwrap_or_default());
             // A best-effort sample may be lost without a fault.
-            if lost > 0 && *reason == LossReason::BestEffort {
+            if lost > 0 && reason.is_best_effort() {
                 tracing::debug!(topic = %self.topic, lost, "samples lost before they reached the bridge");
             } else if lost > 0
                 && let Some(not_logged) = self.log_limiter.admit("lost", Instant::now())

@@ -1,6 +1,6 @@
 //! DDS as a transport of the local graph.
 
-use std::{collections::BTreeSet, sync::Arc, time::Duration};
+use std::{collections::BTreeSet, net::Ipv4Addr, sync::Arc, time::Duration};
 
 use futures::{FutureExt, future::BoxFuture};
 use ledger_gate::sample::Sample;
@@ -54,6 +54,10 @@ impl Transport for Participant {
 impl Middleware for Participant {
     fn identity(&self) -> [u8; 16] {
         self.guid()
+    }
+
+    fn unreachable(&self) -> Vec<Ipv4Addr> {
+        self.dds.unreachable().into_iter().map(|participant| participant.host).collect()
     }
 
     fn has_publisher(&self, publisher: &[u8; 16]) -> bool {

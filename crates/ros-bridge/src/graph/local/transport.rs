@@ -3,7 +3,7 @@
 //! A [`Transport`] carries topics: DDS, zenoh, shared memory. A [`Middleware`] is one that carries the whole graph, with services and
 //! discovery: DDS or zenoh.
 
-use std::{collections::BTreeSet, sync::Arc, time::Duration};
+use std::{collections::BTreeSet, net::Ipv4Addr, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
@@ -58,6 +58,11 @@ pub(crate) trait Transport: Send + Sync {
 pub(crate) trait Middleware: Transport {
     /// Unique in the world, new with every start.
     fn identity(&self) -> [u8; 16];
+
+    /// The hosts of participants that exchange no message with this bridge, one for each.
+    fn unreachable(&self) -> Vec<Ipv4Addr> {
+        Vec::new()
+    }
 
     /// Is this publisher of another in the graph?
     fn has_publisher(&self, publisher: &[u8; 16]) -> bool;
