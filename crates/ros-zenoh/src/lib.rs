@@ -1,6 +1,6 @@
 //! A graph of `rmw_zenoh` without types: keys, liveliness tokens, attachments, and raw samples over a zenoh session.
 //!
-//! ROS 2 over zenoh is a convention: topics are keys with the hash of their type, services are queries, and each node, publisher,
+//! ROS 2 over zenoh is a convention. Topics are keys with the hash of their type, and services are queries. Each node, publisher,
 //! subscriber, server and client declares a token that names it. This crate follows the convention of `rmw_zenoh_cpp` for ROS 2 Jazzy
 //! and later. It knows nothing of messages, which are bytes here, and nothing of a ledger.
 //!

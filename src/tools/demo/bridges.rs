@@ -94,7 +94,7 @@ impl Bridges {
     pub async fn found(&mut self) -> Result<(), Rejection> {
         let deadline = Instant::now() + DISCOVERY_TIME_MAX;
         let knows = |bridge: &Running| {
-            bridge.topics.iter().all(|topic| bridge.process.logged(&format!("on {topic} connected")))
+            bridge.topics.iter().all(|topic| bridge.process.logged(&format!("on {topic} has come")))
         };
         while !self.running.iter().all(knows) {
             self.check()?;

@@ -86,6 +86,11 @@ impl Participant {
         self.dds.guid().to_bytes()
     }
 
+    /// The hosts of participants that have no address for UDP over IPv4, one for each.
+    pub(crate) fn unreachable(&self) -> Vec<Ipv4Addr> {
+        self.dds.unreachable().into_iter().map(|participant| participant.host).collect()
+    }
+
     /// Loses DDS as a fault would take it away.
     #[cfg(test)]
     pub(crate) fn break_down(&self) {

@@ -57,7 +57,7 @@ impl Middleware for Participant {
     }
 
     fn unreachable(&self) -> Vec<Ipv4Addr> {
-        self.dds.unreachable().into_iter().map(|participant| participant.host).collect()
+        Self::unreachable(self)
     }
 
     fn has_publisher(&self, publisher: &[u8; 16]) -> bool {
