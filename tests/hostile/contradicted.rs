@@ -300,7 +300,7 @@ fn where_no_history_is_certified_any_more_recover_takes_the_people_through_it() 
         };
         programs::refused(
             &ledgerd(&["recover", "--force-single"], kept),
-            &["nothing was done", "would vote no more", "--confirm"],
+            &["nothing was done", "would vote no longer", "--confirm"],
         );
         let done = programs::said(&ledgerd(
             &["recover", "--force-single", "--confirm", "test", "--reason", "Org1 lied"],

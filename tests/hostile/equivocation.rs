@@ -143,7 +143,11 @@ async fn two_results_of_one_block_are_a_fault_and_the_node_that_has_signed_them_
     scene.send(&scene.fleet.nodes[2], EVIDENCE, &proof).await;
     let mut stopped = scene.nodes.pop().unwrap();
     assert!(!stopped.wait().success());
-    assert!(stopped.stderr().contains("this node signed two different results of one block"), "{}", stopped.stderr());
+    assert!(
+        stopped.stderr().contains("this node has signed two different results of one block"),
+        "{}",
+        stopped.stderr()
+    );
     scene.nodes.push(scene.fleet.nodes[2].start());
     scene.both("node c is back, and a leader is there", |status| status.leader_id > 0).await;
     scene.send(&scene.fleet.nodes[2], EVIDENCE, &proof).await;

@@ -47,7 +47,7 @@ fn a_robot_of_fast_dds_without_udp_for_samples_is_an_error_in_the_diagnostics() 
         let _rover = rover(&world, &[]);
         world.line("Rover", &["is ready"]).await;
         let mut robot = rclpy::command("listener.py", 3, &["/cmd_vel", "1"]);
-        robot.env("FASTDDS_BUILTIN_TRANSPORTS", "LARGE_DATA");
+        robot.env("FASTDDS_BUILTIN_TRANSPORTS", "LARGE_DATA").env("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET");
         let _robot = python::Python::run(robot);
         world.line("Rover", &["WARN", "a participant cannot be reached", "UDP over IPv4"]).await;
         diagnosed(&["1 participant(s), the first on ", "FASTDDS_BUILTIN_TRANSPORTS=DEFAULT", "level: 2"]).await;

@@ -93,6 +93,7 @@ fn typed(name: &str) -> Terminal {
         }
     }
     terminal.check_lasting();
+    terminal.check();
     terminal
 }
 

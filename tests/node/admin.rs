@@ -107,7 +107,7 @@ async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_o
         let (status, body) = get(&other, "/readyz");
         (status == "HTTP/1.1 503 Service Unavailable").then_some(body)
     });
-    assert!(body.contains("[-] leader failed: no leader is known") && body.ends_with("not ready\n"), "{body}");
+    assert!(body.contains("[-] leader failed: there is no leader") && body.ends_with("not ready\n"), "{body}");
     assert_eq!(get(&other, "/livez").1, "ok\n");
 }
 

@@ -126,7 +126,7 @@ fn a_restored_voter_does_not_start_as_it_was_and_comes_back_under_a_new_number()
     let rejoin = ["rejoin", "--node", fleet.nodes[0].address.as_str()];
     let original = std::net::TcpListener::bind(&place.address).unwrap();
     let agreed = [&rejoin[..], &["--original-is-gone"]].concat();
-    refused(&ledgerd(&agreed, &place.config), &["node Org1/node3 runs", "answers at"]);
+    refused(&ledgerd(&agreed, &place.config), &["node Org1/node3 is running", "answers at"]);
     drop(original);
     refused(&ledgerd(&rejoin, &place.config), &["was not confirmed", "Org1/node3", "--original-is-gone"]);
     let back = said(&ledgerd(&agreed, &place.config));
@@ -287,7 +287,7 @@ fn after_the_loss_of_most_voters_one_goes_on_by_force_loudly_and_the_ledger_says
         &[
             "nothing was done",
             "Org1/node1 would be the only voter",
-            "Org1/node2, Org1/node3 would vote no more",
+            "Org1/node2, Org1/node3 would vote no longer",
             "--confirm \"test\"",
         ],
     );

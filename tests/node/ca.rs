@@ -203,7 +203,7 @@ fn a_key_that_others_can_read_and_a_missing_ca_refuse_the_start_and_say_what_to_
     let away = fleet.path().join("away");
     fs::rename(&directory, &away).unwrap();
     refused(&[
-        "the CA of Org1 is missing",
+        "the CA key of Org1 is missing",
         &directory.display().to_string(),
         "ledgerd ca restore",
         "ledgerd ca give-up Org1",

@@ -169,7 +169,7 @@ async fn a_voter_that_was_set_back_does_not_start_where_a_peer_remembers_what_it
         }
     };
     assert!(!ended.success() && log.contains("this voter has lost blocks that it had before"), "{ended}\n{log}");
-    assert!(log.contains("of which Org2/node4 shows this node's own receipt"), "{log}");
+    assert!(log.contains("according to Org2/node4, which shows this node's own receipt"), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

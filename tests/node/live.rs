@@ -64,7 +64,7 @@ fn top_shows_robots_and_nodes_and_a_key_stops_the_chosen_robot_and_asks_before_i
     let screen = || String::from_utf8_lossy(&std::fs::read(&log).unwrap()).into_owned();
     eventually("robots and nodes are shown", || {
         let screen = screen();
-        ["Husky/cmd_vel", "OptiTrack/poses", "Org1/node1", "leader", "q end"]
+        ["Husky/cmd_vel", "OptiTrack/poses", "Org1/node1", "leader", "q quit"]
             .iter()
             .all(|word| screen.contains(word))
             .then_some(())

@@ -93,7 +93,7 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     until("the node has left", || async { nodes(&boss)?.iter().all(|node| node["name"] != "second").then_some(()) })
         .await;
     let table = boss.run(&["network", "nodes"]).ok().stdout;
-    assert!(table.lines().any(|line| line.contains("Org1/second") && line.ends_with("removed   removed")), "{table}");
+    assert!(table.lines().any(|line| line.contains("Org1/second") && line.ends_with("removed  removed")), "{table}");
     boss.run(&["network", "promote", "second"]).refused(3, &["LGR-1013", &first]);
     // Its number does not come back.
     second.kill();
@@ -110,7 +110,7 @@ async fn an_invitation_of_an_organisation_names_who_must_approve_and_can_be_take
     until("the node leads", || async { (leader(&boss) == 1).then_some(()) }).await;
     let invited = boss.run(&["network", "invite", "--organisation", "Org3"]).ok().stdout;
     for word in
-        ["proposed: invite organisation Org3", "an admin of Org2 types:", "machine of Org3/node1:\n  ledgerd join"]
+        ["proposed: invite organisation Org3", "an admin of Org2 runs:", "machine of Org3/node1:\n  ledgerd join"]
     {
         assert!(invited.contains(word), "{word:?} is missing in {invited}");
     }

@@ -69,7 +69,7 @@ fn a_dangerous_robot_is_acquired_when_others_have_agreed() {
     let first = officer.run(&["confirm", "Turtlebot4", "Org1/Salma"]).ok().stdout;
     assert!(first.contains("Org1/Salma is confirmed by Org1/Officer (1 of 2)"), "{first}");
     let queue = officer.run(&["queue", "Turtlebot4"]).ok().stdout;
-    assert!(queue.contains("Org1/Salma waits to be confirmed"), "{queue}");
+    assert!(queue.contains("Org1/Salma waits for confirmations until"), "{queue}");
     let last = owner.run(&["confirm", "Turtlebot4", "Org1/Salma"]).ok().stdout;
     assert!(last.contains("Org1/Salma holds Turtlebot4/cmd_vel with epoch 1"), "{last}");
     let ended = waits.wait_with_output().unwrap();

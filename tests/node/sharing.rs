@@ -61,7 +61,7 @@ fn people_wait_in_line_until_the_service_is_theirs_or_until_they_leave() {
     interrupt(&maria_waits);
     let (code, _, stderr) = ended(maria_waits);
     assert_eq!(code, 5, "{stderr}");
-    assert!(stderr.contains("you have left the line of Turtlebot4/cmd_vel"), "{stderr}");
+    assert!(stderr.contains("you left the queue of Turtlebot4/cmd_vel"), "{stderr}");
     assert_eq!(contenders(&salma), ["Org1/Farhad"]);
 
     // A release gives it to whoever is next.

@@ -74,7 +74,7 @@ fn the_network_of_three_of_the_readme_survives_the_death_of_any_one() {
             let none = status["quorum"] == true && status["failures_tolerated"] == 0;
             let quorum = status["attention"].as_array()?.iter().find(|item| item["check"] == "quorum")?;
             // The third is the only one of its organisation.
-            let wanted = ["2 of 3 voters are connected: one less", "only voters of Org1 are connected"];
+            let wanted = ["2 of 3 voters are connected: if one more fails", "only voters of Org1 are connected"];
             let told = quorum["message"].as_str()?.starts_with(wanted[usize::from(round == 2)]);
             (code == 1 && none && told).then_some(())
         });

@@ -421,9 +421,9 @@ mod tests {
             for body in [[&encoded, unknown].concat(), [unknown, &encoded].concat()] {
                 let refused = signed(body, &[]).unwrap_err();
                 assert_eq!(refused.code, Code::Malformed, "{refused}");
-                assert!(refused.message.contains("TransactionBody has fields"), "{refused}");
+                assert!(refused.message.contains("TransactionBody has unknown fields"), "{refused}");
             }
-            assert!(signed(encoded.clone(), unknown).unwrap_err().message.contains("Transaction has fields"));
+            assert!(signed(encoded.clone(), unknown).unwrap_err().message.contains("Transaction has unknown fields"));
         }
     }
 

@@ -140,7 +140,7 @@ fn a_ca_key_that_can_be_lost_is_a_warning_and_one_that_is_lost_an_error() {
         all.into_iter().map(|item| (item.check, item.severity, item.message)).collect::<Vec<_>>()
     };
     only(&found(key(&[], false, 112)), "ca", ERROR, "no node holds the CA key of Org1");
-    only(&found(key(&[], true, 112)), "ca", ERROR, "in 12 days the last certificate of its admins ends");
+    only(&found(key(&[], true, 112)), "ca", ERROR, "in 12 days the last certificate of its admins expires");
     only(&found(key(&[], true, 99)), "ca", ERROR, "it is locked out");
     only(&found(key(&["Org1/node1"], false, 0)), "ca", WARNING, "only Org1/node1 holds the CA key of Org1");
     assert_eq!(found(key(&["Org1/node1"], true, 0)), []);
@@ -217,7 +217,7 @@ fn certificates_need_attention_once_they_should_have_been_renewed() {
     assert_eq!(ends_in("node", 31, 365), []);
     only(&ends_in("node", 29, 365), "certificate", WARNING, "the certificate of Org1/node1 expires in 29 days");
     assert_eq!(ends_in("node", 2, 10), [], "a short life is renewed late");
-    only(&ends_in("node", 1, 10), "certificate", WARNING, "ends in 1 day");
+    only(&ends_in("node", 1, 10), "certificate", WARNING, "expires in 1 day");
     assert_eq!(ends_in("ca", 181, 1180), []);
     only(&ends_in("ca", 179, 1179), "certificate", WARNING, "the CA ca of Org1 expires in 179 days");
     assert_eq!(ends_in("list", 1, 7), [], "a list is late once it has expired");

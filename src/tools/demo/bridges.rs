@@ -93,9 +93,8 @@ impl Bridges {
     /// its bridge may still be unknown to it, and then a message to the node is lost.
     pub async fn found(&mut self) -> Result<(), Rejection> {
         let deadline = Instant::now() + DISCOVERY_TIME_MAX;
-        let knows = |bridge: &Running| {
-            bridge.topics.iter().all(|topic| bridge.process.logged(&format!("on {topic} has come")))
-        };
+        let knows =
+            |bridge: &Running| bridge.topics.iter().all(|topic| bridge.process.logged(&format!("on {topic} has come")));
         while !self.running.iter().all(knows) {
             self.check()?;
             if Instant::now() > deadline {

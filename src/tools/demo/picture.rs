@@ -90,7 +90,7 @@ fn frame(before: Counts, now: Counts, between: Duration) -> String {
     let line = |name: &str, before: usize, now: usize| {
         let hz = rate(before, now);
         let bar = (hz / f64::from(HZ) * BAR as f64).round().clamp(0.0, BAR as f64 * 1.25) as usize;
-        format!("         {name:<24}{:<30} {hz:>3.0} Hz", "█".repeat(bar))
+        format!("         {name:<27}{:<30} {hz:>3.0} Hz", "█".repeat(bar))
     };
     let ([salma, farhad], [salma_before, farhad_before]) = (now.published, before.published);
     let ([from_salma, from_farhad], [from_salma_before, from_farhad_before]) = (now.received, before.received);

@@ -99,14 +99,14 @@ mod tests {
         let told = |days: u64| endings(&node.certificate, &msps, std::slice::from_ref(&list), END - days * DAY);
         assert!(told(101).is_empty());
         let [ended] = <[String; 1]>::try_from(told(90)).unwrap();
-        assert!(ended.contains("of Org3 has ended 10 days ago") && !ended.contains('\u{1b}'), "{ended}");
+        assert!(ended.contains("of Org3 expired 10 days ago") && !ended.contains('\u{1b}'), "{ended}");
         assert_eq!(told(31).len(), 1);
         let near = told(29);
         assert_eq!(near.len(), 3, "{near:?}");
         for (part, line) in [("this node", &near), ("the CA of Org1", &near)] {
             assert!(
-                line.iter().any(|line| line.contains(part) && line.contains("ends in 28 days")
-                    || line.contains(part) && line.contains("ends in 29 days")),
+                line.iter().any(|line| line.contains(part) && line.contains("expires in 28 days")
+                    || line.contains(part) && line.contains("expires in 29 days")),
                 "{part}: {line:?}"
             );
         }

@@ -37,6 +37,8 @@ pub(super) struct Terminal {
     values: BTreeMap<String, String>,
     /// Everything that was printed, with single spaces.
     printed: String,
+    /// Where a program printed something else than the page.
+    faults: Vec<String>,
 }
 
 /// A command in a terminal of its own, with everything that it started.
@@ -74,8 +76,14 @@ impl Terminal {
         let ros2 = programs.join("ros2");
         fs::write(&ros2, format!("#!/bin/sh\nexec {python} {} \"$@\"\n", script.display())).unwrap();
         fs::set_permissions(&ros2, fs::Permissions::from_mode(0o755)).unwrap();
-        let terminal =
-            Self { directory, reading, values: BTreeMap::new(), printed: String::new(), running: Vec::new() };
+        let terminal = Self {
+            directory,
+            reading,
+            values: BTreeMap::new(),
+            printed: String::new(),
+            faults: Vec::new(),
+            running: Vec::new(),
+        };
         files.iter().for_each(|(name, text)| terminal.file(name, text));
         terminal
     }
@@ -88,6 +96,11 @@ impl Terminal {
     /// Types a line that the page takes for granted. It must succeed.
     pub(super) fn given(&mut self, line: &str) {
         self.run(line, &[]);
+    }
+
+    /// Fails with all differences between the page and the programs.
+    pub(super) fn check(&self) {
+        assert!(self.faults.is_empty(), "{}\n{}", self.faults.join("\n"), self.logs());
     }
 
     /// Types a line of the page and compares what it prints.
@@ -113,7 +126,8 @@ impl Terminal {
         self.printed.push('\n');
         if let Err(fault) = self.compare(printed, &out) {
             let said = printed.join("\n");
-            panic!("{page}\n$ {real}\n{fault}\n--- it printed:\n{out}\n--- the page says:\n{said}\n{}", self.logs());
+            self.faults
+                .push(format!("{page}\n$ {real}\n{fault}\n--- it printed:\n{out}\n--- the page says:\n{said}\n"));
         }
     }
 

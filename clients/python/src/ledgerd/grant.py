@@ -195,6 +195,8 @@ class Acquiring:
             await self._grant.release()
 
     async def _acquire(self) -> Grant:
+        # Spans that are no numbers fail here, before anything is sent.
+        self._asked.arguments()
         until = time.monotonic() + self._asked.wait
         # It may have got the service, or a place in line, that nobody here has heard of.
         try:

@@ -172,7 +172,7 @@ fn nobody_passes_a_robot_to_itself_or_in_a_circle() {
     fleet.ok(&salma(), "delegate", &[TURTLEBOT, "Org1/Farhad", r#"{"may_delegate":true}"#]);
     for function in ["delegate", "handover"] {
         let call = (function, &[TURTLEBOT, "Org1/Salma"][..]);
-        let parts = ["passed on by Org1/Salma", "an identity that has not delegated it", "ledgerctl recall"];
+        let parts = ["delegated by Org1/Salma", "an identity that has not delegated it", "ledgerctl recall"];
         bad(&mut fleet, &farhad(), Code::BadArgument, call, parts);
     }
 }

@@ -125,7 +125,7 @@ fn a_refusal_carries_the_same_explanation() {
     assert_eq!(warm.to_string(), refused.to_string(), "remembered reasons are the same");
     assert_eq!((refused.advice(), &refused.found, &refused.wanted), (&*no.next, &no.found, &no.wanted));
     assert_eq!(no.found, r#"principal.role is "member""#);
-    assert!(no.wanted.starts_with(r#"principal.role == "admin", as policy admins demands"#), "{}", no.wanted);
+    assert!(no.wanted.starts_with(r#"principal.role == "admin", as policy admins requires"#), "{}", no.wanted);
 }
 
 #[test]

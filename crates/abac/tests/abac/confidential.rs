@@ -220,7 +220,7 @@ fn whoever_comes_and_goes_all_the_time_keeps_no_publisher_from_the_others() {
     }
     fleet.time += 2 * SECOND;
     let refused = send(&mut fleet, &camera(), &sealer, (POSES, 0, 1000)).unwrap_err();
-    assert!(refused.code == Code::ReadersChanged && refused.found.contains("came or went 2 s ago"), "{refused}");
+    assert!(refused.code == Code::ReadersChanged && refused.found.contains("a change of readers 2 s ago"), "{refused}");
     let (sealer, _) = share(&mut fleet, &camera(), POSES, 0).unwrap();
     fleet.time += 10 * SECOND;
     send(&mut fleet, &camera(), &sealer, (POSES, 0, 1000)).unwrap();

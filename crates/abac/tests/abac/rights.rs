@@ -108,7 +108,7 @@ fn a_condition_about_a_right_that_the_scope_does_not_name_is_rejected_with_its_p
             format!("forbid (principal, action, resource)\nwhen {{ [Action::{right:?}].contains(action) }};"),
         ] {
             let refused = fleet.refused(&owner(), Code::PolicyInvalid, "policy", &["put", "p", &text]);
-            assert!(refused.found.contains(&format!("speaks of Action::{right:?}")), "{refused}");
+            assert!(refused.found.contains(&format!("a condition uses Action::{right:?}, but")), "{refused}");
             let PolicyCheck { faults, policies, .. } = fleet.get(&salma(), "check", &[&text]);
             assert_eq!((faults.len(), faults[0].line, policies.len()), (1, 2, 0), "{faults:?}");
         }

@@ -304,7 +304,7 @@ fn a_certificate_waits_in_a_bounded_number_of_lines() {
         place(&mut fleet, &farhad(), &[&id(n)]);
     }
     let refused = fleet.refused(&farhad(), Code::LimitExceeded, "acquire", &[&id(64)]);
-    assert_eq!((refused.found.as_str(), refused.wanted.as_str()), ("64 lines", "fewer than 64"));
+    assert_eq!((refused.found.as_str(), refused.wanted.as_str()), ("64 queues", "fewer than 64"));
 }
 
 /// Everybody may have it while the hour is even: a rule that this crate does not have.

@@ -107,7 +107,7 @@ fn a_task_that_waits_as_long_as_the_service_allows_expires() {
     submit(&mut fleet, &farhad(), TWO);
     fleet.time += 3 * SECOND;
     fleet.tick();
-    assert!(is(&fleet, 2, TaskState::Expired).contains("within the idle limit"));
+    assert_eq!(is(&fleet, 2, TaskState::Expired), "its waiting time reached the limit of the service");
 }
 
 #[test]

@@ -249,7 +249,7 @@ fn where_two_admins_must_agree_one_alone_changes_nothing_in_any_way() {
         ],
     ] {
         let refused = fleet.refused(&owner(), Code::NeedsApproval, "policy", &args);
-        assert!(refused.wanted.starts_with("admins = 2, as Org2 demands: 1 more"), "{refused}");
+        assert!(refused.wanted.starts_with("admins = 2, as Org2 requires: 1 more"), "{refused}");
     }
     let proposal = propose(&mut fleet, &owner(), &set("together"));
     fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposal.id]);
@@ -341,7 +341,7 @@ fn the_network_may_demand_that_other_organisations_agree_and_no_glass_breaks_tha
     let rules: PolicyApprovals = fleet.get(&salma(), "policy_approvals", &["Org2"]);
     assert_eq!((rules.network.as_deref(), rules.own), (Some("organisations = 2"), None));
     let refused = fleet.refused(&owner(), Code::NeedsApproval, "policy", &["put", "all", ALL]);
-    assert!(refused.wanted.contains("as the network demands"), "{refused}");
+    assert!(refused.wanted.contains("as the network requires"), "{refused}");
     let proposal = propose(&mut fleet, &owner(), &set("for both"));
     fleet.ok(&second(), "policy", &["approve", &proposal.id]);
     fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposal.id]);
@@ -362,7 +362,7 @@ fn an_organisation_whose_own_rule_nobody_can_meet_gets_out_of_it_after_three_day
     let free = PolicyDraft { approvals: Some("none".into()), ..set("free again") };
     let proposal = propose(&mut fleet, &owner(), &free);
     let refused = fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposal.id, "break-glass"]);
-    assert!(refused.advice().contains("72 hours more"), "{refused}");
+    assert!(refused.advice().contains("or 72 hours: then"), "{refused}");
     fleet.time += 3 * DAY;
     fleet.refused(&owner(), Code::NeedsApproval, "policy", &["enact", &proposal.id]);
     fleet.ok(&owner(), "policy", &["enact", &proposal.id, "break-glass"]);

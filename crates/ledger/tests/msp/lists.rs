@@ -275,7 +275,7 @@ fn an_intermediate_that_its_root_revokes_vouches_for_nobody() {
     assert_eq!(story.network.event_names(), ["organisation_updated", "revocation_list"]);
     assert_eq!(code(&story.network.call(&nadia, "withdraw", &["00000000"])), Code::Untrusted);
     let refused = story.network.ledger.check_revoked(&connected).unwrap_err();
-    assert!(refused.code == Code::Untrusted && refused.found.contains("an authority that Org4 has lost"), "{refused}");
+    assert!(refused.code == Code::Untrusted && refused.found.contains("a CA that Org4 removed"), "{refused}");
     assert_eq!(code(&story.network.ask(&boss, "nodes", &[])), Code::Ok);
     assert_eq!(code(&story.network.call(&boss, "approve", &["00000000"])), Code::NotFound);
 }

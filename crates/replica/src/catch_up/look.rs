@@ -287,7 +287,10 @@ mod tests {
         let learner = Holding { you_vote: false, ..shows(key(1, 7).committed(10)) };
         look.step(PATIENCE, Heard::Answer(&who, &learner)).unwrap();
         let refused = claims(&mut look, 3, shows(key(1, 7).committed(10))).unwrap();
-        assert!(refused.code == Code::DiskFailed && refused.wanted.contains("height 10, of which node3"), "{refused}");
+        assert!(
+            refused.code == Code::DiskFailed && refused.wanted.contains("height 10, according to node3"),
+            "{refused}"
+        );
     }
 
     #[test]

@@ -132,7 +132,7 @@ fn a_kind_of_route_carries_types_of_its_own_kind() {
             let faults = parse(&text).err().unwrap_or_default();
             let fits = of.contains(&format!("/{}/", kind.carries.name()));
             assert_eq!(faults.len(), usize::from(!fits), "{kind:?} {of} {faults:?}");
-            assert!(faults.iter().all(|fault| fault.to_string().contains("direction does not fit")), "{faults:?}");
+            assert!(faults.iter().all(|fault| fault.to_string().contains("direction conflicts with")), "{faults:?}");
         }
     }
 }

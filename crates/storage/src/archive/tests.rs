@@ -141,12 +141,12 @@ fn what_does_not_belong_together_is_not_put_together() {
     fill(&blocks, 90);
     blocks.prune(70).unwrap();
     let refused = copy(&node, &archive).unwrap_err();
-    assert!(refused.code == Code::BadFile && refused.message.contains("gone"), "{refused}");
+    assert!(refused.code == Code::BadFile && refused.message.contains("oldest block are missing"), "{refused}");
     let fresh = SimDisk::new(4);
     check(&fresh, &blocks, &copy(&node, &fresh).unwrap());
     blocks.begin_after(Base { index: 200, term: 1 }).unwrap();
     fill(&blocks, 240);
-    assert!(copy(&node, &fresh).unwrap_err().message.contains("gone"));
+    assert!(copy(&node, &fresh).unwrap_err().message.contains("oldest block are missing"));
     let foreign = SimDisk::new(5);
     fill(&open(Arc::new(foreign.clone()), [8; 32], 1), 60);
     assert_eq!(copy(&foreign, &archive).unwrap_err().code, Code::Corrupt);

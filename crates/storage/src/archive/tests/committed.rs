@@ -149,7 +149,7 @@ fn a_node_that_does_not_continue_the_archive_is_refused() {
         let second = blocks.prune(10).unwrap();
         assert!((7..=8).contains(&second), "{second}");
         let refused = copy_committed(&node, &archive, 12).unwrap_err();
-        assert!(refused.code == Code::BadFile && refused.message.contains("gone"), "{refused}");
+        assert!(refused.code == Code::BadFile && refused.message.contains("oldest block are missing"), "{refused}");
     }
 }
 
