@@ -110,8 +110,11 @@ def serve():
     while True:
         for request in valid(asked, GetParametersRequest):
             say("ask", request.names[0])
+            # As rmw_cyclonedds: a reply waits until its client can be reached.
+            wait_for(answers.get_matched_subscriptions)
             answers.write(GetParametersReply(request.client, request.number, []))
         for request in valid(wanted, SetBoolRequest):
+            wait_for(tells.get_matched_subscriptions)
             tells.write(SetBoolReply(request.client, request.number, True, text(next(told))))
         for message in valid(topic, String):
             say("topic", message.data)

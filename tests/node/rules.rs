@@ -23,7 +23,7 @@ fn proposals(boss: &Ctl, owner: &Ctl) {
     assert!(text.lines().any(|line| line.split_whitespace().eq(set_role.split(' '))), "{text}");
     let set = ["network", "quorums", "--set", "msp", "set_node_role", "admins of Org2 = 1"];
     let proposed = boss.run(&set).ok().stdout;
-    assert!(proposed.starts_with("proposed: call msp set_quorum {"), "{proposed}");
+    assert!(proposed.starts_with("proposed: call msp set_quorum chaincode=msp, function=set_node_role"), "{proposed}");
     assert_eq!(owner.run(&set).ok().stdout, "msp set_node_role now needs admins of Org2 = 1\n");
     let node = serde_json::json!({ "organisation": "Org2", "name": "org2-node", "role": "voter" }).to_string();
     let shown = boss.run(&["network", "propose", "msp", "set_node_role", &node]).ok().stdout;

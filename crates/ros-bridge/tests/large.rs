@@ -127,12 +127,10 @@ async fn messages_of_every_size_pass_on_each_channel(start: impl FnOnce(&[String
     SIZES.iter().for_each(|size| writer.write(&sample(*size)).unwrap());
     let mut client = bridge.client(&exchange("/theirs/ask", ASK), mark, BYTES_MAX).unwrap();
     for size in SIZES {
-        println!("ask {size}");
         assert_eq!(call(&mut client, &question(size)).await, 0u32.to_le_bytes(), "{size}");
     }
     let mut client = bridge.client(&exchange("/theirs/tell", TELL), mark, BYTES_MAX).unwrap();
     for size in SIZES {
-        println!("tell {size}");
         assert_eq!(size_of(&call(&mut client, &[1]).await[4..]), size);
     }
     let each = |channel: &str| SIZES.map(|size| format!("{channel} {size}"));
