@@ -64,7 +64,7 @@ def text(size):
 def say(channel, received):
     assert set(received) <= {"x"}
     with one_at_a_time:
-        print(channel, len(received), flush=True)
+        print(f"{channel} {len(received)}\n", end="", flush=True)
 
 
 def qos(*more):
@@ -115,7 +115,7 @@ def serve():
             answers.write(GetParametersReply(request.client, request.number, []))
         for request in valid(wanted, SetBoolRequest):
             wait_for(tells.get_matched_subscriptions)
-            tells.write(SetBoolReply(request.client, request.number, True, text(next(told))))
+            tells.write(SetBoolReply(request.client, request.number, True, text(next(told) if request.data else 0)))
         for message in valid(topic, String):
             say("topic", message.data)
         for message in [message for keeper in kept for message in valid(keeper, String)]:
@@ -140,13 +140,13 @@ def call(ends, request, kind):
 
 
 threading.Thread(target=serve, daemon=True).start()
-print("ready", flush=True)
+print("ready\n", end="", flush=True)
 wait_for(publisher.get_matched_subscriptions)
 for number, size in enumerate(sizes, 1):
     publisher.write(String(text(size)))
     call(asker, GetParametersRequest(own, number, [text(size)]), GetParametersReply)
     say("told", call(teller, SetBoolRequest(own, number, True), SetBoolReply).message)
 with one_at_a_time:
-    print("done", flush=True)
+    print("done\n", end="", flush=True)
 while True:
     time.sleep(60)

@@ -30,7 +30,7 @@ def text(size):
 
 def say(channel, received):
     assert set(received) <= {"x"}
-    print(channel, len(received), flush=True)
+    print(f"{channel} {len(received)}\n", end="", flush=True)
 
 
 def ask(request, response):
@@ -39,7 +39,7 @@ def ask(request, response):
 
 
 def tell(request, response):
-    response.success, response.message = True, text(next(told))
+    response.success, response.message = True, text(next(told) if request.data else 0)
     return response
 
 
@@ -58,7 +58,7 @@ asker, teller = node.create_client(GetParameters, "/ours/ask"), node.create_clie
 executor = SingleThreadedExecutor()
 executor.add_node(node)
 threading.Thread(target=executor.spin, daemon=True).start()
-print("ready", flush=True)
+print("ready\n", end="", flush=True)
 while publisher.get_subscription_count() == 0:
     time.sleep(0.01)
 
@@ -76,6 +76,6 @@ for size in sizes:
     publisher.publish(String(data=text(size)))
     call(asker, GetParameters.Request(names=[text(size)]))
     say("told", call(teller, SetBool.Request(data=True)).message)
-print("done", flush=True)
+print("done\n", end="", flush=True)
 while True:
     time.sleep(60)

@@ -1,8 +1,9 @@
 //! Messages from 1 kB to 4 MB over each kind of channel, in both directions, beside CycloneDDS and Fast DDS. A goal and a result of an
 //! action are a request and a reply, and feedback is a topic.
 
-use std::{collections::BTreeSet, time::Duration};
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
 use testkit::own_network as network;
+use tokio::sync::Notify;
 
 use ledger_base::hash::Hash;
 use ledger_gate::sample::{CDR_LE, Sample};
@@ -22,6 +23,8 @@ use testkit::{
 const DOMAIN: u16 = 5;
 const DEADLINE: Duration = Duration::from_secs(60);
 const BYTES_MAX: usize = 8 << 20;
+/// Time after which a first request or sample is sent again.
+const AGAIN_AFTER: Duration = Duration::from_millis(500);
 /// Bytes of the string in a message. Around 64 kB a message becomes larger than a datagram.
 const SIZES: [usize; 8] = [1_000, 60_000, 64_000, 66_000, 100_000, 400_000, 1_000_000, 4_000_000];
 const LATCHED: Qos = Qos::new(Reliability::Reliable, Durability::TransientLocal, 1);
@@ -77,6 +80,19 @@ async fn call(client: &mut Client, request: &[u8]) -> Vec<u8> {
     tokio::time::timeout(DEADLINE, done).await.expect("a reply")
 }
 
+/// Calls again and again until the first reply: a peer may acknowledge a request before its application reads from this client.
+async fn first_reply(client: &mut Client, request: &[u8]) {
+    let done = async {
+        loop {
+            if client.call(request).is_ok() && tokio::time::timeout(AGAIN_AFTER, client.next()).await.is_ok() {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, done).await.expect("a first reply");
+}
+
 /// Replies to each request, and passes on how large it was.
 async fn serve(mut server: Server, reply: impl Fn(usize) -> Vec<u8>, sizes: tokio::sync::mpsc::UnboundedSender<usize>) {
     let mut number = 0;
@@ -88,12 +104,21 @@ async fn serve(mut server: Server, reply: impl Fn(usize) -> Vec<u8>, sizes: toki
     }
 }
 
-/// Lines of the other side until it has printed all of these.
-fn prints(python: &mut Python, wanted: impl IntoIterator<Item = String>) {
-    let mut wanted: BTreeSet<String> = wanted.into_iter().collect();
-    while !wanted.is_empty() {
-        let line = python.line().unwrap_or_else(|| panic!("never came: {wanted:?}"));
-        wanted.remove(&line);
+/// The other side, and what it has printed.
+struct Peer {
+    python: Python,
+    printed: BTreeSet<String>,
+}
+
+impl Peer {
+    /// Waits until it has printed all of these.
+    fn prints(&mut self, wanted: impl IntoIterator<Item = String>) {
+        for wanted in wanted {
+            while !self.printed.contains(&wanted) {
+                let line = self.python.line().unwrap_or_else(|| panic!("{wanted} is not in {:?}", self.printed));
+                self.printed.insert(line);
+            }
+        }
     }
 }
 
@@ -119,22 +144,39 @@ async fn messages_of_every_size_pass_on_each_channel(start: impl FnOnce(&[String
         .collect();
     let writer = bridge.writer(&topic("/ours/topic"), &string_type, &Qos::default()).unwrap();
     let sizes = SIZES.map(|size| size.to_string());
-    let mut python = start(&sizes);
-    prints(&mut python, ["ready".to_owned()]);
+    let mut peer = Peer { python: start(&sizes), printed: BTreeSet::new() };
+    peer.prints(["ready".to_owned()]);
 
     // From here to there.
+    let has_arrived = Arc::new(Notify::new());
+    let arrived = Arc::clone(&has_arrived);
     assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+    let first = tokio::spawn(async move {
+        loop {
+            writer.write(&Sample::new(CDR_LE, &string(1)).unwrap()).unwrap();
+            tokio::select! {
+                biased;
+                () = arrived.notified() => return writer,
+                () = tokio::time::sleep(AGAIN_AFTER) => {}
+            }
+        }
+    });
+    peer.prints(["topic 1".to_owned()]);
+    has_arrived.notify_one();
+    let writer = first.await.unwrap();
     SIZES.iter().for_each(|size| writer.write(&sample(*size)).unwrap());
     let mut client = bridge.client(&exchange("/theirs/ask", ASK), mark, BYTES_MAX).unwrap();
+    first_reply(&mut client, &question(1)).await;
     for size in SIZES {
         assert_eq!(call(&mut client, &question(size)).await, 0u32.to_le_bytes(), "{size}");
     }
     let mut client = bridge.client(&exchange("/theirs/tell", TELL), mark, BYTES_MAX).unwrap();
+    first_reply(&mut client, &[0]).await;
     for size in SIZES {
         assert_eq!(size_of(&call(&mut client, &[1]).await[4..]), size);
     }
     let each = |channel: &str| SIZES.map(|size| format!("{channel} {size}"));
-    prints(&mut python, [each("ask"), each("topic"), each("latched")].concat());
+    peer.prints([each("ask"), each("topic"), each("latched")].concat());
 
     // And from there to here.
     let mut kept = Vec::new();
@@ -153,7 +195,7 @@ async fn messages_of_every_size_pass_on_each_channel(start: impl FnOnce(&[String
         let asked = tokio::time::timeout(DEADLINE, asked_sizes.recv()).await.unwrap().unwrap();
         assert_eq!(asked, size);
     }
-    prints(&mut python, each("told").into_iter().chain(["done".to_owned()]));
+    peer.prints(each("told").into_iter().chain(["done".to_owned()]));
 }
 
 #[tokio::test(flavor = "multi_thread")]
