@@ -1,6 +1,8 @@
 //! Messages from 1 kB to 4 MB over each kind of channel, in both directions, beside CycloneDDS and Fast DDS. A goal and a result of an
 //! action are a request and a reply, and feedback is a topic.
 
+#![expect(clippy::indexing_slicing, reason = "messages of known sizes")]
+
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
 use testkit::own_network as network;
 use tokio::sync::Notify;
