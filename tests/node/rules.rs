@@ -40,7 +40,7 @@ fn proposals(boss: &Ctl, owner: &Ctl) {
     assert!(boss.run(&approvals).ok().stdout.starts_with("proposed: call abac set_policy_approvals"));
     assert_eq!(owner.run(&approvals).ok().stdout, "abac set_policy_approvals was executed\n");
     let put = ["policy", "put", "all", "permit (principal, action, resource);"];
-    boss.run(&put).refused(2, &["LGR-3018", "organisations = 2, as the network demands: 1 more"]);
+    boss.run(&put).refused(2, &["LGR-3018", "organisations = 2, as the network requires: 1 more"]);
     let told = owner.run(&["policy", "approvals"]).ok().stdout;
     assert!(told.contains("organisations = 2"), "{told}");
 }
