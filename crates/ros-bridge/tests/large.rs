@@ -63,7 +63,7 @@ fn exchange(name: &str, of: &str) -> Exchange {
     Exchange::new(&TopicName::parse(name).unwrap(), &TypeName::parse(of).unwrap())
 }
 
-/// Calls as soon as somebody serves, and returns the reply.
+/// Calls as soon as there is a server, and returns the reply.
 async fn call(client: &mut Client, request: &[u8]) -> Vec<u8> {
     let done = async {
         loop {

@@ -136,7 +136,7 @@ impl Client {
         Subject { name: name.clone(), type_name: type_name.clone(), hash }.key(self.node.identity().domain)
     }
 
-    /// The next reply. Cancelling it loses nothing. It waits for ever if the session ends.
+    /// The next reply. Cancelling it loses nothing. It never returns if the session ends.
     pub async fn next(&mut self) -> Option<Reply> {
         self.replies.recv().await
     }

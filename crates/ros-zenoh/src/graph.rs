@@ -41,7 +41,7 @@ struct Inner {
     ignored: AtomicU64,
 }
 
-/// Those that have left, the oldest first; so many are remembered.
+/// Those that have left, the oldest first. Their number is limited.
 #[derive(Debug, Default)]
 struct Left {
     order: VecDeque<Gid>,

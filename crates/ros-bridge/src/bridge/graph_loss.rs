@@ -16,7 +16,7 @@ pub(super) struct GraphLoss {
 }
 
 impl GraphLoss {
-    /// Looks for it from now on. `ended` tells of a route that nobody stopped; `addresses` are looked at if there are some.
+    /// Looks for it from now on. `ended` reports a route that ended without a stop; `addresses` are looked at if there are some.
     pub(super) fn watch(ended: watch::Receiver<bool>, addresses: Option<Addresses>) -> Self {
         let (tell, outdated) = watch::channel(None);
         let mut looking = JoinSet::new();

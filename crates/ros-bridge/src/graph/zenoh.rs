@@ -4,7 +4,7 @@
 //!
 //! - **Marks** travel as the lifespan in the quality of service of a token, as on DDS. `rmw_zenoh` compares no lifespan.
 //! - **Quality of service** keeps nothing apart in zenoh. It decides what a link may lose, and whether late subscribers get old samples.
-//! - **Acknowledgements** do not exist: nothing tells a publisher that a subscriber has a sample.
+//! - **Acknowledgements** do not exist: a publisher gets no report that a subscriber has a sample.
 //! - **Samples without a token.** Samples go to the ledger only while a publisher of their topic is announced in the graph.
 //! - **Identifiers** of messages are hashes of tokens in `rmw_zenoh`, and in a bridge. Elsewhere they may be anything: then it is not
 //!   noticed that a publisher or a client has left.

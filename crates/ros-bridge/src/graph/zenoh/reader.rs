@@ -164,7 +164,7 @@ impl Pump {
         self.filter.is_none() || self.publishers.load(Ordering::Relaxed) > 0 || is_known()
     }
 
-    /// So many publishers are announced now: gives out what has waited for one.
+    /// Takes the number of announced publishers, and gives out the samples that waited for one.
     fn announced(&self, count: usize) {
         self.publishers.store(count, Ordering::Relaxed);
         let mut state = self.lock();

@@ -76,7 +76,7 @@ impl Server {
         }
     }
 
-    /// Is the client that has called still there, as far as its token tells?
+    /// Is the client that has called still there, according to its token?
     pub(crate) fn is_there(&self, (client, _): &RequestId) -> bool {
         !self.node.graph().has_left(client)
     }

@@ -45,7 +45,7 @@ impl Session {
         participant(&self.node.identity().session)
     }
 
-    /// Is this publisher of another still in the graph, as far as its token tells?
+    /// Is this publisher of another still in the graph, according to its token?
     pub(crate) fn has_publisher(&self, gid: &[u8; 16]) -> bool {
         !self.node.graph().has_left(gid)
     }
